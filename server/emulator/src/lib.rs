@@ -1,0 +1,17 @@
+//! The emulated station: a truth world with its own tactile physics, and the sessions it records.
+//!
+//! [`Truth`] is the file that says what is hidden; [`TruthWorld`] is the world, stepped at 1 kHz: springs and dampers
+//! for each spot of elastomer, sampled converters, firmware thresholds, transport queues. It shares the robot model and
+//! the geometry with `palpate_sim`, never the tactile model: what it hides must not be found by inverting the code that
+//! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
+
+mod live;
+mod motion;
+mod session;
+mod truth;
+mod world;
+
+pub use live::{LiveSample, LiveStation};
+pub use session::{EmulationError, record_session};
+pub use truth::Truth;
+pub use world::TruthWorld;

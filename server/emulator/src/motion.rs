@@ -1,0 +1,1 @@
+//! Motions that touch every channel: contact poses, primitives, joint paths.

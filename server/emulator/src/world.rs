@@ -1,0 +1,4 @@
+//! The truth world.
+
+/// The world behind the emulated sensors.
+pub struct TruthWorld {}

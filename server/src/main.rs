@@ -1,0 +1,3 @@
+//! The `palpate` command.
+
+fn main() {}

@@ -1,0 +1,25 @@
+//! Activations as bits, least significant bit first.
+
+/// Packs one bool a bit.
+pub fn pack(active: impl IntoIterator<Item = bool>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for (bit_idx, on) in active.into_iter().enumerate() {
+        if bit_idx % 8 == 0 {
+            bytes.push(0);
+        }
+        if on && let Some(last) = bytes.last_mut() {
+            *last |= 1 << (bit_idx % 8);
+        }
+    }
+    bytes
+}
+
+/// The bit at `bit_idx`; false past the end.
+pub fn get(bytes: &[u8], bit_idx: usize) -> bool {
+    bytes.get(bit_idx / 8).is_some_and(|byte| byte >> (bit_idx % 8) & 1 == 1)
+}
+
+/// The first `len` bits as bools.
+pub fn unpack(bytes: &[u8], len: usize) -> Vec<bool> {
+    (0..len).map(|bit_idx| get(bytes, bit_idx)).collect()
+}

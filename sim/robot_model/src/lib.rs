@@ -1,0 +1,20 @@
+//! The robot and its sense of touch as data: URDF kinematics, tactile layouts, objects and stations.
+//!
+//! The main types are [`Robot`] (forward kinematics), [`TactileLayout`] (which channels exist and where their
+//! surface nodes and taxels sit), [`ObjectModel`] (what is touched) and [`Station`] (which of these belong
+//! together, with limits and rates). Everything is parsed from text that the caller read: this crate opens no
+//! file and knows no particular robot, so it runs in the browser too.
+
+mod error;
+mod layout;
+mod object;
+mod pose;
+mod robot;
+mod station;
+
+pub use error::ModelError;
+pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
+pub use object::{ObjectModel, ObjectShape};
+pub use pose::PoseConfig;
+pub use robot::{Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
+pub use station::{Station, StationFiles, StreamConfig};

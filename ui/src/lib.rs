@@ -1,0 +1,1 @@
+//! The page: egui and wgpu in the browser.
