@@ -50,6 +50,7 @@ impl PatchTrace {
 /// Replays `positions` (`num_frames x num_dofs`, row-major, rad or m) with the object fixed at `base_from_object`.
 ///
 /// Penalty pressure of node j: `f_j = stiffness * max(0, -signed_distance_j)` (paper, "Contact Modeling").
+/// Refuses a path of the wrong length and NaN or infinite positions, naming frame and joint.
 /// Uses every core with the `batch` feature; the result has the same bits for any number of threads.
 pub fn contact_trace(
     robot: &Robot,
@@ -57,7 +58,39 @@ pub fn contact_trace(
     object: &SignedDistance,
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
-) -> ContactTrace {
+) -> Result<ContactTrace, ReplayError> {
     let _ = (robot, layout, object, base_from_object, positions);
     todo!()
+}
+
+/// A joint path that cannot be replayed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ReplayError {
+    /// The number of values is no multiple of the number of degrees of freedom.
+    #[error(
+        "failed to replay a joint path of {num_values} values: the robot has {num_dofs} degrees of freedom, \
+         so the path must hold a multiple of that"
+    )]
+    RaggedPath {
+        /// Values in the path.
+        num_values: usize,
+        /// Degrees of freedom of the robot.
+        num_dofs: usize,
+    },
+    /// A joint position is NaN or infinite.
+    #[error("failed to replay frame {frame}: position of joint {joint:?} is {value}, expected a finite number")]
+    NonFinitePosition {
+        /// Frame, from 0.
+        frame: usize,
+        /// Name of the joint.
+        joint: String,
+        /// What was there.
+        value: f64,
+    },
+    /// The object's pose is NaN or infinite.
+    #[error("failed to replay: the object's pose must be finite, found position {position_m:?} m")]
+    NonFiniteObjectPose {
+        /// Position of the object in the base frame, m.
+        position_m: [f64; 3],
+    },
 }
