@@ -1,3 +1,59 @@
 //! Set-up, build, run, test: what the README and CI call.
+//!
+//! Every command installs what it needs first (the wasm target or Debian's toolchain with the standard library's source,
+//! Chromium, Node and Python packages) and says plainly what is missing where it cannot.
 
-fn main() {}
+mod browser;
+mod build;
+mod page;
+mod paths;
+mod python;
+mod shell;
+mod studio;
+mod test;
+mod wasm;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "Set up, build, run and test Palpate")]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Build everything and start the studio with an emulated station and a recorded session
+    Studio(studio::StudioArgs),
+    /// Build the page and `target/release/palpate`
+    Build,
+    /// Build the page only, into target/page
+    BuildUi,
+    /// Install what the tests need, then run every test
+    Test(test::TestArgs),
+    /// What CI runs: formatting, lints, every test, the release build
+    Check,
+    /// Take the README's screenshot from a running studio
+    Screenshot {
+        /// Address of the studio, as it printed it
+        #[arg(long)]
+        url: String,
+        /// Folder for the pictures
+        #[arg(long)]
+        out: PathBuf,
+    },
+}
+
+fn main() -> anyhow::Result<()> {
+    match Args::parse().command {
+        Command::Studio(args) => studio::run(&args),
+        Command::Build => build::release().map(|binary| println!("built {}", binary.display())),
+        Command::BuildUi => wasm::build_page().map(|dir| println!("built {}", dir.display())),
+        Command::Test(args) => test::run(&args),
+        Command::Check => test::check(),
+        Command::Screenshot { url, out } => browser::screenshots(&url, &out),
+    }
+}

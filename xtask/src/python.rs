@@ -1,0 +1,39 @@
+//! The Python environment of the third-party checks.
+
+use std::{path::PathBuf, process::Command};
+
+use anyhow::Context as _;
+
+use crate::{paths, shell};
+
+/// Makes or updates the virtual environment and gives its interpreter.
+pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
+    let dir = paths::target().join("tools").join("python");
+    let python = dir.join("bin").join("python");
+    let requirements = paths::root().join("tests/e2e/python/requirements.txt");
+    let stamp = dir.join("requirements.txt");
+    let wanted = std::fs::read(&requirements).with_context(|| format!("failed to read {requirements:?}"))?;
+    if python.exists() && std::fs::read(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok(python);
+    }
+    if !shell::exists("python3") {
+        shell::install_debian_packages(
+            &["python3", "python3-venv"],
+            "checking takes with third-party readers",
+        )?;
+    }
+    let mut venv = Command::new("python3");
+    venv.args(["-m", "venv"]).arg(&dir);
+    if shell::run(&mut venv).is_err() {
+        shell::install_debian_packages(&["python3-venv"], "making a Python environment")?;
+        shell::run(&mut venv)?;
+    }
+    shell::run(
+        Command::new(&python)
+            .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"])
+            .arg(&requirements),
+    )
+    .context("failed to install the Python packages of tests/e2e/python/requirements.txt")?;
+    std::fs::write(&stamp, wanted)?;
+    Ok(python)
+}

@@ -1,0 +1,87 @@
+//! Running other programs.
+
+use std::{
+    path::Path,
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context as _, bail};
+
+/// Runs `command`, showing its output; fails when it does.
+pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
+    let line = describe(command);
+    eprintln!("$ {line}");
+    let status = command.stdin(Stdio::null()).status().with_context(|| format!("failed to start {line}"))?;
+    if !status.success() {
+        bail!("{line}: {status}");
+    }
+    Ok(())
+}
+
+/// What `command` prints, trimmed; fails when it does.
+pub(crate) fn output(command: &mut Command) -> anyhow::Result<String> {
+    let line = describe(command);
+    let output = command.stdin(Stdio::null()).output().with_context(|| format!("failed to start {line}"))?;
+    if !output.status.success() {
+        bail!("{line}: {}\n{}", output.status, String::from_utf8_lossy(&output.stderr));
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+/// Whether `program` can be started at all.
+pub(crate) fn exists(program: &str) -> bool {
+    Command::new(program)
+        .arg("--version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok()
+}
+
+/// A cargo of the checkout's own toolchain, free of the variables of the cargo that started us.
+pub(crate) fn cargo(dir: &Path) -> Command {
+    cargo_at("cargo", dir)
+}
+
+/// The cargo at `program`, likewise.
+pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(dir);
+    for (name, _) in std::env::vars_os() {
+        let Some(text) = name.to_str() else { continue };
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST") || text == "CARGO" {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+/// Installs Debian packages, or says which command a person must run.
+pub(crate) fn install_debian_packages(packages: &[&str], purpose: &str) -> anyhow::Result<()> {
+    let by_hand = format!("apt-get install --no-install-recommends {}", packages.join(" "));
+    let is_root = output(Command::new("id").arg("-u")).is_ok_and(|uid| uid == "0");
+    if !is_root || !exists("apt-get") {
+        bail!("{purpose} needs packages that are not installed; as root, run: {by_hand}");
+    }
+    let apt = |args: &[&str]| {
+        let mut command = Command::new("apt-get");
+        command.env("DEBIAN_FRONTEND", "noninteractive").args(args);
+        run(&mut command)
+    };
+    // A stale package list is the usual reason for a failure, so it is refreshed only then.
+    let mut args = vec!["install", "-y", "-qq", "--no-install-recommends"];
+    args.extend(packages);
+    apt(&args)
+        .or_else(|_| apt(&["update", "-qq"]).and_then(|()| apt(&args)))
+        .with_context(|| format!("{purpose} needs packages that could not be installed; run: {by_hand}"))
+}
+
+fn describe(command: &Command) -> String {
+    let mut line = command.get_program().to_string_lossy().into_owned();
+    for arg in command.get_args() {
+        line.push(' ');
+        line.push_str(&arg.to_string_lossy());
+    }
+    line
+}

@@ -1,0 +1,51 @@
+//! Every test, and what CI runs.
+
+use clap::Args;
+
+use crate::{browser, build, paths, python, shell};
+
+#[derive(Args)]
+pub(crate) struct TestArgs {
+    /// Only tests whose name contains this
+    filter: Option<String>,
+}
+
+/// Sets everything up, then runs every test of the workspace, the browser's included.
+pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
+    let python = python::interpreter()?;
+    let browser_tests = browser::tests_dir()?;
+    let palpate = build::dev()?;
+    let artifacts = paths::target().join("e2e");
+    std::fs::create_dir_all(&artifacts)?;
+    let mut cargo = shell::cargo(&paths::root());
+    cargo
+        .args(["test", "--workspace", "--exclude", "xtask"])
+        .env("PALPATE_UI_DIST", paths::target().join("page"))
+        .env("PALPATE_BIN", palpate)
+        .env("PALPATE_PYTHON", python)
+        .env("PALPATE_BROWSER_TESTS", browser_tests)
+        .env("PALPATE_ARTIFACTS", &artifacts)
+        .env("PALPATE_XTASK", std::env::current_exe()?);
+    if let Some(filter) = &args.filter {
+        cargo.args(["--", filter]);
+    }
+    shell::run(&mut cargo)?;
+    eprintln!("screenshots and reports: {}", artifacts.display());
+    Ok(())
+}
+
+/// Formatting, lints with warnings denied, every test, and the release build.
+pub(crate) fn check() -> anyhow::Result<()> {
+    let root = paths::root();
+    shell::run(shell::cargo(&root).args(["fmt", "--all", "--check"]))?;
+    shell::run(shell::cargo(&root).args([
+        "clippy",
+        "--workspace",
+        "--all-targets",
+        "--",
+        "--deny",
+        "warnings",
+    ]))?;
+    run(&TestArgs { filter: None })?;
+    build::release().map(|_| ())
+}

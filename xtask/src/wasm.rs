@@ -1,0 +1,114 @@
+//! Compiles the page to WebAssembly.
+
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, bail};
+
+use crate::{page, paths, shell};
+
+const TARGET: &str = "wasm32-unknown-unknown";
+const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+
+/// Builds the page into `target/page` and gives that folder.
+pub(crate) fn build_page() -> anyhow::Result<PathBuf> {
+    let wasm = compile()?;
+    let bound = paths::target().join("web").join("bound");
+    bind(&wasm, &bound)?;
+    page::assemble(&bound, &paths::target().join("page"))
+}
+
+fn compile() -> anyhow::Result<PathBuf> {
+    let target_dir = paths::target().join("web");
+    let mut command = match toolchain()? {
+        Toolchain::Rustup => shell::cargo(&paths::root()),
+        Toolchain::Debian => debian_cargo()?,
+    };
+    command
+        .args(["build", "--package", "palpate_ui", "--lib", "--profile", "web", "--target", TARGET])
+        .env("CARGO_TARGET_DIR", &target_dir);
+    shell::run(&mut command).context("failed to compile the page")?;
+    Ok(target_dir.join(TARGET).join("web").join("palpate_ui.wasm"))
+}
+
+enum Toolchain {
+    /// The checkout's own toolchain has the wasm target.
+    Rustup,
+    /// Debian's toolchain compiles the standard library from its source.
+    Debian,
+}
+
+fn toolchain() -> anyhow::Result<Toolchain> {
+    if rustup_has_target() {
+        return Ok(Toolchain::Rustup);
+    }
+    if shell::exists("rustup")
+        && shell::run(Command::new("rustup").args(["target", "add", TARGET]).current_dir(paths::root()))
+            .is_ok()
+        && rustup_has_target()
+    {
+        return Ok(Toolchain::Rustup);
+    }
+    eprintln!("rustup could not fetch {TARGET}; using Debian's toolchain with the standard library's source");
+    if !debian_has_source() {
+        shell::install_debian_packages(
+            &["rustc-web", "cargo-web", "libstd-rust-web-dev", "rust-web-src"],
+            "compiling the page without rustup's wasm target",
+        )?;
+    }
+    if !debian_has_source() {
+        bail!("no way to compile for {TARGET}: run `rustup target add {TARGET}` with internet access");
+    }
+    Ok(Toolchain::Debian)
+}
+
+fn rustup_has_target() -> bool {
+    let mut rustc = Command::new("rustc");
+    rustc.current_dir(paths::root()).args(["--print", "target-libdir", "--target", TARGET]);
+    shell::output(&mut rustc).is_ok_and(|dir| Path::new(&dir).exists())
+}
+
+fn debian_has_source() -> bool {
+    Path::new(DEBIAN_CARGO).exists()
+        && shell::output(Command::new(DEBIAN_RUSTC).args(["--print", "sysroot"])).is_ok_and(|sysroot| {
+            Path::new(&sysroot).join("lib/rustlib/src/rust/library/std/Cargo.toml").exists()
+        })
+}
+
+fn debian_cargo() -> anyhow::Result<Command> {
+    let mut rustc = Command::new("rustc");
+    rustc.current_dir(paths::root());
+    let sysroot = shell::output(rustc.args(["--print", "sysroot"]))?;
+    let mut rustc = Command::new("rustc");
+    rustc.current_dir(paths::root());
+    let version = shell::output(rustc.arg("-vV"))?;
+    let host = version
+        .lines()
+        .find_map(|line| line.strip_prefix("host: "))
+        .context("`rustc -vV` does not name the host")?;
+    let linker = Path::new(&sysroot).join("lib/rustlib").join(host).join("bin/rust-lld");
+    let mut command = shell::cargo_at(DEBIAN_CARGO, &paths::root());
+    command
+        .env("RUSTC", DEBIAN_RUSTC)
+        .env("RUSTC_BOOTSTRAP", "1")
+        .env_remove("RUSTUP_TOOLCHAIN")
+        .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
+        .args(["-Z", "build-std=std,panic_abort"]);
+    Ok(command)
+}
+
+/// Makes the JavaScript that loads the module; the library is the same version as the crate in Cargo.lock.
+fn bind(wasm: &Path, out_dir: &Path) -> anyhow::Result<()> {
+    if out_dir.exists() {
+        std::fs::remove_dir_all(out_dir).with_context(|| format!("failed to remove {out_dir:?}"))?;
+    }
+    wasm_bindgen_cli_support::Bindgen::new()
+        .input_path(wasm)
+        .web(true)?
+        .typescript(false)
+        .generate(out_dir)
+        .context("failed to bind the page to JavaScript")
+}
