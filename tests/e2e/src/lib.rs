@@ -1,1 +1,9 @@
-//! The whole system, from outside.
+//! The whole system from outside: the built binary, a real browser, other people's readers.
+//!
+//! [`Tools`] says where `cargo xtask test` put everything; [`Studio`] is a running studio that ends with its owner.
+
+mod studio;
+mod tools;
+
+pub use studio::Studio;
+pub use tools::{Tools, demo_session, root, run_json};

@@ -1,0 +1,94 @@
+//! What `cargo xtask test` set up, and the session that the tests share.
+
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    sync::OnceLock,
+};
+
+use anyhow::{Context as _, bail};
+use serde_json::Value;
+
+/// Where `cargo xtask test` put what these tests start.
+pub struct Tools {
+    /// The `palpate` binary with the page inside.
+    pub palpate: PathBuf,
+    /// A Python with the packages of `python/requirements.txt`.
+    pub python: PathBuf,
+    /// The folder of the browser tests, with playwright-core installed.
+    pub browser_tests: PathBuf,
+    /// Where screenshots and reports are kept.
+    pub artifacts: PathBuf,
+    /// The xtask binary.
+    pub xtask: PathBuf,
+}
+
+impl Tools {
+    /// The tools, or `None` (with a message) when the tests were not started by `cargo xtask test`.
+    pub fn find() -> Option<Self> {
+        let tools = Self::from_env();
+        if tools.is_none() {
+            eprintln!("skipped: the end-to-end tests need their set-up; run `cargo xtask test`");
+        }
+        tools
+    }
+
+    fn from_env() -> Option<Self> {
+        let path = |name: &str| std::env::var_os(name).map(PathBuf::from);
+        Some(Self {
+            palpate: path("PALPATE_BIN")?,
+            python: path("PALPATE_PYTHON")?,
+            browser_tests: path("PALPATE_BROWSER_TESTS")?,
+            artifacts: path("PALPATE_ARTIFACTS")?,
+            xtask: path("PALPATE_XTASK")?,
+        })
+    }
+
+    /// A `palpate` command to be completed with arguments.
+    pub fn palpate(&self) -> Command {
+        Command::new(&self.palpate)
+    }
+}
+
+/// The checkout's root.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// Runs `command`, which must succeed, and reads its standard output as one JSON document.
+pub fn run_json(command: &mut Command) -> anyhow::Result<Value> {
+    let output = command.output().with_context(|| format!("failed to start {command:?}"))?;
+    if !output.status.success() {
+        bail!("{command:?}: {}\n{}", output.status, String::from_utf8_lossy(&output.stderr));
+    }
+    serde_json::from_slice(&output.stdout).with_context(|| {
+        format!("{command:?} printed no JSON document: {}", String::from_utf8_lossy(&output.stdout))
+    })
+}
+
+/// The data folder with the emulated demo session `sessions/demo`, recorded once for all tests.
+pub fn demo_session(tools: &Tools) -> anyhow::Result<PathBuf> {
+    static DATA: OnceLock<Result<tempfile::TempDir, String>> = OnceLock::new();
+    let data = DATA.get_or_init(|| record_demo(tools).map_err(|err| format!("{err:#}")));
+    match data {
+        Ok(dir) => Ok(dir.path().to_owned()),
+        Err(problem) => bail!("{problem}"),
+    }
+}
+
+fn record_demo(tools: &Tools) -> anyhow::Result<tempfile::TempDir> {
+    let dir = tempfile::tempdir()?;
+    std::fs::create_dir(dir.path().join("sessions"))?;
+    let output = tools
+        .palpate()
+        .arg("emulate")
+        .arg("--truth")
+        .arg(root().join("assets/truth/demo.toml"))
+        .arg("--out")
+        .arg(dir.path().join("sessions/demo"))
+        .output()?;
+    if !output.status.success() {
+        bail!("failed to record the demo session: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    Ok(dir)
+}

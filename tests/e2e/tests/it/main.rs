@@ -1,0 +1,6 @@
+//! Whole-system tests; see the crate's documentation.
+
+mod calibration;
+mod page;
+mod probe_bench;
+mod takes;
