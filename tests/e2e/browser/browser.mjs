@@ -1,0 +1,37 @@
+// A headless Chromium that renders WebGL 2 in software, and a page that fails the test on any error of its own.
+import { mkdtempSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { chromium } from "playwright-core";
+
+const FLAGS = [
+  "--no-sandbox",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
+  "--use-angle=swiftshader",
+  "--enable-unsafe-swiftshader",
+  "--ignore-gpu-blocklist",
+];
+
+const executablePath = process.env.PALPATE_CHROMIUM ?? "/usr/bin/chromium";
+
+export async function openBrowser({ width = 1280, height = 800, colorScheme = "light" } = {}) {
+  const profile = mkdtempSync(join(tmpdir(), "palpate-chromium-"));
+  const context = await chromium.launchPersistentContext(profile, {
+    executablePath,
+    args: FLAGS,
+    viewport: { width, height },
+    colorScheme,
+  });
+  context.setDefaultTimeout(60_000);
+  const page = context.pages()[0] ?? (await context.newPage());
+  const errors = [];
+  page.on("pageerror", (error) => errors.push(String(error)));
+  page.on("console", (message) => {
+    if (message.type() === "error") errors.push(message.text());
+  });
+  return { context, page, errors };
+}
