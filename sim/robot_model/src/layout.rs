@@ -1,5 +1,9 @@
 //! The tactile layout: streams, patches, taxels and the surface nodes that stand for the sensing skin.
 
+mod map;
+mod read;
+mod surface;
+
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 use crate::{ModelError, Robot};
@@ -100,10 +104,46 @@ pub struct Channel {
 impl TactileLayout {
     /// Reads a layout file against the robot it belongs to. `file` names it in errors.
     ///
-    /// Refused, naming the patch: an unknown link or stream, no taxels, non-positive spacing, a duplicate id.
+    /// Refused, naming line and patch: an unknown link or stream, no taxels, a taxel beside the surface, sizes or
+    /// spacing that are not positive, a duplicate id, unknown keys.
+    ///
+    /// ```
+    /// use palpate_robot_model::{Robot, SensorKind, TactileLayout};
+    ///
+    /// let robot = Robot::from_urdf("finger.urdf", r#"<robot name="finger"><link name="tip"/></robot>"#, &[])?;
+    /// let layout = TactileLayout::from_toml("finger.toml", r#"
+    ///     name = "One finger"
+    ///
+    ///     [[stream]]
+    ///     id = "gel"
+    ///     label = "Gel"
+    ///     kind = "pressure"
+    ///     rate_hz = 100.0
+    ///     raw_unit = "counts"
+    ///
+    ///     ## A finger pad: half a cylinder along x, closed by a dome at the tip. The outward normal at the origin is +z.
+    ///     [[patch]]
+    ///     id = "pad"
+    ///     label = "Finger pad"
+    ///     group = "finger"
+    ///     stream = "gel"
+    ///     link = "tip"
+    ///     pose = { position_m = [0.0, 0.0, 0.01] }
+    ///     shape = { kind = "arc", radius_m = 0.01, arc_rad = 2.4, length_m = 0.02, dome_rad = 1.4 }
+    ///     node_spacing_m = 0.002
+    ///     stiffness_pa_per_m = 2.0e7
+    ///     taxels_m = [[-0.005, 0.0], [0.005, 0.0], [0.015, 0.0]]
+    /// "#, &robot)?;
+    ///
+    /// assert_eq!(layout.streams[0].kind, SensorKind::Pressure);
+    /// assert_eq!(layout.channels[2].id, "pad.2");
+    /// // Taxels are named by where they appear from above, and lie on the skin.
+    /// let top = layout.patches[0].taxels_in_link[0];
+    /// assert!((top.z - 0.01).abs() < 1e-12);
+    /// # Ok::<(), palpate_robot_model::ModelError>(())
+    /// ```
     pub fn from_toml(file: &str, text: &str, robot: &Robot) -> Result<Self, ModelError> {
-        let _ = (file, text, robot);
-        todo!()
+        read::layout(file, text, robot)
     }
 
     /// Number of channels.

@@ -5,6 +5,7 @@
 //! together, with limits and rates). Everything is parsed from text that the caller read: this crate opens no
 //! file and knows no particular robot, so it runs in the browser too.
 
+mod config;
 mod error;
 mod layout;
 mod object;
