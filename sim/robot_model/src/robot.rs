@@ -1,6 +1,8 @@
 //! A tree of links and joints read from URDF, and its forward kinematics.
 
-use nalgebra::{Isometry3, Unit, Vector3};
+mod urdf;
+
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::ModelError;
 
@@ -117,11 +119,14 @@ impl Robot {
     /// Reads a URDF. `file` names it in errors. Degrees of freedom come in the order of `dof_names`, which must
     /// name every moving joint once; an empty list means the URDF's own order.
     ///
+    /// Continuous joints become [`JointKind::Revolute`] without limits. A moving joint whose URDF gives no limits has
+    /// none here.
+    ///
     /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one
-    /// root, mimic joints, meshes, non-finite numbers, a zero axis, unknown or missing names in `dof_names`.
+    /// root, duplicate names, mimic joints and joints with several degrees of freedom, meshes, non-finite numbers,
+    /// sizes that are not positive, crossed limits, a zero axis, unknown or missing names in `dof_names`.
     pub fn from_urdf(file: &str, text: &str, dof_names: &[String]) -> Result<Self, ModelError> {
-        let _ = (file, text, dof_names);
-        todo!()
+        urdf::read(file, text, dof_names)
     }
 
     /// Number of degrees of freedom.
@@ -146,8 +151,174 @@ impl Robot {
     ///
     /// # Panics
     /// If `positions` has the wrong length: a caller's bug, since readers check lengths when data comes in.
+    ///
+    /// # Example
+    /// ```
+    /// use palpate_robot_model::Robot;
+    ///
+    /// let urdf = r#"<robot name="arm">
+    ///   <link name="base"/>
+    ///   <link name="tip"/>
+    ///   <joint name="lift" type="prismatic">
+    ///     <parent link="base"/> <child link="tip"/>
+    ///     <origin xyz="0.1 0 0"/> <axis xyz="0 0 1"/>
+    ///   </joint>
+    /// </robot>"#;
+    /// let robot = Robot::from_urdf("arm.urdf", urdf, &[])?;
+    /// let mut root_from_link = Vec::new();
+    /// robot.forward_kinematics(&[0.25], &mut root_from_link);
+    /// let tip_in_root = root_from_link[1].translation.vector;
+    /// assert_eq!((tip_in_root.x, tip_in_root.z), (0.1, 0.25));
+    /// # Ok::<(), palpate_robot_model::ModelError>(())
+    /// ```
     pub fn forward_kinematics(&self, positions: &[f64], root_from_link: &mut Vec<Isometry3<f64>>) {
-        let _ = (positions, root_from_link);
-        todo!()
+        assert_eq!(positions.len(), self.num_dofs(), "one position per degree of freedom");
+        root_from_link.clear();
+        root_from_link.push(Isometry3::identity());
+        for joint in &self.joints {
+            let root_from_joint = root_from_link[joint.parent_link] * joint.parent_from_joint;
+            root_from_link.push(match joint.dof {
+                Some(dof) => joint.moved(&root_from_joint, positions[dof]),
+                None => root_from_joint,
+            });
+        }
+    }
+}
+
+impl Joint {
+    /// Pose of the child link after moving by `position` from the joint frame: `root_from_joint * motion`, without
+    /// the multiplications by one and zero.
+    fn moved(&self, root_from_joint: &Isometry3<f64>, position: f64) -> Isometry3<f64> {
+        match self.kind {
+            JointKind::Fixed => *root_from_joint,
+            JointKind::Revolute => Isometry3::from_parts(
+                root_from_joint.translation,
+                root_from_joint.rotation * UnitQuaternion::from_axis_angle(&self.axis_in_joint, position),
+            ),
+            JointKind::Prismatic => {
+                let slide_in_root = root_from_joint.rotation * (self.axis_in_joint.into_inner() * position);
+                Isometry3::from_parts(
+                    Translation3::from(root_from_joint.translation.vector + slide_in_root),
+                    root_from_joint.rotation,
+                )
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix4, Rotation3};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// One joint of a random chain: kind, xyz, rpy, axis, position.
+    type ChainJoint = (usize, [f64; 3], [f64; 3], [f64; 3], f64);
+
+    fn chain_joint() -> impl Strategy<Value = ChainJoint> {
+        let xyz = prop::array::uniform3(-0.5..0.5);
+        let rpy = prop::array::uniform3(-3.0..3.0);
+        let axis = prop::array::uniform3(-1.0..1.0)
+            .prop_filter("axis is not zero", |a: &[f64; 3]| a.iter().map(|v| v * v).sum::<f64>() > 0.01);
+        (0_usize..4, xyz, rpy, axis, -2.0..2.0)
+    }
+
+    const KINDS: [&str; 4] = ["fixed", "revolute", "continuous", "prismatic"];
+
+    fn xyz_text(v: &[f64; 3]) -> String {
+        format!("{:?} {:?} {:?}", v[0], v[1], v[2])
+    }
+
+    fn chain_urdf(chain: &[ChainJoint]) -> String {
+        let mut urdf = String::from("<robot name=\"chain\"><link name=\"l0\"/>");
+        for (i, (kind, xyz, rpy, axis, _)) in chain.iter().enumerate() {
+            urdf += &format!(
+                "<link name=\"l{next}\"/><joint name=\"j{i}\" type=\"{kind}\"><parent link=\"l{i}\"/><child link=\"l{next}\"/>\
+                 <origin xyz=\"{xyz}\" rpy=\"{rpy}\"/><axis xyz=\"{axis}\"/></joint>",
+                next = i + 1,
+                kind = KINDS[*kind],
+                xyz = xyz_text(xyz),
+                rpy = xyz_text(rpy),
+                axis = xyz_text(axis),
+            );
+        }
+        urdf + "</robot>"
+    }
+
+    /// The same motion as 4x4 matrices, straight from the URDF's definition (fixed-axis roll, pitch, yaw).
+    fn chain_matrix(chain: &[ChainJoint], sign: f64) -> Matrix4<f64> {
+        let mut root_from_link = Matrix4::identity();
+        for (kind, xyz, rpy, axis, position) in chain {
+            let axis = Unit::new_normalize(Vector3::from(*axis));
+            let motion = match KINDS[*kind] {
+                "fixed" => Matrix4::identity(),
+                "prismatic" => Matrix4::new_translation(&(axis.into_inner() * *position * sign)),
+                _ => Rotation3::from_axis_angle(&axis, *position * sign).to_homogeneous(),
+            };
+            let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), rpy[2])
+                * Rotation3::from_axis_angle(&Vector3::y_axis(), rpy[1])
+                * Rotation3::from_axis_angle(&Vector3::x_axis(), rpy[0]);
+            root_from_link = root_from_link
+                * Matrix4::new_translation(&Vector3::from(*xyz))
+                * rotation.to_homogeneous()
+                * motion;
+        }
+        root_from_link
+    }
+
+    fn positions(chain: &[ChainJoint]) -> Vec<f64> {
+        chain.iter().filter(|joint| KINDS[joint.0] != "fixed").map(|joint| joint.4).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn chain_is_the_product_of_its_transforms(chain in prop::collection::vec(chain_joint(), 1..9)) {
+            let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).expect("valid chain");
+            let mut root_from_link = Vec::new();
+            robot.forward_kinematics(&positions(&chain), &mut root_from_link);
+            prop_assert_eq!(root_from_link.len(), chain.len() + 1);
+            for (i, pose) in root_from_link.iter().enumerate() {
+                let difference = (pose.to_homogeneous() - chain_matrix(&chain[..i], 1.0)).abs().max();
+                prop_assert!(difference < 1e-12, "link {} is off by {}", i, difference);
+            }
+        }
+
+        #[test]
+        fn motion_and_its_inverse_cancel(joint in chain_joint()) {
+            let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&[joint]), &[]).expect("valid chain");
+            let joint_frame = &robot.joints[0];
+            let there = joint_frame.moved(&joint_frame.parent_from_joint, joint.4);
+            let back = joint_frame.moved(&there, -joint.4);
+            let difference = (back.to_homogeneous() - joint_frame.parent_from_joint.to_homogeneous()).abs().max();
+            prop_assert!(difference < 1e-14, "off by {}", difference);
+        }
+
+        #[test]
+        fn order_of_dof_names_moves_columns_only(chain in prop::collection::vec(chain_joint(), 2..9)) {
+            let own = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).expect("valid chain");
+            let mut names: Vec<String> = own.dofs().map(|joint| joint.name.clone()).collect();
+            names.reverse();
+            let reversed = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &names).expect("valid chain");
+            let mut columns = positions(&chain);
+            let (mut poses, mut poses_reversed) = (Vec::new(), Vec::new());
+            own.forward_kinematics(&columns, &mut poses);
+            columns.reverse();
+            reversed.forward_kinematics(&columns, &mut poses_reversed);
+            prop_assert_eq!(poses, poses_reversed);
+        }
+    }
+
+    #[test]
+    fn buffer_is_reused_without_reallocation() {
+        let chain: Vec<ChainJoint> =
+            (0..7).map(|i| (i % 4, [0.1; 3], [0.2; 3], [0.0, 1.0, 0.0], 0.3)).collect();
+        let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).expect("valid chain");
+        let mut root_from_link = Vec::new();
+        robot.forward_kinematics(&positions(&chain), &mut root_from_link);
+        let (first, storage) = (root_from_link.clone(), root_from_link.as_ptr());
+        robot.forward_kinematics(&positions(&chain), &mut root_from_link);
+        assert_eq!(root_from_link, first);
+        assert_eq!(root_from_link.as_ptr(), storage);
     }
 }
