@@ -1,1 +1,41 @@
-//! The axum server.
+//! The studio's server and everything the `palpate` command line does.
+//!
+//! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. Long work
+//! lives in [`jobs`], which the command line and the server call alike. Data is plain files below one folder
+//! ([`store::Store`]): `sessions/`, `models/`, `runs/`, and `trash/` for what was deleted.
+//!
+//! # Routes
+//!
+//! | method | path | answer |
+//! |---|---|---|
+//! | GET | `/api/v1/info` | `Info` |
+//! | GET | `/api/v1/station` | `StationDocument` of the live station; 404 without one |
+//! | GET | `/api/v1/stations` | ids of the stations that the binary carries |
+//! | GET | `/api/v1/sessions` | `[SessionSummary]` |
+//! | POST | `/api/v1/sessions?name=NAME[&station=ID]` | body `application/zip`: a CSV import folder or a session folder; 201 `SessionDetail`, `Location` |
+//! | GET, DELETE | `/api/v1/sessions/{id}` | `SessionDetail`; DELETE moves it to the trash, 204 |
+//! | POST | `/api/v1/sessions/{id}/restore` | undoes the DELETE; `SessionDetail` |
+//! | GET | `/api/v1/sessions/{id}/check` | `CheckReport` |
+//! | GET | `/api/v1/sessions/{id}/station` | `StationDocument` |
+//! | GET | `/api/v1/sessions/{id}/takes/{take}/trace` | protobuf `TakeTrace`, `application/x-protobuf` |
+//! | GET | `/api/v1/sessions/{id}/takes/{take}/replay?model=nominal\|MODEL_ID\|run:RUN_ID` | protobuf `ReplayTrace` |
+//! | GET | `/api/v1/models` | `[ModelSummary]` |
+//! | GET, DELETE | `/api/v1/models/{id}` | TOML; DELETE moves it to the trash, 204 |
+//! | POST | `/api/v1/models/{id}/restore` | undoes the DELETE; `ModelSummary` |
+//! | POST | `/api/v1/calibrations` | body `CalibrationRequest`; 202 `CalibrationRun`, `Location` |
+//! | GET | `/api/v1/calibrations` | `[CalibrationRun]`, newest first, without report and model text |
+//! | GET | `/api/v1/calibrations/{id}` | `CalibrationRun` |
+//! | POST | `/api/v1/calibrations/{id}/cancel` | `CalibrationRun` |
+//! | POST | `/api/v1/calibrations/{id}/save` | body `SaveModelRequest`; 201 `ModelSummary`, `Location` |
+//! | GET | `/api/v1/calibrations/{id}/report.html` | the self-contained report |
+//! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
+//! | GET | everything else | the page |
+//!
+//! Errors are RFC 9457 `application/problem+json` (`ProblemDetails`); `detail` says what happened, where, and what to
+//! do. The types are those of [`palpate_wire`].
+//!
+//! # The stream
+//!
+//! A client gets the live station's frames at 30 Hz at most, and every job's progress when it changes. Each client has
+//! a bounded queue: the oldest live frames are dropped and counted in `dropped`; a newer state of a job replaces an
+//! older one that still waits, and no job's state is dropped otherwise.
