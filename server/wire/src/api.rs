@@ -207,6 +207,9 @@ pub struct CalibrationReport {
     pub objective: Objective,
     /// Ids of held-out takes.
     pub held_out_takes: Vec<String>,
+    /// What a reader of the numbers should know: parameters that could not be fitted, an optimum at a bound.
+    #[serde(default)]
+    pub notes: Vec<String>,
 }
 
 /// Both models on held-out takes.

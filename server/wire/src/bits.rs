@@ -23,3 +23,29 @@ pub fn get(bytes: &[u8], bit_idx: usize) -> bool {
 pub fn unpack(bytes: &[u8], len: usize) -> Vec<bool> {
     (0..len).map(|bit_idx| get(bytes, bit_idx)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unpack_inverts_pack_at_every_length() {
+        for len in 0..40_usize {
+            let active: Vec<bool> = (0..len).map(|bit_idx| bit_idx % 3 == 1 || bit_idx % 7 == 0).collect();
+            let bytes = pack(active.iter().copied());
+            assert_eq!(bytes.len(), len.div_ceil(8));
+            assert_eq!(unpack(&bytes, len), active);
+        }
+    }
+
+    #[test]
+    fn the_first_bit_is_the_least_significant() {
+        assert_eq!(pack([true, false, false, false, false, false, false, false, true]), [1, 1]);
+        assert!(get(&[4], 2) && !get(&[4], 1));
+    }
+
+    #[test]
+    fn bits_past_the_end_are_false() {
+        assert!(!get(&[0xff], 8));
+    }
+}
