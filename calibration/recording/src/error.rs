@@ -1,6 +1,8 @@
 //! One error for everything a take, session or import can have wrong.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use palpate_robot_model::ModelError;
 
 /// A take, session or import that cannot be used: which file, where in it, what was expected.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +36,41 @@ pub enum RecordingError {
         path: PathBuf,
         /// What is wrong.
         #[source]
-        source: palpate_robot_model::ModelError,
+        source: ModelError,
     },
+}
+
+impl RecordingError {
+    /// Wrong content at `place` in `path`.
+    pub fn content(path: impl AsRef<Path>, place: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Content { path: path.as_ref().to_owned(), place: place.into(), problem: problem.into() }
+    }
+
+    /// For `map_err`: the operating system refused to `action` `path`.
+    pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        move |source| Self::Io { action, path: path.to_owned(), source }
+    }
+
+    /// For `map_err`: TOML text that does not parse, with its line.
+    pub(crate) fn toml(path: &Path, text: &str) -> impl FnOnce(toml::de::Error) -> Self {
+        move |error| {
+            let place = match error.span() {
+                Some(span) => {
+                    let before = &text.as_bytes()[..span.start.min(text.len())];
+                    format!("line {}", before.iter().filter(|&&byte| byte == b'\n').count() + 1)
+                }
+                None => "file".to_owned(),
+            };
+            Self::content(path, place, error.message().trim())
+        }
+    }
+
+    /// The problem without the file's name, for lists that name it already.
+    pub(crate) fn place_and_problem(&self) -> (String, String) {
+        match self {
+            Self::Content { place, problem, .. } => (place.clone(), problem.clone()),
+            Self::Io { source, .. } => ("file".to_owned(), format!("{self}: {source}")),
+            Self::Station { source, .. } => ("station".to_owned(), source.to_string()),
+        }
+    }
 }

@@ -2,10 +2,16 @@
 //!
 //! A take is one MCAP file: joint states and tactile streams at their own rates, with device and host time, markers,
 //! and the station's texts attached ([`TakeWriter`], [`Take`]). A session is a folder of takes with a `session.toml`
-//! ([`Session`]).
+//! ([`Session`]), and appears on disk whole or not at all ([`SessionDraft`]). [`import`] turns CSV files into a session,
+//! [`check_session`] says what a session is good for.
+//!
+//! What is read is checked when it is read, so that later stages can index without looking: times increase, numbers are
+//! finite, each sample has its stream's channels. Nothing here repairs data; [`Take::recover`] says what it left out.
 
 mod check;
+mod decode;
 mod error;
+mod format;
 pub mod import;
 mod session;
 mod station_io;
@@ -14,7 +20,7 @@ mod writer;
 
 pub use check::check_session;
 pub use error::RecordingError;
-pub use session::{Session, SessionFile, SessionTake};
+pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
-pub use take::{JointLog, Span, SpanKind, StreamLog, Take, TakeMeta};
-pub use writer::{TakeWriter, TactileSampleRef};
+pub use take::{JointLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
+pub use writer::{LogLevel, TactileSampleRef, TakeWriter};

@@ -1,10 +1,17 @@
 //! A session: a folder of takes with a `session.toml`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use serde::{Deserialize, Serialize};
 
 use crate::{RecordingError, Take};
+
+const SESSION_FILE: &str = "session.toml";
+const SESSION_FORMAT: u32 = 1;
 
 /// `session.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +41,13 @@ pub struct SessionTake {
     pub accepted: bool,
 }
 
+impl SessionTake {
+    /// Id of the take: the file's stem.
+    pub fn id(&self) -> &str {
+        self.file.strip_suffix(".mcap").unwrap_or(&self.file)
+    }
+}
+
 /// An opened session.
 #[derive(Clone, Debug)]
 pub struct Session {
@@ -48,19 +62,218 @@ pub struct Session {
 impl Session {
     /// Reads `session.toml` in `dir`. A session without takes is refused.
     pub fn open(dir: &Path) -> Result<Self, RecordingError> {
-        let _ = dir;
-        todo!()
+        let path = dir.join(SESSION_FILE);
+        let text = fs::read_to_string(&path).map_err(RecordingError::io("read", &path))?;
+        let file: SessionFile = toml::from_str(&text).map_err(RecordingError::toml(&path, &text))?;
+        check_file(&path, &file)?;
+        Ok(Self { dir: dir.to_owned(), id: folder_name(dir), file })
     }
 
     /// Reads one take by index; checks that its station and streams are the session's.
     pub fn take(&self, take_idx: usize) -> Result<Take, RecordingError> {
-        let _ = take_idx;
-        todo!()
+        let Some(entry) = self.file.takes.get(take_idx) else {
+            let problem = format!("there is no take {take_idx}, only {}", self.file.takes.len());
+            return Err(RecordingError::content(self.dir.join(SESSION_FILE), "takes", problem));
+        };
+        let take = Take::read(&self.take_path(entry))?;
+        self.check_belongs(entry, &take)?;
+        Ok(take)
+    }
+
+    /// Reads every accepted take, in order; checks that they share one station, so that they can be compared.
+    pub fn accepted_takes(&self) -> Result<Vec<Take>, RecordingError> {
+        let mut takes: Vec<Take> = Vec::new();
+        for (take_idx, entry) in self.file.takes.iter().enumerate().filter(|(_, entry)| entry.accepted) {
+            let take = self.take(take_idx)?;
+            if let Some(difference) = takes.first().and_then(|first| station_difference(first, &take)) {
+                return Err(RecordingError::content(self.take_path(entry), "attached station", difference));
+            }
+            takes.push(take);
+        }
+        if takes.is_empty() {
+            return Err(RecordingError::content(
+                self.dir.join(SESSION_FILE),
+                "take",
+                "no take is accepted; set `accepted = true` for the good ones",
+            ));
+        }
+        Ok(takes)
     }
 
     /// Writes `session.toml` of a new session (atomically: temporary file, then rename).
+    ///
+    /// Makes the folder if there is none; a session that is there already is refused. To have takes and `session.toml`
+    /// appear at once, use a [`SessionDraft`].
     pub fn create(dir: &Path, file: SessionFile) -> Result<Self, RecordingError> {
-        let _ = (dir, file);
-        todo!()
+        let path = dir.join(SESSION_FILE);
+        check_file(&path, &file)?;
+        if path.exists() {
+            return Err(RecordingError::content(path, "file", "is there already; choose another folder"));
+        }
+        fs::create_dir_all(dir).map_err(RecordingError::io("make", dir))?;
+        let session = Self { dir: dir.to_owned(), id: folder_name(dir), file };
+        session.save()?;
+        Ok(session)
     }
+
+    /// Replaces `session.toml` by [`Session::file`], atomically.
+    pub fn save(&self) -> Result<(), RecordingError> {
+        let path = self.dir.join(SESSION_FILE);
+        check_file(&path, &self.file)?;
+        let text = toml::to_string(&self.file)
+            .map_err(|error| RecordingError::content(&path, "file", error.to_string()))?;
+        let partial = sibling(&path);
+        fs::write(&partial, text).map_err(RecordingError::io("write", &partial))?;
+        fs::rename(&partial, &path).map_err(RecordingError::io("write", &path))
+    }
+
+    /// Where a take of this session lies.
+    pub fn take_path(&self, entry: &SessionTake) -> PathBuf {
+        self.dir.join(&entry.file)
+    }
+
+    pub(crate) fn check_belongs(&self, entry: &SessionTake, take: &Take) -> Result<(), RecordingError> {
+        let wrong = |place: &str, found: &str, expected: &str| {
+            let problem = format!(
+                "{found:?}, but {SESSION_FILE} says {expected:?}; the take belongs to another session, or \
+                 {SESSION_FILE} was edited"
+            );
+            Err(RecordingError::content(self.take_path(entry), place, problem))
+        };
+        if take.station.id != self.file.station {
+            return wrong("attached station", &take.station.id, &self.file.station);
+        }
+        if take.meta.object != entry.object {
+            return wrong("object", &take.meta.object, &entry.object);
+        }
+        Ok(())
+    }
+}
+
+/// In what the attached stations of two takes differ so that the takes cannot be compared.
+pub(crate) fn station_difference(first: &Take, other: &Take) -> Option<String> {
+    let channel_ids = |take: &Take| -> Vec<(String, String)> {
+        let layout = &take.station.layout;
+        let stream_id = |stream: usize| layout.streams[stream].id.clone();
+        layout.channels.iter().map(|channel| (stream_id(channel.stream), channel.id.clone())).collect()
+    };
+    let (expected, found) = (channel_ids(first), channel_ids(other));
+    if expected.len() != found.len() {
+        return Some(format!("{} channels, take {:?} has {}", found.len(), first.id, expected.len()));
+    }
+    if let Some(channel) = (0..found.len()).find(|&channel| found[channel] != expected[channel]) {
+        return Some(format!(
+            "channel {channel} is {:?} of stream {:?}, in take {:?} it is {:?} of {:?}",
+            found[channel].1, found[channel].0, first.id, expected[channel].1, expected[channel].0
+        ));
+    }
+    if first.station.robot.num_dofs() != other.station.robot.num_dofs() {
+        return Some(format!(
+            "{} joints, take {:?} has {}",
+            other.station.robot.num_dofs(),
+            first.id,
+            first.station.robot.num_dofs()
+        ));
+    }
+    None
+}
+
+/// A session in the making: a hidden folder beside the final one, which [`SessionDraft::commit`] renames. Dropped
+/// without, it takes what was written with it.
+#[derive(Debug)]
+pub struct SessionDraft {
+    partial_dir: PathBuf,
+    dir: PathBuf,
+    committed: bool,
+}
+
+impl SessionDraft {
+    /// Starts a session that will lie at `dir`, which must not exist yet.
+    pub fn new(dir: &Path) -> Result<Self, RecordingError> {
+        refuse_existing(dir)?;
+        let partial_dir = sibling(dir);
+        if let Some(parent) = partial_dir.parent() {
+            fs::create_dir_all(parent).map_err(RecordingError::io("make", parent))?;
+        }
+        fs::create_dir(&partial_dir).map_err(RecordingError::io("make", &partial_dir))?;
+        Ok(Self { partial_dir, dir: dir.to_owned(), committed: false })
+    }
+
+    /// Where to write takes until [`SessionDraft::commit`].
+    pub fn dir(&self) -> &Path {
+        &self.partial_dir
+    }
+
+    /// Adds `session.toml` and puts the folder in its place.
+    pub fn commit(mut self, file: SessionFile) -> Result<Session, RecordingError> {
+        let draft = Session::create(&self.partial_dir, file)?;
+        refuse_existing(&self.dir)?;
+        fs::rename(&self.partial_dir, &self.dir).map_err(RecordingError::io("make", &self.dir))?;
+        self.committed = true;
+        Ok(Session { dir: self.dir.clone(), id: folder_name(&self.dir), file: draft.file })
+    }
+}
+
+impl Drop for SessionDraft {
+    fn drop(&mut self) {
+        if !self.committed {
+            // Nobody is left to tell, and a hidden leftover harms nothing.
+            let _ = fs::remove_dir_all(&self.partial_dir);
+        }
+    }
+}
+
+/// Refuses a folder that is there already.
+pub(crate) fn refuse_existing(dir: &Path) -> Result<(), RecordingError> {
+    // Also true of a dangling link, unlike `exists`.
+    if dir.symlink_metadata().is_ok() {
+        return Err(RecordingError::content(
+            dir,
+            "session",
+            "is there already; choose another folder or remove it",
+        ));
+    }
+    if dir.file_name().is_none() {
+        return Err(RecordingError::content(dir, "session", "names no folder; give the folder to be made"));
+    }
+    Ok(())
+}
+
+fn check_file(path: &Path, file: &SessionFile) -> Result<(), RecordingError> {
+    if file.format != SESSION_FORMAT {
+        let problem =
+            format!("{}, expected {SESSION_FORMAT}; read it with the palpate that wrote it", file.format);
+        return Err(RecordingError::content(path, "format", problem));
+    }
+    if file.takes.is_empty() {
+        let problem = "the session has no takes; record or import at least one";
+        return Err(RecordingError::content(path, "take", problem));
+    }
+    for (take_idx, entry) in file.takes.iter().enumerate() {
+        let place = format!("take {}", take_idx + 1);
+        // A session stays within its folder, whoever wrote the file.
+        if Path::new(&entry.file).file_name().is_none_or(|name| name != entry.file.as_str()) {
+            let problem = format!("file {:?} must be the name of a file in the session's folder", entry.file);
+            return Err(RecordingError::content(path, place, problem));
+        }
+        if file.takes[..take_idx].iter().any(|other| other.id() == entry.id()) {
+            return Err(RecordingError::content(path, place, format!("{:?} is listed twice", entry.file)));
+        }
+    }
+    Ok(())
+}
+
+fn folder_name(dir: &Path) -> String {
+    // `sessions/demo/..` and `.` have no name of their own.
+    let resolved = if dir.file_name().is_none() { dir.canonicalize().ok() } else { None };
+    let named = resolved.as_deref().unwrap_or(dir);
+    named.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// A hidden name beside `path` that nobody else uses.
+fn sibling(path: &Path) -> PathBuf {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    let count = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    path.with_file_name(format!(".{name}.partial-{}-{count}", std::process::id()))
 }

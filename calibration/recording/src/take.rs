@@ -1,11 +1,11 @@
 //! A take in memory.
 
-use std::path::Path;
+use std::{fs, path::Path};
 
 use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 
-use crate::RecordingError;
+use crate::{RecordingError, decode, format};
 
 /// A take, read and checked: times increase, every value is finite, every sample has its stream's channels.
 #[derive(Clone, Debug)]
@@ -14,10 +14,14 @@ pub struct Take {
     pub id: String,
     /// What it is about.
     pub meta: TakeMeta,
+    /// Wall-clock time of the take's start, ns since 1970; what counts from the take's start counts from here.
+    pub start_unix_ns: u64,
     /// The station attached to it.
     pub station: Station,
     /// Measured joint positions.
     pub joints: JointLog,
+    /// Commanded joint positions; empty where none were recorded.
+    pub commands: JointLog,
     /// Tactile streams, in the layout's order.
     pub streams: Vec<StreamLog>,
     /// Marked spans, by start.
@@ -61,7 +65,8 @@ pub struct StreamLog {
     pub raw: Vec<f32>,
     /// `num_samples x num_channels_of_stream`, row-major.
     pub active: Vec<bool>,
-    /// Per channel, the mean raw reading over the baseline span; empty for binary takes.
+    /// Per channel, the mean raw reading over the baseline spans; empty for binary takes. The first reading where no
+    /// sample of the stream lies in a baseline span.
     pub reference: Vec<f32>,
 }
 
@@ -89,21 +94,136 @@ pub enum SpanKind {
     Note,
 }
 
+/// What could be read of a damaged take.
+#[derive(Clone, Debug)]
+pub struct Recovered {
+    /// Everything before the damage.
+    pub take: Take,
+    /// Where the file is damaged and how; `None` if it is whole.
+    pub damage: Option<String>,
+}
+
 impl Take {
     /// Reads the MCAP file at `path`.
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
-        let _ = path;
-        todo!()
+        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        Self::from_bytes(path, &bytes)
+    }
+
+    /// Reads a take from the bytes of an MCAP file. `path` gives its id and names it in errors.
+    pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
+        let decoded = decode::decode(path, bytes)?;
+        if let Some(damage) = decoded.damage {
+            return Err(damage.into_error(path));
+        }
+        decoded.take.check_order(path)?;
+        Ok(decoded.take)
+    }
+
+    /// Reads what is intact of a file that was cut off or damaged: everything up to the last good chunk.
+    ///
+    /// Refused as by [`Take::read`] if no intact chunk holds every stream.
+    pub fn recover(path: &Path) -> Result<Recovered, RecordingError> {
+        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        let decoded = decode::decode(path, &bytes)?;
+        decoded.take.check_order(path)?;
+        let damage = decoded.damage.map(|damage| damage.into_error(path).to_string());
+        Ok(Recovered { take: decoded.take, damage })
     }
 
     /// Real activations in effect at each joint frame, `[frame * num_channels + channel]`: each stream's newest sample
     /// at or before the frame (the first sample before that).
     pub fn active_at_frames(&self) -> Vec<bool> {
-        todo!()
+        let num_frames = self.num_frames();
+        let num_channels = self.station.layout.num_channels();
+        let mut active = vec![false; num_frames * num_channels];
+        for (stream, log) in self.station.layout.streams.iter().zip(&self.streams) {
+            let width = stream.channels.len();
+            let mut num_arrived = 0;
+            for (frame, &frame_time_s) in self.joints.times_s.iter().enumerate() {
+                while log.times_s.get(num_arrived).is_some_and(|&time_s| time_s <= frame_time_s) {
+                    num_arrived += 1;
+                }
+                let sample = num_arrived.saturating_sub(1);
+                let Some(newest) = log.active.get(sample * width..(sample + 1) * width) else { continue };
+                let first = frame * num_channels + stream.channels.start;
+                active[first..first + width].copy_from_slice(newest);
+            }
+        }
+        active
     }
 
     /// Number of joint frames.
     pub fn num_frames(&self) -> usize {
         self.joints.times_s.len()
     }
+
+    /// Time between the first and the last joint frame, s.
+    pub fn duration_s(&self) -> f64 {
+        match (self.joints.times_s.first(), self.joints.times_s.last()) {
+            (Some(first), Some(last)) => last - first,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether raw readings were recorded beside the binary ones.
+    pub fn has_raw(&self) -> bool {
+        self.streams.iter().any(|stream| !stream.raw.is_empty())
+    }
+
+    /// The logs by topic: joints, commands, then the streams.
+    fn times_by_topic(&self) -> impl Iterator<Item = (String, &[f64])> {
+        let joints = [
+            (format::JOINT_STATES_TOPIC.to_owned(), self.joints.times_s.as_slice()),
+            (format::JOINT_COMMANDS_TOPIC.to_owned(), self.commands.times_s.as_slice()),
+        ];
+        let streams = self.station.layout.streams.iter().zip(&self.streams);
+        joints
+            .into_iter()
+            .chain(streams.map(|(stream, log)| (format::tactile_topic(&stream.id), log.times_s.as_slice())))
+    }
+
+    /// Host times must increase on every topic.
+    pub(crate) fn check_order(&self, path: &Path) -> Result<(), RecordingError> {
+        for (topic, times_s) in self.times_by_topic() {
+            if let Some(before) = times_s.windows(2).position(|pair| pair[1] <= pair[0]) {
+                let (earlier, later) = (times_s[before], times_s[before + 1]);
+                return Err(RecordingError::content(
+                    path,
+                    format!("{topic}: message {}", before + 2),
+                    format!(
+                        "its time {later} s does not come after {earlier} s of the message before; host times must \
+                         increase, so record with a monotonic clock or leave the take out"
+                    ),
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Mean raw reading per channel over the samples that lie in a baseline span; the first reading if none does.
+///
+/// `raw` is `num_samples x num_channels`, row-major.
+pub(crate) fn reference_readings(
+    times_s: &[f64],
+    raw: &[f32],
+    num_channels: usize,
+    spans: &[Span],
+) -> Vec<f32> {
+    let baselines: Vec<&Span> = spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
+    let mut sums = vec![0.0_f64; num_channels];
+    let mut num_samples = 0_usize;
+    for (&time_s, readings) in times_s.iter().zip(raw.chunks_exact(num_channels.max(1))) {
+        if baselines.iter().any(|span| span.start_s <= time_s && time_s <= span.end_s) {
+            num_samples += 1;
+            for (sum, &reading) in sums.iter_mut().zip(readings) {
+                *sum += f64::from(reading);
+            }
+        }
+    }
+    if num_samples == 0 {
+        return raw.get(..num_channels).unwrap_or_default().to_vec();
+    }
+    sums.iter().map(|sum| (sum / num_samples as f64) as f32).collect()
 }
