@@ -1,0 +1,232 @@
+//! How the page talks to the server: requests go out, answers come in later and land in the [`crate::store::Store`].
+//!
+//! [`Api`] is what the page needs from the outside; the browser's own `fetch` and `WebSocket` implement it on the web,
+//! [`FakeApi`] in tests.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use palpate_wire::api::{CalibrationRequest, ProblemDetails, SaveModelRequest};
+
+use crate::playback::ModelRef;
+
+/// Something to ask of the server.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Name, version, live station.
+    Info,
+    /// All sessions.
+    Sessions,
+    /// One session with its takes.
+    Session(String),
+    /// The station of a session.
+    Station(String),
+    /// The live station.
+    LiveStation,
+    /// Check results of a session.
+    Check(String),
+    /// A recorded take.
+    Take {
+        /// Session id.
+        session: String,
+        /// Take id.
+        take: String,
+    },
+    /// A take as a sensor model replays it.
+    Replay {
+        /// Session id.
+        session: String,
+        /// Take id.
+        take: String,
+        /// Which model.
+        model: ModelRef,
+    },
+    /// Saved sensor models.
+    Models,
+    /// Calibration runs, newest first.
+    Runs,
+    /// One calibration run.
+    Run(String),
+    /// Start a calibration.
+    StartRun(CalibrationRequest),
+    /// Stop a calibration.
+    CancelRun(String),
+    /// Keep what a calibration found.
+    SaveModel {
+        /// Run id.
+        run: String,
+        /// How to call it.
+        body: SaveModelRequest,
+    },
+    /// Move a session to the trash.
+    DeleteSession(String),
+    /// Take a session out of the trash.
+    RestoreSession(String),
+    /// Move a saved model to the trash.
+    DeleteModel(String),
+    /// Take a saved model out of the trash.
+    RestoreModel(String),
+    /// Add a session from an archive.
+    Import {
+        /// Name of the session to make.
+        name: String,
+        /// The archive's bytes.
+        archive: Vec<u8>,
+    },
+}
+
+/// A request as HTTP.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HttpRequest {
+    /// `GET`, `POST` or `DELETE`.
+    pub method: &'static str,
+    /// Path and query, from the server's root.
+    pub path: String,
+    /// Content type and bytes, for requests that carry some.
+    pub body: Option<(&'static str, Vec<u8>)>,
+}
+
+impl Request {
+    /// The request as HTTP.
+    pub fn to_http(&self) -> HttpRequest {
+        let get = |path: String| HttpRequest { method: "GET", path: format!("/api/v1{path}"), body: None };
+        let post = |path: String, body| HttpRequest { method: "POST", path: format!("/api/v1{path}"), body };
+        let delete =
+            |path: String| HttpRequest { method: "DELETE", path: format!("/api/v1{path}"), body: None };
+        match self {
+            Self::Info => get("/info".into()),
+            Self::Sessions => get("/sessions".into()),
+            Self::Session(session) => get(format!("/sessions/{}", segment(session))),
+            Self::Station(session) => get(format!("/sessions/{}/station", segment(session))),
+            Self::LiveStation => get("/station".into()),
+            Self::Check(session) => get(format!("/sessions/{}/check", segment(session))),
+            Self::Take { session, take } => {
+                get(format!("/sessions/{}/takes/{}/trace", segment(session), segment(take)))
+            }
+            Self::Replay { session, take, model } => get(format!(
+                "/sessions/{}/takes/{}/replay?model={}",
+                segment(session),
+                segment(take),
+                segment(&model.key())
+            )),
+            Self::Models => get("/models".into()),
+            Self::Runs => get("/calibrations".into()),
+            Self::Run(run) => get(format!("/calibrations/{}", segment(run))),
+            Self::StartRun(body) => post("/calibrations".into(), json(body)),
+            Self::CancelRun(run) => post(format!("/calibrations/{}/cancel", segment(run)), None),
+            Self::SaveModel { run, body } => post(format!("/calibrations/{}/save", segment(run)), json(body)),
+            Self::DeleteSession(session) => delete(format!("/sessions/{}", segment(session))),
+            Self::RestoreSession(session) => post(format!("/sessions/{}/restore", segment(session)), None),
+            Self::DeleteModel(model) => delete(format!("/models/{}", segment(model))),
+            Self::RestoreModel(model) => post(format!("/models/{}/restore", segment(model)), None),
+            Self::Import { name, archive } => {
+                post(format!("/sessions?name={}", segment(name)), Some(("application/zip", archive.clone())))
+            }
+        }
+    }
+}
+
+fn segment(text: &str) -> String {
+    percent_encoding::utf8_percent_encode(text, percent_encoding::NON_ALPHANUMERIC).to_string()
+}
+
+fn json(body: &impl serde::Serialize) -> Option<(&'static str, Vec<u8>)> {
+    // These bodies hold strings and lists of strings only, which always serialise.
+    serde_json::to_vec(body).ok().map(|bytes| ("application/json", bytes))
+}
+
+/// What went wrong with a request, for people: the server's own words where it gave some.
+pub fn problem_text(status: u16, body: &[u8]) -> String {
+    match serde_json::from_slice::<ProblemDetails>(body) {
+        Ok(problem) if !problem.detail.is_empty() => problem.detail,
+        Ok(problem) => problem.title,
+        Err(_) => format!("the server answered with status {status}"),
+    }
+}
+
+/// Something that came in.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ApiEvent {
+    /// The answer to a request: the body, or why there is none.
+    Answer {
+        /// What was asked.
+        request: Request,
+        /// The body of a 2xx answer, or what went wrong in words.
+        result: Result<Vec<u8>, String>,
+    },
+    /// The stream socket is open.
+    SocketOpen,
+    /// The stream socket closed, or could not be opened.
+    SocketClosed,
+    /// A binary message on the stream socket.
+    SocketMessage(Vec<u8>),
+}
+
+/// The outside world of the page's data. Nothing here waits.
+pub trait Api {
+    /// Sends a request; its answer comes from [`Api::poll`] some day.
+    fn send(&mut self, request: Request);
+
+    /// Opens the stream socket. It reports with [`ApiEvent::SocketOpen`] or [`ApiEvent::SocketClosed`].
+    fn open_socket(&mut self);
+
+    /// What came in since the last call, in order.
+    fn poll(&mut self) -> Vec<ApiEvent>;
+}
+
+/// A server that answers from a table, for tests.
+#[derive(Clone, Debug, Default)]
+pub struct FakeApi {
+    /// Bodies by path and query; what is missing here answers with an error.
+    pub bodies: BTreeMap<String, Vec<u8>>,
+    /// Requests that were sent, in order.
+    pub sent: Vec<Request>,
+    /// Requests are left without an answer while this is set.
+    pub silent: bool,
+    /// What [`Api::poll`] gives next.
+    pub events: VecDeque<ApiEvent>,
+}
+
+impl FakeApi {
+    /// Answers `request` with `body` from now on.
+    pub fn answer(&mut self, request: &Request, body: Vec<u8>) {
+        self.bodies.insert(request.to_http().path, body);
+    }
+}
+
+impl Api for FakeApi {
+    fn send(&mut self, request: Request) {
+        self.sent.push(request.clone());
+        if self.silent {
+            return;
+        }
+        let path = request.to_http().path;
+        let result = self.bodies.get(&path).cloned().ok_or_else(|| format!("nothing at {path}"));
+        self.events.push_back(ApiEvent::Answer { request, result });
+    }
+
+    fn open_socket(&mut self) {
+        self.events.push_back(ApiEvent::SocketOpen);
+    }
+
+    fn poll(&mut self) -> Vec<ApiEvent> {
+        self.events.drain(..).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_cannot_leave_their_segment() {
+        let request = Request::Take { session: "../x y".into(), take: "a/b?c".into() };
+        assert_eq!(request.to_http().path, "/api/v1/sessions/%2E%2E%2Fx%20y/takes/a%2Fb%3Fc/trace");
+    }
+
+    #[test]
+    fn problem_speaks_in_the_servers_words() {
+        let body = br#"{"type":"about:blank","title":"Not Found","status":404,"detail":"no session \"x\""}"#;
+        assert_eq!(problem_text(404, body), "no session \"x\"");
+        assert_eq!(problem_text(502, b"<html>"), "the server answered with status 502");
+    }
+}

@@ -1,0 +1,268 @@
+//! The frame around the screens: rail, top bar, address bar, shortcuts, and what comes in from the server.
+
+mod bars;
+mod overlays;
+
+use crate::{
+    api_client::Api,
+    commands::Command,
+    playback::{ModelRef, Playback},
+    route::{Route, Screen},
+    screens::{self, ScreenContext},
+    store::{Connection, Store},
+    theme::{self, Palette},
+};
+
+/// Seconds between attempts to open the stream socket again.
+const RECONNECT_AFTER_S: f64 = 2.0;
+/// Seconds between writes of the cursor's time to the address bar: browsers refuse more than a few a second.
+const ADDRESS_EVERY_S: f64 = 0.5;
+
+/// What the frame needs of the window it runs in.
+pub trait Platform {
+    /// The address bar's part after and with `#`; empty if there is none.
+    fn hash(&self) -> String;
+    /// Goes to `hash`, so that "back" returns.
+    fn push_hash(&mut self, hash: &str);
+    /// Goes to `hash` without a step for "back".
+    fn replace_hash(&mut self, hash: &str);
+    /// The operator's time of day, e.g. `14:03:12`.
+    fn time_of_day(&self) -> String;
+}
+
+/// The page.
+pub struct StudioApp {
+    /// Everything the server said.
+    pub store: Store,
+    /// The shared cursor and selection.
+    pub playback: Playback,
+    api: Box<dyn Api>,
+    platform: Box<dyn Platform>,
+    route: Route,
+    last_hash: String,
+    last_address_s: f64,
+    next_connect_s: f64,
+    surface_format: Option<wgpu::TextureFormat>,
+    overlays: overlays::Overlays,
+    timelines: screens::timelines::TimelinesState,
+}
+
+impl StudioApp {
+    /// A page that has asked for nothing yet. `surface_format` is that of the wgpu surface, if there is one.
+    pub fn new(
+        ctx: &egui::Context,
+        api: Box<dyn Api>,
+        platform: Box<dyn Platform>,
+        surface_format: Option<wgpu::TextureFormat>,
+    ) -> Self {
+        theme::install(ctx);
+        let mut app = Self {
+            store: Store::default(),
+            playback: Playback::default(),
+            api,
+            platform,
+            route: Route::default(),
+            last_hash: String::new(),
+            last_address_s: 0.0,
+            next_connect_s: 0.0,
+            surface_format,
+            overlays: overlays::Overlays::default(),
+            timelines: screens::timelines::TimelinesState::default(),
+        };
+        app.store.ask_info();
+        app.last_hash = app.platform.hash();
+        app.apply_route(Route::from_hash(&app.last_hash.clone()));
+        app
+    }
+
+    /// The screen that is open.
+    pub fn screen(&self) -> Screen {
+        self.route.screen
+    }
+
+    /// One frame.
+    pub fn ui(&mut self, ui: &mut egui::Ui) {
+        let ctx = ui.ctx().clone();
+        let now_s = ctx.input(|input| input.time);
+        self.take_in(now_s);
+        self.follow_address_bar();
+        self.playback.begin_frame(f64::from(ctx.input(|input| input.stable_dt)));
+        if self.playback.playing {
+            ctx.request_repaint();
+        }
+
+        let mut go_to = None;
+        let mut commands = if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx) };
+        commands.extend(self.overlays.take_chosen());
+
+        self.rail_ui(ui, &mut go_to);
+        self.top_bar_ui(ui, now_s);
+        for command in commands {
+            self.run_command(&ctx, command, &mut go_to);
+        }
+        egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
+        self.overlays.ui(&ctx);
+
+        if let Some(route) = go_to {
+            self.go(route);
+        }
+        self.write_address_bar(now_s);
+        for request in self.store.take_outbox() {
+            self.api.send(request);
+        }
+    }
+
+    fn screen_ui(&mut self, ui: &mut egui::Ui, now_s: f64, go_to: &mut Option<Route>) {
+        let route = self.route.clone();
+        let mut cx = ScreenContext {
+            store: &mut self.store,
+            playback: &mut self.playback,
+            palette: Palette::of(ui.ctx().theme()),
+            route: &route,
+            go_to,
+            surface_format: self.surface_format,
+            now_s,
+        };
+        match route.screen {
+            Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
+            Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
+            Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx),
+            Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx),
+        }
+    }
+
+    fn take_in(&mut self, now_s: f64) {
+        let events = self.api.poll();
+        let time_of_day = if events.is_empty() { String::new() } else { self.platform.time_of_day() };
+        for event in events {
+            self.store.receive(event, now_s, &time_of_day);
+        }
+        if self.store.connection != Connection::Open && now_s >= self.next_connect_s {
+            self.next_connect_s = now_s + RECONNECT_AFTER_S;
+            self.api.open_socket();
+        }
+    }
+
+    /// Takes over what the operator (or "back") wrote into the address bar.
+    fn follow_address_bar(&mut self) {
+        let hash = self.platform.hash();
+        if hash != self.last_hash {
+            self.last_hash.clone_from(&hash);
+            self.apply_route(Route::from_hash(&hash));
+        }
+    }
+
+    fn apply_route(&mut self, route: Route) {
+        if let (Some(session), Some(take)) = (&route.session, &route.take) {
+            self.playback.open(session, take);
+        } else if let Some(session) = &route.session
+            && self.playback.session.as_ref() != Some(session)
+        {
+            self.playback = Playback { session: Some(session.clone()), ..Playback::default() };
+        }
+        if let Some(time_s) = route.time_s {
+            self.playback.seek(time_s);
+        }
+        if let Some(model) = route.model.as_deref().and_then(ModelRef::from_key) {
+            self.playback.compared = Some(model);
+        }
+        self.route = route;
+    }
+
+    fn go(&mut self, route: Route) {
+        let model_key = self.playback.compared.as_ref().map(ModelRef::key);
+        let route = Route { model: route.model.or(model_key), ..route };
+        let hash = route.to_string();
+        self.platform.push_hash(&hash);
+        self.last_hash = self.platform.hash();
+        self.apply_route(route);
+    }
+
+    /// Keeps the address bar saying what is on the screen: a new take is a step for "back", a new time is not.
+    fn write_address_bar(&mut self, now_s: f64) {
+        let shows_take = matches!(self.route.screen, Screen::Hand | Screen::Timelines);
+        let route = if shows_take {
+            Route {
+                session: self.playback.session.clone(),
+                take: self.playback.take.clone(),
+                time_s: self.playback.take.as_ref().map(|_| (self.playback.time_s * 1000.0).round() / 1000.0),
+                model: self.playback.compared.as_ref().map(ModelRef::key),
+                ..self.route.clone()
+            }
+        } else {
+            self.route.clone()
+        };
+        let hash = route.to_string();
+        if hash == self.last_hash {
+            return;
+        }
+        // Filling in what the screen chose by itself is no step; changing one take for another is.
+        let chosen_by_hand = self.route.take.is_some() && !self.route.is_same_place(&route);
+        if chosen_by_hand {
+            self.platform.push_hash(&hash);
+        } else if !self.playback.playing && now_s - self.last_address_s >= ADDRESS_EVERY_S {
+            self.last_address_s = now_s;
+            self.platform.replace_hash(&hash);
+        } else {
+            return;
+        }
+        self.last_hash = self.platform.hash();
+        self.route = route;
+    }
+
+    fn run_command(&mut self, ctx: &egui::Context, command: Command, go_to: &mut Option<Route>) {
+        match command {
+            Command::Open(screen) => *go_to = Some(self.route_of(screen)),
+            Command::PlayPause => self.playback.toggle_playing(),
+            Command::PreviousTake => self.step_take(-1),
+            Command::NextTake => self.step_take(1),
+            Command::PreviousFrame => self.step_frame(-1),
+            Command::NextFrame => self.step_frame(1),
+            Command::ToggleTheme => bars::toggle_theme(ctx),
+            Command::Shortcuts => self.overlays.toggle_shortcuts(),
+            Command::Palette => self.overlays.open_palette(),
+            Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
+                self.timelines.push_command(command);
+            }
+        }
+    }
+
+    fn route_of(&self, screen: Screen) -> Route {
+        Route {
+            session: self.playback.session.clone(),
+            take: match screen {
+                Screen::Hand | Screen::Timelines => self.playback.take.clone(),
+                Screen::Calibrate | Screen::Sessions => None,
+            },
+            ..Route::to(screen)
+        }
+    }
+
+    fn step_take(&mut self, step: isize) {
+        let Some(session) = self.playback.session.clone() else { return };
+        let detail = self.store.session(&session);
+        let Some(detail) = detail.ready() else { return };
+        let current = detail.takes.iter().position(|take| Some(&take.id) == self.playback.take.as_ref());
+        let next = current.and_then(|idx| idx.checked_add_signed(step)).and_then(|idx| detail.takes.get(idx));
+        if let Some(take) = next {
+            self.playback.open(&session, &take.id);
+        }
+    }
+
+    fn step_frame(&mut self, step: isize) {
+        let (Some(session), Some(take)) = (self.playback.session.clone(), self.playback.take.clone()) else {
+            return;
+        };
+        let take = self.store.take(&session, &take);
+        let Some(take) = take.ready() else { return };
+        let times_s = &take.trace.frame_times_s;
+        let next = take
+            .frame_at(self.playback.time_s)
+            .and_then(|frame_idx| frame_idx.checked_add_signed(step))
+            .and_then(|frame_idx| times_s.get(frame_idx));
+        if let Some(&time_s) = next {
+            self.playback.playing = false;
+            self.playback.seek(time_s);
+        }
+    }
+}

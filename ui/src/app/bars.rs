@@ -1,0 +1,165 @@
+//! The rail on the left and the bar on top.
+
+use egui::{Align, Layout, RichText};
+use palpate_wire::api::Source;
+
+use super::StudioApp;
+use crate::{
+    route::{Route, Screen},
+    store::{Connection, Loadable},
+    theme::Palette,
+};
+
+/// From light to dark and back.
+pub(super) fn toggle_theme(ctx: &egui::Context) {
+    let other = match ctx.theme() {
+        egui::Theme::Dark => egui::Theme::Light,
+        egui::Theme::Light => egui::Theme::Dark,
+    };
+    ctx.set_theme(other);
+}
+
+impl StudioApp {
+    pub(super) fn rail_ui(&mut self, ui: &mut egui::Ui, go_to: &mut Option<Route>) {
+        let palette = Palette::of(ui.ctx().theme());
+        egui::Panel::left("rail").resizable(false).exact_size(132.0).show(ui, |ui| {
+            ui.add_space(10.0);
+            ui.label(RichText::new("Palpate").strong().size(18.0));
+            ui.add_space(10.0);
+            for screen in Screen::ALL {
+                let chosen = self.route.screen == screen;
+                let text = RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0);
+                let button = egui::Button::selectable(chosen, text)
+                    .min_size(egui::vec2(ui.available_width(), 40.0))
+                    .right_text("");
+                let response = ui.add(button).on_hover_text(screen.purpose());
+                // The icon is decoration: the name is the word.
+                response.widget_info(|| {
+                    egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, screen.label())
+                });
+                if response.clicked() && !chosen {
+                    *go_to = Some(self.route_of(screen));
+                }
+            }
+            ui.with_layout(Layout::bottom_up(Align::Min), |ui| {
+                ui.add_space(10.0);
+                if let Loadable::Ready(info) = &self.store.info {
+                    let version = format!("{} {}", info.name, info.version);
+                    ui.label(RichText::new(version).color(palette.text_weak).small());
+                }
+                let shortcuts = ui.add_sized([ui.available_width(), 32.0], egui::Button::new("Shortcuts  ?"));
+                shortcuts.widget_info(|| {
+                    egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Keyboard shortcuts")
+                });
+                if shortcuts.clicked() {
+                    self.overlays.toggle_shortcuts();
+                }
+                let commands = ui.add_sized([ui.available_width(), 32.0], egui::Button::new("Find  Ctrl+K"));
+                commands.widget_info(|| {
+                    egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Command palette")
+                });
+                if commands.clicked() {
+                    self.overlays.open_palette();
+                }
+                let name = if palette.dark { "Light theme" } else { "Dark theme" };
+                if ui.add_sized([ui.available_width(), 32.0], egui::Button::new(name)).clicked() {
+                    toggle_theme(ui.ctx());
+                }
+            });
+        });
+    }
+
+    pub(super) fn top_bar_ui(&mut self, ui: &mut egui::Ui, now_s: f64) {
+        let palette = Palette::of(ui.ctx().theme());
+        egui::Panel::top("top_bar").resizable(false).exact_size(46.0).show(ui, |ui| {
+            ui.horizontal_centered(|ui| {
+                self.station_ui(ui, &palette);
+                ui.separator();
+                if let Some(session) = &self.playback.session {
+                    let take = self.playback.take.as_deref().unwrap_or("no take chosen");
+                    ui.label(RichText::new(session).strong());
+                    ui.label(take);
+                    ui.separator();
+                }
+                let model = self
+                    .playback
+                    .compared
+                    .as_ref()
+                    .map_or_else(|| "nominal only".to_owned(), ToString::to_string);
+                ui.label(RichText::new("Model").color(palette.text_weak));
+                ui.label(model);
+                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                    self.connection_ui(ui, &palette, now_s);
+                });
+            });
+        });
+        if let Connection::Lost { since, since_s } = &self.store.connection {
+            let ago_s = (now_s - since_s).max(0.0);
+            egui::Panel::top("lost").resizable(false).show(ui, |ui| {
+                ui.horizontal_wrapped(|ui| {
+                    ui.label(RichText::new("\u{26a0} CONNECTION LOST").strong().color(palette.mismatch));
+                    ui.label(format!(
+                        "Nothing on this page has changed since {since} ({}). Trying to connect again; check that \
+                         `palpate serve` is running.",
+                        crate::screens::duration_text(ago_s.floor())
+                    ));
+                });
+            });
+            ui.ctx().request_repaint_after(std::time::Duration::from_millis(500));
+        }
+    }
+
+    fn station_ui(&self, ui: &mut egui::Ui, palette: &Palette) {
+        let info = match &self.store.info {
+            Loadable::Ready(info) => info,
+            Loadable::Failed(error) => {
+                ui.label(RichText::new("\u{26a0} No server").color(palette.mismatch)).on_hover_text(error);
+                return;
+            }
+            Loadable::Idle | Loadable::Loading => {
+                ui.label("Connecting\u{2026}");
+                return;
+            }
+        };
+        let (word, colour) = match info.source {
+            Source::Real => ("REAL", palette.mismatch),
+            Source::Emulated => ("EMULATED", palette.warning),
+            Source::Replay => ("REPLAY", palette.text_weak),
+        };
+        ui.label(RichText::new(word).strong().color(colour));
+        ui.label(info.station.as_deref().unwrap_or("recordings only"));
+    }
+
+    fn connection_ui(&self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        match &self.store.connection {
+            Connection::Open => {
+                ui.label(RichText::new("\u{25cf} Connected").color(palette.diagnosed));
+                if let Some(rate_hz) =
+                    self.store.live_frame().and_then(|frame| frame.rates_hz.first().copied())
+                {
+                    ui.label(format!("joints {rate_hz:.0} Hz"));
+                }
+                if self.store.dropped_messages > 0 {
+                    ui.label(format!("{} dropped", self.store.dropped_messages))
+                        .on_hover_text("Messages left out because this page read too slowly");
+                }
+            }
+            Connection::Connecting => {
+                ui.label(RichText::new("\u{25cb} Connecting").color(palette.text_weak));
+            }
+            Connection::Lost { since_s, .. } => {
+                let ago = crate::screens::duration_text((now_s - since_s).max(0.0).floor());
+                ui.label(RichText::new(format!("\u{25cb} Lost {ago} ago")).color(palette.mismatch));
+            }
+        }
+    }
+}
+
+fn icon(screen: Screen) -> &'static str {
+    match screen {
+        Screen::Hand => "\u{270b}",
+        Screen::Timelines => "\u{2630}",
+        Screen::Calibrate => "\u{2696}",
+        Screen::Sessions => "\u{1f5c0}",
+    }
+}

@@ -1,0 +1,172 @@
+//! What can be done from the keyboard: one table for the shortcuts, the list under `?` and the command palette.
+
+use egui::{Key, KeyboardShortcut, Modifiers};
+
+use crate::route::Screen;
+
+/// Something that the operator can do from anywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Open a screen.
+    Open(Screen),
+    /// Play, or pause.
+    PlayPause,
+    /// One joint frame back.
+    PreviousFrame,
+    /// One joint frame on.
+    NextFrame,
+    /// Jump to the mismatch before the cursor.
+    PreviousMismatch,
+    /// Jump to the mismatch after the cursor.
+    NextMismatch,
+    /// Show the whole take.
+    FitTake,
+    /// The take before.
+    PreviousTake,
+    /// The take after.
+    NextTake,
+    /// Light or dark.
+    ToggleTheme,
+    /// The list of shortcuts.
+    Shortcuts,
+    /// The command palette.
+    Palette,
+}
+
+impl Command {
+    /// Every command, in the order of the palette.
+    pub const ALL: [Self; 15] = [
+        Self::Open(Screen::Hand),
+        Self::Open(Screen::Timelines),
+        Self::Open(Screen::Calibrate),
+        Self::Open(Screen::Sessions),
+        Self::PlayPause,
+        Self::PreviousFrame,
+        Self::NextFrame,
+        Self::PreviousMismatch,
+        Self::NextMismatch,
+        Self::FitTake,
+        Self::PreviousTake,
+        Self::NextTake,
+        Self::ToggleTheme,
+        Self::Shortcuts,
+        Self::Palette,
+    ];
+
+    /// What it does, in words.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Open(Screen::Hand) => "Go to Hand",
+            Self::Open(Screen::Timelines) => "Go to Timelines",
+            Self::Open(Screen::Calibrate) => "Go to Calibrate",
+            Self::Open(Screen::Sessions) => "Go to Sessions",
+            Self::PlayPause => "Play or pause",
+            Self::PreviousFrame => "One frame back",
+            Self::NextFrame => "One frame on",
+            Self::PreviousMismatch => "Previous mismatch",
+            Self::NextMismatch => "Next mismatch",
+            Self::FitTake => "Show the whole take",
+            Self::PreviousTake => "Previous take",
+            Self::NextTake => "Next take",
+            Self::ToggleTheme => "Light or dark theme",
+            Self::Shortcuts => "Show keyboard shortcuts",
+            Self::Palette => "Find a command",
+        }
+    }
+
+    /// Its keys.
+    pub fn shortcut(self) -> KeyboardShortcut {
+        let plain = |key| KeyboardShortcut::new(Modifiers::NONE, key);
+        let alt = |key| KeyboardShortcut::new(Modifiers::ALT, key);
+        match self {
+            Self::Open(Screen::Hand) => alt(Key::Num1),
+            Self::Open(Screen::Timelines) => alt(Key::Num2),
+            Self::Open(Screen::Calibrate) => alt(Key::Num3),
+            Self::Open(Screen::Sessions) => alt(Key::Num4),
+            Self::PlayPause => plain(Key::Space),
+            Self::PreviousFrame => plain(Key::Comma),
+            Self::NextFrame => plain(Key::Period),
+            Self::PreviousMismatch => plain(Key::OpenBracket),
+            Self::NextMismatch => plain(Key::CloseBracket),
+            Self::FitTake => plain(Key::F),
+            Self::PreviousTake => plain(Key::PageUp),
+            Self::NextTake => plain(Key::PageDown),
+            Self::ToggleTheme => plain(Key::T),
+            Self::Shortcuts => plain(Key::Questionmark),
+            Self::Palette => KeyboardShortcut::new(Modifiers::COMMAND, Key::K),
+        }
+    }
+
+    /// Its keys in words, e.g. `Ctrl+K`.
+    pub fn shortcut_text(self) -> String {
+        let shortcut = self.shortcut();
+        let key = match shortcut.logical_key {
+            Key::Space => "Space",
+            Key::Questionmark => "?",
+            key => key.symbol_or_name(),
+        };
+        if shortcut.modifiers.command {
+            format!("Ctrl+{key}")
+        } else if shortcut.modifiers.alt {
+            format!("Alt+{key}")
+        } else {
+            key.to_owned()
+        }
+    }
+
+    /// The commands whose keys were pressed in this frame. Plain keys belong to a text field while one has the focus.
+    pub fn pressed(ctx: &egui::Context) -> Vec<Self> {
+        let typing = ctx.text_edit_focused();
+        // A focused button takes the space bar for itself.
+        let focused = ctx.memory(|memory| memory.focused().is_some());
+        ctx.input_mut(|input| {
+            Self::ALL
+                .into_iter()
+                .filter(|command| {
+                    let shortcut = command.shortcut();
+                    let taken = typing || (focused && shortcut.logical_key == Key::Space);
+                    if taken && shortcut.modifiers.is_none() {
+                        return false;
+                    }
+                    if *command == Self::Shortcuts {
+                        // `?` needs shift on many layouts, and some report it as text only.
+                        return input
+                            .events
+                            .iter()
+                            .any(|event| matches!(event, egui::Event::Text(text) if text.as_str() == "?"))
+                            || input.key_pressed(Key::Questionmark);
+                    }
+                    input.consume_shortcut(&shortcut)
+                })
+                .collect()
+        })
+    }
+
+    /// Whether `words` (any order, any case) all occur in the command's label.
+    pub fn matches(self, words: &str) -> bool {
+        let label = self.label().to_lowercase();
+        words.to_lowercase().split_whitespace().all(|word| label.contains(word))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_commands_share_keys_or_words() {
+        for (idx, command) in Command::ALL.into_iter().enumerate() {
+            for other in &Command::ALL[idx + 1..] {
+                assert_ne!(command.shortcut(), other.shortcut(), "{command:?} {other:?}");
+                assert_ne!(command.label(), other.label());
+            }
+        }
+    }
+
+    #[test]
+    fn palette_finds_by_any_words() {
+        let found: Vec<_> = Command::ALL.into_iter().filter(|command| command.matches("MISM next")).collect();
+        assert_eq!(found, [Command::NextMismatch]);
+        assert!(Command::ALL.iter().all(|command| command.matches("  ")));
+    }
+}

@@ -1,0 +1,197 @@
+//! Where in which take everybody looks: shared by the hand, the timelines and the address bar.
+
+use std::{collections::BTreeSet, fmt};
+
+/// A simulation to compare the recording with.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub enum ModelRef {
+    /// The station's nominal sensor model.
+    #[default]
+    Nominal,
+    /// A saved model, by id.
+    Saved(String),
+    /// What a finished calibration run found, by the run's id.
+    Run(String),
+}
+
+impl ModelRef {
+    /// The text in addresses, the page's and the server's: `nominal`, a model's id, `run:ID`.
+    pub fn key(&self) -> String {
+        self.to_string()
+    }
+
+    /// Reads [`ModelRef::key`].
+    pub fn from_key(key: &str) -> Option<Self> {
+        match (key, key.strip_prefix("run:")) {
+            ("" | "run:", _) => None,
+            ("nominal", _) => Some(Self::Nominal),
+            (_, Some(run)) => Some(Self::Run(run.to_owned())),
+            (id, None) => Some(Self::Saved(id.to_owned())),
+        }
+    }
+}
+
+impl fmt::Display for ModelRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Nominal => write!(f, "nominal"),
+            Self::Saved(id) => write!(f, "{id}"),
+            Self::Run(id) => write!(f, "run:{id}"),
+        }
+    }
+}
+
+/// What the hand screen shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum HandSource {
+    /// The chosen take at the cursor.
+    #[default]
+    Recorded,
+    /// The newest frame of the live station.
+    Live,
+}
+
+/// The shared cursor and selection.
+#[derive(Clone, Debug)]
+pub struct Playback {
+    /// Session looked at, by id.
+    pub session: Option<String>,
+    /// Take looked at, by id.
+    pub take: Option<String>,
+    /// Cursor, seconds since the take's start.
+    pub time_s: f64,
+    /// Duration of the take, s; 0 until it is known.
+    pub duration_s: f64,
+    /// Whether the cursor moves by itself.
+    pub playing: bool,
+    /// Seconds of take per second of wall clock.
+    pub speed: f64,
+    /// The second simulation (blue), beside the nominal one (orange); `None` until there is one to compare.
+    pub compared: Option<ModelRef>,
+    /// Recorded or live.
+    pub hand_source: HandSource,
+    /// Channels picked by the operator, shown in the timelines and marked on the hand.
+    pub selected: BTreeSet<usize>,
+    /// Channel under the pointer, in whichever view; cleared at the start of each frame.
+    pub hovered: Option<usize>,
+    /// Channel whose details stay in the side panel.
+    pub pinned: Option<usize>,
+    /// `hovered` of the frame before, so that a view drawn earlier can show what a later one hovers.
+    pub hovered_before: Option<usize>,
+}
+
+impl Default for Playback {
+    fn default() -> Self {
+        Self {
+            session: None,
+            take: None,
+            time_s: 0.0,
+            duration_s: 0.0,
+            playing: false,
+            speed: 1.0,
+            compared: None,
+            hand_source: HandSource::default(),
+            selected: BTreeSet::new(),
+            hovered: None,
+            pinned: None,
+            hovered_before: None,
+        }
+    }
+}
+
+impl Playback {
+    /// Speeds on offer.
+    pub const SPEEDS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
+
+    /// Starts a frame: moves the cursor by `dt_secs` if playing and turns the page of `hovered`.
+    pub fn begin_frame(&mut self, dt_secs: f64) {
+        self.hovered_before = self.hovered.take();
+        if !self.playing {
+            return;
+        }
+        // A tab that slept must not leap: at most a tenth of a second a frame.
+        self.time_s += dt_secs.clamp(0.0, 0.1) * self.speed;
+        if self.duration_s > 0.0 && self.time_s >= self.duration_s {
+            self.time_s = self.duration_s;
+            self.playing = false;
+        }
+    }
+
+    /// Looks at another take (or the same one), from its start.
+    pub fn open(&mut self, session: &str, take: &str) {
+        let same = self.session.as_deref() == Some(session) && self.take.as_deref() == Some(take);
+        if same {
+            return;
+        }
+        if self.session.as_deref() != Some(session) {
+            self.selected.clear();
+            self.pinned = None;
+        }
+        self.session = Some(session.to_owned());
+        self.take = Some(take.to_owned());
+        self.time_s = 0.0;
+        self.duration_s = 0.0;
+        self.playing = false;
+    }
+
+    /// Moves the cursor, within the take.
+    pub fn seek(&mut self, time_s: f64) {
+        if time_s.is_finite() {
+            let end_s = if self.duration_s > 0.0 { self.duration_s } else { f64::INFINITY };
+            self.time_s = time_s.clamp(0.0, end_s);
+        }
+    }
+
+    /// Plays, or pauses; from the start again when the end was reached.
+    pub fn toggle_playing(&mut self) {
+        if !self.playing && self.duration_s > 0.0 && self.time_s >= self.duration_s {
+            self.time_s = 0.0;
+        }
+        self.playing = !self.playing;
+    }
+
+    /// The channel that views should highlight.
+    pub fn highlighted(&self) -> Option<usize> {
+        self.hovered.or(self.hovered_before)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn playing_stops_at_the_end_and_starts_over() {
+        let mut playback = Playback { duration_s: 1.0, playing: true, time_s: 0.95, ..Default::default() };
+        playback.begin_frame(0.1);
+        assert_eq!((playback.time_s, playback.playing), (1.0, false));
+        playback.toggle_playing();
+        assert_eq!((playback.time_s, playback.playing), (0.0, true));
+    }
+
+    #[test]
+    fn sleeping_tab_does_not_leap() {
+        let mut playback = Playback { duration_s: 100.0, playing: true, ..Default::default() };
+        playback.begin_frame(30.0);
+        assert!((playback.time_s - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn model_keys_round_trip() {
+        for model in [ModelRef::Nominal, ModelRef::Saved("a:b".into()), ModelRef::Run("7".into())] {
+            assert_eq!(ModelRef::from_key(&model.key()), Some(model));
+        }
+        for key in ["", "run:"] {
+            assert_eq!(ModelRef::from_key(key), None, "{key}");
+        }
+    }
+
+    #[test]
+    fn cursor_ignores_nonsense() {
+        let mut playback = Playback { duration_s: 2.0, ..Default::default() };
+        playback.seek(f64::NAN);
+        assert_eq!(playback.time_s, 0.0);
+        playback.seek(1e9);
+        assert_eq!(playback.time_s, 2.0);
+    }
+}

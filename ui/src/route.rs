@@ -1,0 +1,227 @@
+//! Where the operator is, as the part of the address after `#`: `#/hand/session-1?take=take-03&t=12.4`.
+
+use std::fmt;
+
+use percent_encoding::{AsciiSet, CONTROLS, percent_decode_str, utf8_percent_encode};
+
+/// Everything that would change the meaning of a hash if it stood there by itself.
+const RESERVED: &AsciiSet = &CONTROLS
+    .add(b' ')
+    .add(b'"')
+    .add(b'#')
+    .add(b'%')
+    .add(b'&')
+    .add(b'+')
+    .add(b'/')
+    .add(b'<')
+    .add(b'=')
+    .add(b'>')
+    .add(b'?')
+    .add(b'`');
+
+/// The screens of the rail, top to bottom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Screen {
+    /// The hand in 3-D and as a flat map.
+    Hand,
+    /// Touch events on one time axis.
+    Timelines,
+    /// Fit the sensor model to a session.
+    Calibrate,
+    /// What has been recorded.
+    Sessions,
+}
+
+impl Screen {
+    /// All screens, in the order of the rail.
+    pub const ALL: [Self; 4] = [Self::Hand, Self::Timelines, Self::Calibrate, Self::Sessions];
+
+    /// The word in the rail.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Hand => "Hand",
+            Self::Timelines => "Timelines",
+            Self::Calibrate => "Calibrate",
+            Self::Sessions => "Sessions",
+        }
+    }
+
+    /// One line on what the screen is for.
+    pub fn purpose(self) -> &'static str {
+        match self {
+            Self::Hand => "Watch the hand replay a take, taxels lit by what they felt",
+            Self::Timelines => "Compare real and simulated touch on one time axis",
+            Self::Calibrate => "Fit the sensor model until simulated events line up with real ones",
+            Self::Sessions => "What has been recorded, and whether it can be used",
+        }
+    }
+
+    fn slug(self) -> &'static str {
+        match self {
+            Self::Hand => "hand",
+            Self::Timelines => "timelines",
+            Self::Calibrate => "calibrate",
+            Self::Sessions => "sessions",
+        }
+    }
+
+    fn from_slug(slug: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|screen| screen.slug() == slug)
+    }
+}
+
+/// A screen and what it shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Route {
+    /// Which screen.
+    pub screen: Screen,
+    /// Session shown, by id; `None` lets the screen choose.
+    pub session: Option<String>,
+    /// Take shown, by id.
+    pub take: Option<String>,
+    /// Time in the take, s, to the millisecond.
+    pub time_s: Option<f64>,
+    /// Simulation compared with the recording (see [`crate::playback::ModelRef::key`]).
+    pub model: Option<String>,
+    /// Calibration run shown, by id.
+    pub run: Option<String>,
+}
+
+impl Default for Route {
+    fn default() -> Self {
+        Self::to(Screen::Hand)
+    }
+}
+
+impl Route {
+    /// `screen`, with nothing chosen.
+    pub fn to(screen: Screen) -> Self {
+        Self { screen, session: None, take: None, time_s: None, model: None, run: None }
+    }
+
+    /// The same, with `session` chosen.
+    pub fn with_session(mut self, session: impl Into<String>) -> Self {
+        self.session = Some(session.into());
+        self
+    }
+
+    /// The same, with `take` chosen.
+    pub fn with_take(mut self, take: impl Into<String>) -> Self {
+        self.take = Some(take.into());
+        self
+    }
+
+    /// Reads a hash, with or without `#`. Unknown screens lead to the first one and unknown keys are left out, so that
+    /// a link from another version still opens.
+    pub fn from_hash(hash: &str) -> Self {
+        let hash = hash.trim_start_matches('#').trim_start_matches('/');
+        let (path, query) = hash.split_once('?').unwrap_or((hash, ""));
+        let mut segments = path.split('/').map(decode);
+        let screen = segments.next().and_then(|slug| Screen::from_slug(&slug)).unwrap_or(Screen::Hand);
+        let mut route = Self::to(screen);
+        route.session = segments.next().filter(|session| !session.is_empty());
+        for pair in query.split('&') {
+            let (key, value) = pair.split_once('=').unwrap_or((pair, ""));
+            let value = Some(decode(value)).filter(|value| !value.is_empty());
+            match key {
+                "take" => route.take = value,
+                "t" => {
+                    route.time_s = value
+                        .and_then(|text| text.parse().ok())
+                        .filter(|time_s: &f64| time_s.is_finite() && *time_s >= 0.0);
+                }
+                "model" => route.model = value,
+                "run" => route.run = value,
+                _ => {}
+            }
+        }
+        route
+    }
+
+    /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
+    pub fn is_same_place(&self, other: &Self) -> bool {
+        (self.screen, &self.session, &self.take, &self.run)
+            == (other.screen, &other.session, &other.take, &other.run)
+    }
+}
+
+impl fmt::Display for Route {
+    /// The hash, with `#`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "#/{}", self.screen.slug())?;
+        if let Some(session) = &self.session {
+            write!(f, "/{}", encode(session))?;
+        }
+        let time = self.time_s.map(|time_s| {
+            let text = format!("{time_s:.3}");
+            text.trim_end_matches('0').trim_end_matches('.').to_owned()
+        });
+        let pairs = [("take", &self.take), ("t", &time), ("model", &self.model), ("run", &self.run)];
+        let mut separator = '?';
+        for (key, value) in pairs {
+            if let Some(value) = value {
+                write!(f, "{separator}{key}={}", encode(value))?;
+                separator = '&';
+            }
+        }
+        Ok(())
+    }
+}
+
+fn encode(text: &str) -> String {
+    utf8_percent_encode(text, RESERVED).to_string()
+}
+
+fn decode(text: &str) -> String {
+    percent_decode_str(text).decode_utf8_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn link_of_a_colleague_opens_the_same_view() {
+        let route = Route::from_hash("#/hand/session-1?take=take-03&t=12.4");
+        assert_eq!(route.screen, Screen::Hand);
+        assert_eq!(route.session.as_deref(), Some("session-1"));
+        assert_eq!(route.take.as_deref(), Some("take-03"));
+        assert_eq!(route.time_s, Some(12.4));
+        assert_eq!(route.to_string(), "#/hand/session-1?take=take-03&t=12.4");
+    }
+
+    #[test]
+    fn nonsense_leads_to_the_first_screen() {
+        for hash in ["", "#", "#/", "#/nowhere/x?t=abc", "#/hand?t=NaN", "#/hand?t=-3", "#/hand?&&=&x"] {
+            let route = Route::from_hash(hash);
+            assert_eq!(route.screen, Screen::Hand, "{hash}");
+            assert_eq!(route.time_s, None, "{hash}");
+        }
+    }
+
+    fn id() -> impl Strategy<Value = Option<String>> {
+        // `.+` and not a list of friendly characters: ids are folder names that people chose.
+        proptest::option::of(".{1,12}")
+    }
+
+    proptest! {
+        #[test]
+        fn every_route_survives_its_hash(
+            screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(), run in id(),
+            time_ms in proptest::option::of(0_u32..10_000_000),
+        ) {
+            let screen = Screen::ALL[screen_idx];
+            let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
+            let route = Route { screen, session, take, time_s, model, run };
+            prop_assert_eq!(Route::from_hash(&route.to_string()), route);
+        }
+
+        #[test]
+        fn any_text_is_some_route(hash in ".*") {
+            let route = Route::from_hash(&hash);
+            prop_assert_eq!(Route::from_hash(&route.to_string()).to_string(), route.to_string());
+        }
+    }
+}

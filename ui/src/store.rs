@@ -1,0 +1,568 @@
+//! Everything the server said, fetched when a screen first asks for it.
+//!
+//! Accessors take `&mut self`: asking for something that is not there yet queues a request and answers
+//! [`Loadable::Loading`]. What is loaded is behind an `Arc`, so that a screen can keep it while it asks for more.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use base64::Engine as _;
+use palpate_robot_model::{Station, StationFiles};
+use palpate_wire::{
+    api::{
+        CalibrationRequest, CalibrationRun, CheckReport, Info, JobState, ModelSummary, SaveModelRequest,
+        SessionDetail, SessionSummary, StationDocument,
+    },
+    proto::{LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
+};
+use prost::Message as _;
+
+use crate::{
+    api_client::{ApiEvent, Request},
+    playback::ModelRef,
+    take_data::TakeData,
+};
+
+/// Something that comes from the server.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub enum Loadable<T> {
+    /// Not asked for yet.
+    #[default]
+    Idle,
+    /// On its way.
+    Loading,
+    /// Here.
+    Ready(T),
+    /// It will not come by itself: why, and what to do, for people.
+    Failed(String),
+}
+
+impl<T> Loadable<T> {
+    /// The value, if it is here.
+    pub fn ready(&self) -> Option<&T> {
+        match self {
+            Self::Ready(value) => Some(value),
+            _ => None,
+        }
+    }
+
+    /// Why there is none, if it failed.
+    pub fn error(&self) -> Option<&str> {
+        match self {
+            Self::Failed(error) => Some(error),
+            _ => None,
+        }
+    }
+
+    /// Whether it is on its way, or about to be.
+    pub fn is_loading(&self) -> bool {
+        matches!(self, Self::Idle | Self::Loading)
+    }
+
+    fn from_result(result: Result<T, String>) -> Self {
+        match result {
+            Ok(value) => Self::Ready(value),
+            Err(error) => Self::Failed(error),
+        }
+    }
+}
+
+/// The stream socket.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub enum Connection {
+    /// Not open yet.
+    #[default]
+    Connecting,
+    /// Live.
+    Open,
+    /// Gone: everything on the page is as of then.
+    Lost {
+        /// Local time of day when it broke, e.g. `14:03:12`.
+        since: String,
+        /// Seconds on the page's clock when it broke.
+        since_s: f64,
+    },
+}
+
+type TakeKey = (String, String);
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct Store {
+    /// What the server is.
+    pub info: Loadable<Info>,
+    /// The stream socket.
+    pub connection: Connection,
+    /// Messages that the server dropped for this page because it read too slowly.
+    pub dropped_messages: u64,
+    /// A run that [`Store::start_run`] asked for: its id once the server took it.
+    pub started_run: Loadable<String>,
+    /// A model that [`Store::save_model`] asked for.
+    pub saved_model: Loadable<ModelSummary>,
+    /// A session that [`Store::import`] sent.
+    pub imported: Loadable<SessionDetail>,
+    /// The session that [`Store::delete_session`] moved to the trash last, so that it can be undone.
+    pub deleted_session: Loadable<String>,
+    /// The model that [`Store::delete_model`] moved to the trash last, so that it can be undone.
+    pub deleted_model: Loadable<String>,
+    sessions: Loadable<Arc<Vec<SessionSummary>>>,
+    details: BTreeMap<String, Loadable<Arc<SessionDetail>>>,
+    stations: BTreeMap<String, Loadable<Arc<Station>>>,
+    live_station: Loadable<Arc<Station>>,
+    checks: BTreeMap<String, Loadable<Arc<CheckReport>>>,
+    takes: BTreeMap<TakeKey, Loadable<Arc<TakeData>>>,
+    replays: BTreeMap<(TakeKey, ModelRef), Loadable<Arc<ReplayTrace>>>,
+    models: Loadable<Arc<Vec<ModelSummary>>>,
+    runs: Loadable<Arc<Vec<CalibrationRun>>>,
+    run_details: BTreeMap<String, Loadable<Arc<CalibrationRun>>>,
+    live: Option<LiveFrame>,
+    outbox: Vec<Request>,
+}
+
+impl Store {
+    /// All sessions.
+    pub fn sessions(&mut self) -> Loadable<Arc<Vec<SessionSummary>>> {
+        ask(&mut self.sessions, &mut self.outbox, || Request::Sessions)
+    }
+
+    /// One session with its takes.
+    pub fn session(&mut self, session: &str) -> Loadable<Arc<SessionDetail>> {
+        let slot = self.details.entry(session.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::Session(session.to_owned()))
+    }
+
+    /// The station of a session.
+    pub fn station(&mut self, session: &str) -> Loadable<Arc<Station>> {
+        let slot = self.stations.entry(session.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::Station(session.to_owned()))
+    }
+
+    /// The live station.
+    pub fn live_station(&mut self) -> Loadable<Arc<Station>> {
+        ask(&mut self.live_station, &mut self.outbox, || Request::LiveStation)
+    }
+
+    /// Check results of a session.
+    pub fn check(&mut self, session: &str) -> Loadable<Arc<CheckReport>> {
+        let slot = self.checks.entry(session.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::Check(session.to_owned()))
+    }
+
+    /// A recorded take.
+    pub fn take(&mut self, session: &str, take: &str) -> Loadable<Arc<TakeData>> {
+        let slot = self.takes.entry((session.to_owned(), take.to_owned())).or_default();
+        ask(slot, &mut self.outbox, || Request::Take { session: session.to_owned(), take: take.to_owned() })
+    }
+
+    /// A take as `model` replays it.
+    pub fn replay(&mut self, session: &str, take: &str, model: &ModelRef) -> Loadable<Arc<ReplayTrace>> {
+        let key = ((session.to_owned(), take.to_owned()), model.clone());
+        let slot = self.replays.entry(key).or_default();
+        ask(slot, &mut self.outbox, || Request::Replay {
+            session: session.to_owned(),
+            take: take.to_owned(),
+            model: model.clone(),
+        })
+    }
+
+    /// Saved sensor models.
+    pub fn models(&mut self) -> Loadable<Arc<Vec<ModelSummary>>> {
+        ask(&mut self.models, &mut self.outbox, || Request::Models)
+    }
+
+    /// Calibration runs, newest first, with live progress but without reports.
+    pub fn runs(&mut self) -> Loadable<Arc<Vec<CalibrationRun>>> {
+        ask(&mut self.runs, &mut self.outbox, || Request::Runs)
+    }
+
+    /// One calibration run, with live progress, and with its report once it is done.
+    pub fn run(&mut self, run: &str) -> Loadable<Arc<CalibrationRun>> {
+        let slot = self.run_details.entry(run.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::Run(run.to_owned()))
+    }
+
+    /// The newest frame of the live station. It stays when the connection breaks: see [`Store::connection`].
+    pub fn live_frame(&self) -> Option<&LiveFrame> {
+        self.live.as_ref()
+    }
+
+    /// Starts a calibration; see [`Store::started_run`].
+    pub fn start_run(&mut self, request: CalibrationRequest) {
+        self.started_run = Loadable::Loading;
+        self.outbox.push(Request::StartRun(request));
+    }
+
+    /// Stops a calibration; what it found so far stays.
+    pub fn cancel_run(&mut self, run: &str) {
+        self.outbox.push(Request::CancelRun(run.to_owned()));
+    }
+
+    /// Keeps what a calibration found; see [`Store::saved_model`].
+    pub fn save_model(&mut self, run: &str, name: &str) {
+        self.saved_model = Loadable::Loading;
+        self.outbox.push(Request::SaveModel {
+            run: run.to_owned(),
+            body: SaveModelRequest { name: name.to_owned() },
+        });
+    }
+
+    /// Moves a session to the trash; see [`Store::deleted_session`].
+    pub fn delete_session(&mut self, session: &str) {
+        self.deleted_session = Loadable::Loading;
+        self.outbox.push(Request::DeleteSession(session.to_owned()));
+    }
+
+    /// Takes a session out of the trash.
+    pub fn restore_session(&mut self, session: &str) {
+        self.outbox.push(Request::RestoreSession(session.to_owned()));
+    }
+
+    /// Moves a saved model to the trash; see [`Store::deleted_model`].
+    pub fn delete_model(&mut self, model: &str) {
+        self.deleted_model = Loadable::Loading;
+        self.outbox.push(Request::DeleteModel(model.to_owned()));
+    }
+
+    /// Takes a saved model out of the trash.
+    pub fn restore_model(&mut self, model: &str) {
+        self.outbox.push(Request::RestoreModel(model.to_owned()));
+    }
+
+    /// Sends a session as an archive; see [`Store::imported`].
+    pub fn import(&mut self, name: &str, archive: Vec<u8>) {
+        self.imported = Loadable::Loading;
+        self.outbox.push(Request::Import { name: name.to_owned(), archive });
+    }
+
+    /// Asks again for everything that failed.
+    pub fn retry_failed(&mut self) {
+        fn reset<T>(slot: &mut Loadable<T>) {
+            if matches!(slot, Loadable::Failed(_)) {
+                *slot = Loadable::Idle;
+            }
+        }
+        reset(&mut self.info);
+        reset(&mut self.sessions);
+        reset(&mut self.live_station);
+        reset(&mut self.models);
+        reset(&mut self.runs);
+        self.details.values_mut().for_each(reset);
+        self.stations.values_mut().for_each(reset);
+        self.checks.values_mut().for_each(reset);
+        self.takes.values_mut().for_each(reset);
+        self.replays.values_mut().for_each(reset);
+        self.run_details.values_mut().for_each(reset);
+        self.ask_info();
+    }
+
+    /// Asks what the server is, unless that is known or on its way.
+    pub fn ask_info(&mut self) {
+        ask(&mut self.info, &mut self.outbox, || Request::Info);
+    }
+
+    /// Requests that wait to be sent.
+    pub fn take_outbox(&mut self) -> Vec<Request> {
+        std::mem::take(&mut self.outbox)
+    }
+
+    /// Takes in what the server sent. `now_s` is the page's clock, `time_of_day` the operator's.
+    pub fn receive(&mut self, event: ApiEvent, now_s: f64, time_of_day: &str) {
+        match event {
+            ApiEvent::Answer { request, result } => self.receive_answer(request, result),
+            ApiEvent::SocketOpen => {
+                if matches!(self.connection, Connection::Lost { .. }) {
+                    self.refresh_after_loss();
+                }
+                self.connection = Connection::Open;
+            }
+            ApiEvent::SocketClosed => {
+                if !matches!(self.connection, Connection::Lost { .. }) {
+                    self.connection = Connection::Lost { since: time_of_day.to_owned(), since_s: now_s };
+                }
+            }
+            ApiEvent::SocketMessage(bytes) => self.receive_message(&bytes),
+        }
+    }
+
+    /// What may have changed while nobody listened. The old values stay on the page until the new ones are here.
+    fn refresh_after_loss(&mut self) {
+        self.retry_failed();
+        self.outbox.extend([Request::Info, Request::Sessions, Request::Models, Request::Runs]);
+    }
+
+    fn receive_answer(&mut self, request: Request, result: Result<Vec<u8>, String>) {
+        match request {
+            Request::Info => self.info = parse_json(result),
+            Request::Sessions => self.sessions = shared(parse_json(result)),
+            Request::Session(session) => {
+                self.details.insert(session, shared(parse_json(result)));
+            }
+            Request::Station(session) => {
+                self.stations.insert(session, parse_station(result));
+            }
+            Request::LiveStation => self.live_station = parse_station(result),
+            Request::Check(session) => {
+                self.checks.insert(session, shared(parse_json(result)));
+            }
+            Request::Take { session, take } => {
+                let parsed = parse_proto::<TakeTrace>(result).and_then(TakeData::new);
+                self.takes.insert((session, take), shared(Loadable::from_result(parsed)));
+            }
+            Request::Replay { session, take, model } => {
+                let parsed = Loadable::from_result(parse_proto::<ReplayTrace>(result));
+                self.replays.insert(((session, take), model), shared(parsed));
+            }
+            Request::Models => self.models = shared(parse_json(result)),
+            Request::Runs => self.runs = shared(parse_json(result)),
+            Request::Run(id) => match parse_json::<CalibrationRun>(result) {
+                Loadable::Ready(run) => self.put_run(run),
+                failed => {
+                    self.run_details.insert(id, shared(failed));
+                }
+            },
+            // Whether it could be stopped or not: where the run stands now is what matters.
+            Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
+            Request::DeleteSession(session) => {
+                self.deleted_session = Loadable::from_result(result.map(|_| session));
+                self.outbox.push(Request::Sessions);
+            }
+            Request::RestoreSession(session) => {
+                self.deleted_session = result.map_or_else(Loadable::Failed, |_| Loadable::Idle);
+                self.details.remove(&session);
+                self.outbox.push(Request::Sessions);
+            }
+            Request::DeleteModel(model) => {
+                self.deleted_model = Loadable::from_result(result.map(|_| model));
+                self.outbox.push(Request::Models);
+            }
+            Request::RestoreModel(_) => {
+                self.deleted_model = result.map_or_else(Loadable::Failed, |_| Loadable::Idle);
+                self.outbox.push(Request::Models);
+            }
+            Request::StartRun(_) => match parse_json::<CalibrationRun>(result) {
+                Loadable::Ready(run) => {
+                    self.started_run = Loadable::Ready(run.id.clone());
+                    self.put_run(run);
+                }
+                Loadable::Failed(error) => self.started_run = Loadable::Failed(error),
+                Loadable::Idle | Loadable::Loading => {}
+            },
+            Request::SaveModel { run, .. } => {
+                self.saved_model = parse_json(result);
+                self.outbox.extend([Request::Models, Request::Run(run)]);
+            }
+            Request::Import { .. } => {
+                self.imported = parse_json(result);
+                self.outbox.push(Request::Sessions);
+            }
+        }
+    }
+
+    fn receive_message(&mut self, bytes: &[u8]) {
+        // A message that does not decode comes from a newer server; the next one may be known again.
+        let Ok(message) = StreamMessage::decode(bytes) else { return };
+        self.dropped_messages = message.dropped;
+        match message.message {
+            Some(stream_message::Message::Live(frame)) => self.live = Some(frame),
+            Some(stream_message::Message::Job(update)) => {
+                let Some(state) = job_state(&update.state) else { return };
+                let finished = !matches!(state, JobState::Queued | JobState::Running);
+                let listed = match &mut self.runs {
+                    Loadable::Ready(runs) => Arc::make_mut(runs).iter_mut().find(|run| run.id == update.job),
+                    _ => None,
+                };
+                let unknown = listed.is_none();
+                let detailed = match self.run_details.get_mut(&update.job) {
+                    Some(Loadable::Ready(run)) => Some(Arc::make_mut(run)),
+                    _ => None,
+                };
+                for run in listed.into_iter().chain(detailed) {
+                    run.state = state;
+                    run.fraction = update.fraction;
+                    run.stage.clone_from(&update.stage);
+                    run.seconds_left =
+                        (!finished && update.seconds_left > 0.0).then_some(update.seconds_left);
+                    run.error = (!update.error.is_empty()).then(|| update.error.clone());
+                }
+                if finished || unknown {
+                    self.outbox.push(Request::Run(update.job));
+                }
+            }
+            None => {}
+        }
+    }
+
+    fn put_run(&mut self, run: CalibrationRun) {
+        if let Loadable::Ready(runs) = &mut self.runs {
+            let runs = Arc::make_mut(runs);
+            match runs.iter_mut().find(|known| known.id == run.id) {
+                Some(known) => known.clone_from(&run),
+                None => runs.insert(0, run.clone()),
+            }
+        }
+        self.run_details.insert(run.id.clone(), Loadable::Ready(Arc::new(run)));
+    }
+}
+
+fn ask<T: Clone>(
+    slot: &mut Loadable<T>,
+    outbox: &mut Vec<Request>,
+    request: impl FnOnce() -> Request,
+) -> Loadable<T> {
+    if matches!(slot, Loadable::Idle) {
+        *slot = Loadable::Loading;
+        outbox.push(request());
+    }
+    slot.clone()
+}
+
+fn shared<T>(loaded: Loadable<T>) -> Loadable<Arc<T>> {
+    match loaded {
+        Loadable::Idle => Loadable::Idle,
+        Loadable::Loading => Loadable::Loading,
+        Loadable::Ready(value) => Loadable::Ready(Arc::new(value)),
+        Loadable::Failed(error) => Loadable::Failed(error),
+    }
+}
+
+fn parse_json<T: serde::de::DeserializeOwned>(result: Result<Vec<u8>, String>) -> Loadable<T> {
+    Loadable::from_result(result.and_then(|bytes| {
+        serde_json::from_slice(&bytes)
+            .map_err(|err| format!("the server's answer could not be read: {err}; reload the page"))
+    }))
+}
+
+fn parse_proto<T: prost::Message + Default>(result: Result<Vec<u8>, String>) -> Result<T, String> {
+    result.and_then(|bytes| {
+        T::decode(bytes.as_slice())
+            .map_err(|err| format!("the server's answer could not be read: {err}; reload the page"))
+    })
+}
+
+fn parse_station(result: Result<Vec<u8>, String>) -> Loadable<Arc<Station>> {
+    let document = match parse_json::<StationDocument>(result) {
+        Loadable::Ready(document) => document,
+        Loadable::Failed(error) => return Loadable::Failed(error),
+        Loadable::Idle | Loadable::Loading => return Loadable::Loading,
+    };
+    let files = document
+        .files_base64
+        .into_iter()
+        .map(|(path, text)| {
+            base64::engine::general_purpose::STANDARD
+                .decode(text)
+                .map(|bytes| (path.clone(), bytes))
+                .map_err(|err| format!("station file {path:?} arrived damaged: {err}"))
+        })
+        .collect::<Result<BTreeMap<_, _>, _>>();
+    let station = files.and_then(|files| {
+        Station::from_files(StationFiles { station_toml: document.station_toml, files })
+            .map_err(|err| err.to_string())
+    });
+    shared(Loadable::from_result(station))
+}
+
+fn job_state(word: &str) -> Option<JobState> {
+    match word {
+        "queued" => Some(JobState::Queued),
+        "running" => Some(JobState::Running),
+        "done" => Some(JobState::Done),
+        "failed" => Some(JobState::Failed),
+        "cancelled" => Some(JobState::Cancelled),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_wire::proto::JobUpdate;
+
+    use super::*;
+
+    fn answer(request: Request, body: &str) -> ApiEvent {
+        ApiEvent::Answer { request, result: Ok(body.as_bytes().to_vec()) }
+    }
+
+    #[test]
+    fn asking_twice_sends_once() {
+        let mut store = Store::default();
+        assert!(store.sessions().is_loading());
+        assert!(store.sessions().is_loading());
+        assert_eq!(store.take_outbox(), [Request::Sessions]);
+        store.receive(answer(Request::Sessions, "[]"), 0.0, "");
+        assert_eq!(store.sessions(), Loadable::Ready(Arc::new(Vec::new())));
+        assert!(store.take_outbox().is_empty());
+    }
+
+    #[test]
+    fn failure_stays_until_somebody_tries_again() {
+        let mut store = Store::default();
+        store.sessions();
+        store.take_outbox();
+        let failed = ApiEvent::Answer { request: Request::Sessions, result: Err("disk is gone".into()) };
+        store.receive(failed, 0.0, "");
+        assert_eq!(store.sessions().error(), Some("disk is gone"));
+        assert!(store.take_outbox().is_empty());
+        store.retry_failed();
+        assert!(store.sessions().is_loading());
+        assert!(store.take_outbox().contains(&Request::Sessions));
+    }
+
+    #[test]
+    fn damaged_answers_fail_in_words() {
+        let mut store = Store::default();
+        store.receive(answer(Request::Sessions, "{"), 0.0, "");
+        assert!(store.sessions().error().is_some_and(|error| error.contains("could not be read")));
+        let take = Request::Take { session: "s".into(), take: "t".into() };
+        store.receive(ApiEvent::Answer { request: take, result: Ok(vec![0xff; 7]) }, 0.0, "");
+        assert!(store.take("s", "t").error().is_some());
+        let station = Request::Station("s".into());
+        store.receive(answer(station, r#"{"station_toml":"","files_base64":{"a":"%"}}"#), 0.0, "");
+        assert!(store.station("s").error().is_some_and(|error| error.contains("\"a\" arrived damaged")));
+    }
+
+    #[test]
+    fn loss_remembers_when_and_keeps_the_last_frame() {
+        let mut store = Store::default();
+        let live = StreamMessage {
+            message: Some(stream_message::Message::Live(LiveFrame { time_s: 4.0, ..Default::default() })),
+            dropped: 3,
+        };
+        store.receive(ApiEvent::SocketOpen, 0.0, "14:00:00");
+        store.receive(ApiEvent::SocketMessage(live.encode_to_vec()), 1.0, "14:00:01");
+        store.receive(ApiEvent::SocketClosed, 2.0, "14:00:02");
+        store.receive(ApiEvent::SocketClosed, 9.0, "14:00:09");
+        assert_eq!(store.connection, Connection::Lost { since: "14:00:02".into(), since_s: 2.0 });
+        assert_eq!(store.live_frame().map(|frame| frame.time_s), Some(4.0));
+        assert_eq!(store.dropped_messages, 3);
+        store.receive(ApiEvent::SocketOpen, 12.0, "14:00:12");
+        assert_eq!(store.connection, Connection::Open);
+        assert!(store.take_outbox().contains(&Request::Sessions));
+    }
+
+    #[test]
+    fn progress_moves_the_run_and_the_end_fetches_the_result() {
+        let mut store = Store::default();
+        let run = r#"[{"id":"7","request":{"session":"s"},"state":"running","fraction":0.1,"stage":"fit",
+            "seconds_left":null,"error":null,"report":null,"model_toml":null,"saved_as":null}]"#;
+        store.receive(answer(Request::Runs, run), 0.0, "");
+        let update = |state: &str, fraction| {
+            let job = JobUpdate {
+                job: "7".into(),
+                state: state.into(),
+                fraction,
+                stage: "alpha 3 of 20".into(),
+                seconds_left: 2.0,
+                error: String::new(),
+            };
+            let message = StreamMessage { message: Some(stream_message::Message::Job(job)), dropped: 0 };
+            ApiEvent::SocketMessage(message.encode_to_vec())
+        };
+        store.receive(update("running", 0.5), 0.0, "");
+        let runs = store.runs();
+        let running = &runs.ready().expect("the list")[0];
+        assert_eq!((running.fraction, running.seconds_left), (0.5, Some(2.0)));
+        assert!(store.take_outbox().is_empty());
+        store.receive(update("done", 1.0), 0.0, "");
+        assert_eq!(store.take_outbox(), [Request::Run("7".into())]);
+    }
+}

@@ -1,0 +1,222 @@
+//! A recorded take as the page uses it: the trace from the server, checked, with look-ups by time.
+
+use palpate_robot_model::Station;
+use palpate_wire::{
+    bits,
+    proto::{ReplayTrace, StreamTrace, TakeTrace},
+};
+
+/// A take, ready to draw.
+#[derive(Clone, Debug)]
+pub struct TakeData {
+    /// As received; times are seconds since the take's start.
+    pub trace: TakeTrace,
+    num_dofs: usize,
+    duration_s: f64,
+}
+
+impl TakeData {
+    /// Checks what can be checked without the station: that times increase, that joint positions come in whole frames
+    /// and are finite.
+    pub fn new(trace: TakeTrace) -> Result<Self, String> {
+        let num_frames = trace.frame_times_s.len();
+        check_times("joint frames", &trace.frame_times_s)?;
+        for stream in &trace.streams {
+            check_times(&format!("stream {:?}", stream.stream), &stream.times_s)?;
+        }
+        let num_values = trace.joint_positions.len();
+        if (num_frames == 0 && num_values > 0) || (num_frames > 0 && !num_values.is_multiple_of(num_frames)) {
+            return Err(format!("{num_values} joint positions do not fill {num_frames} frames evenly"));
+        }
+        if let Some(value_idx) = trace.joint_positions.iter().position(|value| !value.is_finite()) {
+            let frame_idx = value_idx * num_frames / num_values;
+            return Err(format!("joint frame {frame_idx} holds a position that is no number"));
+        }
+        let num_dofs = num_values.checked_div(num_frames).unwrap_or(0);
+        let duration_s = trace
+            .streams
+            .iter()
+            .map(|stream| &stream.times_s)
+            .chain([&trace.frame_times_s])
+            .filter_map(|times_s| times_s.last())
+            .fold(0.0, |longest: f64, &end_s| longest.max(end_s));
+        Ok(Self { trace, num_dofs, duration_s })
+    }
+
+    /// Checks the take against the station it is said to come from: joints, channels and streams must match.
+    pub fn check_against(&self, station: &Station) -> Result<(), String> {
+        let num_frames = self.num_frames();
+        let num_channels = station.layout.num_channels();
+        if num_frames > 0 && self.num_dofs != station.robot.num_dofs() {
+            return Err(format!(
+                "the take holds {} joints a frame, its station {:?} has {}",
+                self.num_dofs,
+                station.id,
+                station.robot.num_dofs()
+            ));
+        }
+        check_bits("activations", &self.trace.real_active, num_frames, num_channels)?;
+        for stream in &self.trace.streams {
+            let Some(stream_idx) = station.layout.stream_index(&stream.stream) else {
+                return Err(format!(
+                    "the take holds a stream {:?} that its station {:?} does not know",
+                    stream.stream, station.id
+                ));
+            };
+            let width = station.layout.streams[stream_idx].channels.len();
+            let what = format!("stream {:?}", stream.stream);
+            check_bits(&what, &stream.active, stream.times_s.len(), width)?;
+            if !stream.raw.is_empty() && stream.raw.len() != stream.times_s.len() * width {
+                return Err(format!(
+                    "{what}: {} raw readings for {} samples of {width} channels",
+                    stream.raw.len(),
+                    stream.times_s.len()
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Number of joint frames.
+    pub fn num_frames(&self) -> usize {
+        self.trace.frame_times_s.len()
+    }
+
+    /// Degrees of freedom in each joint frame.
+    pub fn num_dofs(&self) -> usize {
+        self.num_dofs
+    }
+
+    /// From the take's start to its last sample, s.
+    pub fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+
+    /// The joint frame in effect at `time_s`: the last one not after it, else the first; `None` if there are none.
+    pub fn frame_at(&self, time_s: f64) -> Option<usize> {
+        index_at(&self.trace.frame_times_s, time_s)
+    }
+
+    /// Joint positions at `time_s`, rad or m, linear between frames and held at the ends; empty without frames.
+    pub fn joint_positions_at(&self, time_s: f64) -> Vec<f64> {
+        let Some(frame_idx) = self.frame_at(time_s) else { return Vec::new() };
+        let times_s = &self.trace.frame_times_s;
+        let row = |idx: usize| &self.trace.joint_positions[idx * self.num_dofs..(idx + 1) * self.num_dofs];
+        let from = row(frame_idx);
+        if frame_idx + 1 == self.num_frames() {
+            return from.iter().map(|&position| f64::from(position)).collect();
+        }
+        let span_s = times_s[frame_idx + 1] - times_s[frame_idx];
+        let share = if span_s > 0.0 { ((time_s - times_s[frame_idx]) / span_s).clamp(0.0, 1.0) } else { 0.0 };
+        from.iter()
+            .zip(row(frame_idx + 1))
+            .map(|(&a, &b)| f64::from(a) + share * (f64::from(b) - f64::from(a)))
+            .collect()
+    }
+
+    /// Whether `channel` was active in joint frame `frame`.
+    pub fn real_active(&self, frame: usize, channel: usize, num_channels: usize) -> bool {
+        bits::get(&self.trace.real_active, frame * num_channels + channel)
+    }
+
+    /// Samples of the stream called `id`, if it was recorded.
+    pub fn stream(&self, id: &str) -> Option<&StreamTrace> {
+        self.trace.streams.iter().find(|stream| stream.stream == id)
+    }
+
+    /// The newest reading of `channel` at `time_s`, raw units less the reference value; `None` for binary takes, before
+    /// the stream's first sample, and for channels that the station does not have.
+    pub fn raw_at(&self, time_s: f64, channel: usize, station: &Station) -> Option<f32> {
+        let channel_info = station.layout.channels.get(channel)?;
+        let stream_info = &station.layout.streams[channel_info.stream];
+        let stream = self.stream(&stream_info.id)?;
+        if stream.times_s.first().is_none_or(|&first_s| time_s < first_s) {
+            return None;
+        }
+        let sample_idx = index_at(&stream.times_s, time_s)?;
+        let width = stream_info.channels.len();
+        stream.raw.get(sample_idx * width + channel - stream_info.channels.start).copied()
+    }
+}
+
+/// Checks a replay against the take it belongs to.
+pub fn check_replay(replay: &ReplayTrace, take: &TakeData, station: &Station) -> Result<(), String> {
+    let (num_frames, num_channels) = (take.num_frames(), station.layout.num_channels());
+    check_bits("the replay", &replay.active, num_frames, num_channels)?;
+    if !replay.raw.is_empty() && replay.raw.len() != num_frames * num_channels {
+        return Err(format!(
+            "the replay holds {} signals for {num_frames} frames of {num_channels} channels",
+            replay.raw.len()
+        ));
+    }
+    Ok(())
+}
+
+/// Index of the last of `times_s` (increasing) that is not after `time_s`, else 0; `None` if there are none.
+pub fn index_at(times_s: &[f64], time_s: f64) -> Option<usize> {
+    if times_s.is_empty() {
+        return None;
+    }
+    Some(times_s.partition_point(|&start_s| start_s <= time_s).saturating_sub(1))
+}
+
+fn check_times(what: &str, times_s: &[f64]) -> Result<(), String> {
+    if let Some(idx) = times_s.iter().position(|time_s| !time_s.is_finite()) {
+        return Err(format!("{what}: time {idx} is no number"));
+    }
+    match times_s.windows(2).position(|pair| pair[1] < pair[0]) {
+        Some(idx) => Err(format!("{what}: time steps back after sample {idx}")),
+        None => Ok(()),
+    }
+}
+
+fn check_bits(what: &str, bytes: &[u8], rows: usize, columns: usize) -> Result<(), String> {
+    let expected = (rows * columns).div_ceil(8);
+    if bytes.len() == expected {
+        Ok(())
+    } else {
+        Err(format!(
+            "{what}: {} bytes of activations for {rows} samples of {columns} channels, expected {expected}",
+            bytes.len()
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trace() -> TakeTrace {
+        TakeTrace {
+            frame_times_s: vec![0.0, 1.0, 3.0],
+            joint_positions: vec![0.0, 10.0, 1.0, 20.0, 5.0, 40.0],
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn joints_are_linear_between_frames_and_held_outside() {
+        let take = TakeData::new(trace()).expect("a sound trace");
+        assert_eq!(take.joint_positions_at(-1.0), [0.0, 10.0]);
+        assert_eq!(take.joint_positions_at(2.0), [3.0, 30.0]);
+        assert_eq!(take.joint_positions_at(99.0), [5.0, 40.0]);
+        assert_eq!((take.frame_at(0.99), take.frame_at(1.0)), (Some(0), Some(1)));
+    }
+
+    #[test]
+    fn ragged_or_unordered_traces_are_refused_with_the_place() {
+        let ragged = TakeTrace { joint_positions: vec![0.0; 5], ..trace() };
+        assert!(TakeData::new(ragged).expect_err("ragged").contains("5 joint positions"));
+        let back = TakeTrace { frame_times_s: vec![0.0, 2.0, 1.0], ..trace() };
+        assert!(TakeData::new(back).expect_err("back").contains("steps back after sample 1"));
+        let nan = TakeTrace { joint_positions: vec![0.0, 0.0, 0.0, f32::NAN, 0.0, 0.0], ..trace() };
+        assert!(TakeData::new(nan).expect_err("nan").contains("joint frame 1"));
+    }
+
+    #[test]
+    fn empty_take_answers_with_nothing() {
+        let take = TakeData::new(TakeTrace::default()).expect("an empty trace is sound");
+        assert_eq!(take.frame_at(0.0), None);
+        assert!(take.joint_positions_at(0.0).is_empty());
+    }
+}

@@ -1,0 +1,213 @@
+//! Colours that mean something, the same everywhere, and sizes that can be read and hit.
+//!
+//! Orange, blue and green are those of Okabe and Ito, which stay apart for the common colour blindnesses; state is never
+//! colour alone, so every use also differs by place, shape or word.
+
+use egui::{Color32, FontFamily, FontId, Stroke, TextStyle, Theme, Visuals};
+
+/// What each colour stands for, in one theme.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Palette {
+    /// Whether this is the dark theme.
+    pub dark: bool,
+    /// What the real hand did.
+    pub real: Color32,
+    /// The nominal simulation.
+    pub nominal: Color32,
+    /// The calibrated (or otherwise compared) simulation.
+    pub calibrated: Color32,
+    /// The diagnosed simulation.
+    pub diagnosed: Color32,
+    /// A contact that the simulation missed; also errors.
+    pub mismatch: Color32,
+    /// Something that needs a look.
+    pub warning: Color32,
+    /// Dead taxels (with a hatch).
+    pub dead: Color32,
+    /// Stuck taxels.
+    pub stuck: Color32,
+    /// Page behind everything.
+    pub background: Color32,
+    /// Surface of panels and lanes.
+    pub surface: Color32,
+    /// Lines between things.
+    pub line: Color32,
+    /// Text of less weight, still at a contrast of 4.5 to 1.
+    pub text_weak: Color32,
+}
+
+impl Palette {
+    /// The light theme.
+    pub const LIGHT: Self = Self {
+        dark: false,
+        real: Color32::from_rgb(0x1b, 0x1b, 0x1b),
+        nominal: Color32::from_rgb(0xd5, 0x7a, 0x00),
+        calibrated: Color32::from_rgb(0x00, 0x67, 0xa8),
+        diagnosed: Color32::from_rgb(0x00, 0x82, 0x5e),
+        mismatch: Color32::from_rgb(0xc4, 0x1e, 0x1e),
+        warning: Color32::from_rgb(0x8f, 0x5b, 0x00),
+        dead: Color32::from_rgb(0x9a, 0x9a, 0x9a),
+        stuck: Color32::from_rgb(0xb5, 0x2a, 0x9c),
+        background: Color32::from_rgb(0xf6, 0xf6, 0xf4),
+        surface: Color32::from_rgb(0xff, 0xff, 0xff),
+        line: Color32::from_rgb(0xdc, 0xdc, 0xd8),
+        text_weak: Color32::from_rgb(0x5c, 0x5c, 0x5a),
+    };
+
+    /// The dark theme.
+    pub const DARK: Self = Self {
+        dark: true,
+        real: Color32::from_rgb(0xec, 0xec, 0xec),
+        nominal: Color32::from_rgb(0xf0, 0xa0, 0x30),
+        calibrated: Color32::from_rgb(0x5c, 0xb4, 0xf0),
+        diagnosed: Color32::from_rgb(0x35, 0xc0, 0x95),
+        mismatch: Color32::from_rgb(0xff, 0x6b, 0x61),
+        warning: Color32::from_rgb(0xf0, 0xc2, 0x4a),
+        dead: Color32::from_rgb(0x70, 0x72, 0x76),
+        stuck: Color32::from_rgb(0xe8, 0x7a, 0xd2),
+        background: Color32::from_rgb(0x1b, 0x1c, 0x1e),
+        surface: Color32::from_rgb(0x23, 0x24, 0x27),
+        line: Color32::from_rgb(0x3a, 0x3c, 0x40),
+        text_weak: Color32::from_rgb(0xa6, 0xa8, 0xac),
+    };
+
+    /// The palette of `theme`.
+    pub fn of(theme: Theme) -> Self {
+        match theme {
+            Theme::Dark => Self::DARK,
+            Theme::Light => Self::LIGHT,
+        }
+    }
+}
+
+/// Anchors of viridis at equal steps (sRGB).
+const VIRIDIS: [[u8; 3]; 9] = [
+    [68, 1, 84],
+    [72, 40, 120],
+    [62, 74, 137],
+    [49, 104, 142],
+    [38, 130, 142],
+    [31, 158, 137],
+    [53, 183, 121],
+    [110, 206, 88],
+    [253, 231, 37],
+];
+
+/// The fixed perceptual scale of taxels: 0 is dark violet, 1 bright yellow; outside is clamped, no number is 0.
+pub fn taxel_scale(share: f32) -> Color32 {
+    let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
+    let position = share * (VIRIDIS.len() - 1) as f32;
+    let lower_idx = (position as usize).min(VIRIDIS.len() - 2);
+    let mix = position - lower_idx as f32;
+    let channel = |idx: usize| {
+        let (a, b) = (f32::from(VIRIDIS[lower_idx][idx]), f32::from(VIRIDIS[lower_idx + 1][idx]));
+        (a + mix * (b - a)).round() as u8
+    };
+    Color32::from_rgb(channel(0), channel(1), channel(2))
+}
+
+/// The legend of [`taxel_scale`]: a bar with what its ends mean. `full_scale` belongs to share 1.
+pub fn taxel_legend_ui(ui: &mut egui::Ui, full_scale: f64, unit: &str) {
+    ui.horizontal(|ui| {
+        ui.label("0");
+        let (rect, response) = ui.allocate_exact_size(egui::vec2(120.0, 14.0), egui::Sense::hover());
+        let num_steps = 40;
+        for step in 0..num_steps {
+            let x0 = egui::lerp(rect.x_range(), step as f32 / num_steps as f32);
+            let x1 = egui::lerp(rect.x_range(), (step + 1) as f32 / num_steps as f32);
+            let cell = egui::Rect::from_x_y_ranges(x0..=x1, rect.y_range());
+            ui.painter().rect_filled(cell, 0.0, taxel_scale((step as f32 + 0.5) / num_steps as f32));
+        }
+        let name = format!("Reading scale: violet 0 to yellow {full_scale:.0} {unit}");
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, name.clone()));
+        ui.label(format!("{full_scale:.0} {unit}"));
+    });
+}
+
+/// Sets fonts, sizes and colours of both themes.
+pub fn install(ctx: &egui::Context) {
+    for theme in [Theme::Light, Theme::Dark] {
+        ctx.style_mut_of(theme, |style| {
+            let palette = Palette::of(theme);
+            style.text_styles = [
+                (TextStyle::Small, FontId::new(13.0, FontFamily::Proportional)),
+                (TextStyle::Body, FontId::new(14.5, FontFamily::Proportional)),
+                (TextStyle::Button, FontId::new(14.5, FontFamily::Proportional)),
+                (TextStyle::Monospace, FontId::new(13.5, FontFamily::Monospace)),
+                (TextStyle::Heading, FontId::new(20.0, FontFamily::Proportional)),
+            ]
+            .into();
+            style.spacing.interact_size = egui::vec2(40.0, 32.0);
+            style.spacing.button_padding = egui::vec2(10.0, 6.0);
+            style.spacing.item_spacing = egui::vec2(8.0, 6.0);
+            style.spacing.icon_width = 18.0;
+            style.spacing.slider_width = 160.0;
+            // Numbers are compared and copied, names are clicked: selectable labels swallow both on a touch screen.
+            style.interaction.selectable_labels = false;
+            style.visuals = visuals(&palette);
+        });
+    }
+}
+
+fn visuals(palette: &Palette) -> Visuals {
+    let mut visuals = if palette.dark { Visuals::dark() } else { Visuals::light() };
+    visuals.panel_fill = palette.background;
+    visuals.window_fill = palette.surface;
+    visuals.extreme_bg_color = palette.surface;
+    visuals.faint_bg_color = palette.surface;
+    visuals.window_stroke = Stroke::new(1.0, palette.line);
+    visuals.widgets.noninteractive.bg_stroke = Stroke::new(1.0, palette.line);
+    visuals.widgets.noninteractive.fg_stroke = Stroke::new(1.0, palette.real);
+    visuals.widgets.inactive.fg_stroke = Stroke::new(1.0, palette.real);
+    visuals.weak_text_color = Some(palette.text_weak);
+    visuals.error_fg_color = palette.mismatch;
+    visuals.warn_fg_color = palette.warning;
+    visuals.hyperlink_color = palette.calibrated;
+    visuals.selection.bg_fill =
+        if palette.dark { Color32::from_rgb(0x1f, 0x4e, 0x6e) } else { Color32::from_rgb(0xcb, 0xe3, 0xf3) };
+    visuals.selection.stroke = Stroke::new(1.0, palette.real);
+    visuals
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn luminance(colour: Color32) -> f64 {
+        // WCAG 2.2, relative luminance.
+        let linear = |value: u8| {
+            let value = f64::from(value) / 255.0;
+            if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+        };
+        0.2126 * linear(colour.r()) + 0.7152 * linear(colour.g()) + 0.0722 * linear(colour.b())
+    }
+
+    fn contrast(a: Color32, b: Color32) -> f64 {
+        let (a, b) = (luminance(a), luminance(b));
+        (a.max(b) + 0.05) / (a.min(b) + 0.05)
+    }
+
+    #[test]
+    fn text_and_meanings_stand_out_from_both_grounds() {
+        for palette in [Palette::LIGHT, Palette::DARK] {
+            for ground in [palette.background, palette.surface] {
+                assert!(contrast(palette.real, ground) > 7.0);
+                assert!(contrast(palette.text_weak, ground) > 4.5);
+                assert!(contrast(palette.mismatch, ground) > 4.5);
+                assert!(contrast(palette.warning, ground) > 4.5);
+                // Graphics need 3 to 1.
+                for colour in [palette.nominal, palette.calibrated, palette.diagnosed, palette.stuck] {
+                    assert!(contrast(colour, ground) > 2.9, "{colour:?} on {ground:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn taxel_scale_grows_brighter_and_takes_anything() {
+        let steps: Vec<f64> = (0..=50).map(|step| luminance(taxel_scale(step as f32 / 50.0))).collect();
+        assert!(steps.windows(2).all(|pair| pair[1] >= pair[0]));
+        assert_eq!(taxel_scale(f32::NAN), taxel_scale(0.0));
+        assert_eq!(taxel_scale(7.0), taxel_scale(1.0));
+    }
+}

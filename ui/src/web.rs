@@ -1,0 +1,63 @@
+//! The browser: starts the page, and gives it `fetch`, a `WebSocket` and the address bar.
+
+mod fetch;
+mod window;
+
+use wasm_bindgen::{JsCast as _, prelude::wasm_bindgen};
+
+use crate::StudioApp;
+
+const CANVAS_ID: &str = "palpate";
+const SKELETON_ID: &str = "skeleton";
+const SKELETON_TEXT_ID: &str = "skeleton-text";
+
+/// Starts the page on the canvas of `index.html`.
+#[wasm_bindgen(start)]
+pub fn start() {
+    wasm_bindgen_futures::spawn_local(async {
+        if let Err(error) = run().await {
+            window::set_text(
+                SKELETON_TEXT_ID,
+                &format!("The studio could not start: {error}. It needs a browser with WebGL 2."),
+            );
+        }
+    });
+}
+
+async fn run() -> Result<(), String> {
+    let canvas = window::document()
+        .and_then(|document| document.get_element_by_id(CANVAS_ID))
+        .and_then(|element| element.dyn_into::<web_sys::HtmlCanvasElement>().ok())
+        .ok_or("the page has no canvas")?;
+    let mirror_canvas = canvas.clone();
+    eframe::WebRunner::new()
+        .start(
+            canvas,
+            eframe::WebOptions::default(),
+            Box::new(move |cc| {
+                let surface_format = cc.wgpu_render_state.as_ref().map(|state| state.target_format);
+                crate::mirror::install(&cc.egui_ctx, &mirror_canvas);
+                let api = Box::new(fetch::WebApi::new(cc.egui_ctx.clone()));
+                let app = StudioApp::new(&cc.egui_ctx, api, Box::new(window::AddressBar), surface_format);
+                window::remove(SKELETON_ID);
+                Ok(Box::new(WebApp { app }))
+            }),
+        )
+        .await
+        .map_err(|error| format!("{error:?}"))
+}
+
+struct WebApp {
+    app: StudioApp,
+}
+
+impl eframe::App for WebApp {
+    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        self.app.ui(ui);
+    }
+
+    fn persist_egui_memory(&self) -> bool {
+        // What is open and where belongs to the address, so that a link shows the same to everybody.
+        false
+    }
+}

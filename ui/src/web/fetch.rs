@@ -1,0 +1,126 @@
+//! `fetch` and `WebSocket` as an [`Api`].
+
+use std::{cell::RefCell, rc::Rc};
+
+use wasm_bindgen::{JsCast as _, JsValue, closure::Closure};
+use wasm_bindgen_futures::JsFuture;
+
+use crate::api_client::{Api, ApiEvent, HttpRequest, Request, problem_text};
+
+type Inbox = Rc<RefCell<Vec<ApiEvent>>>;
+
+/// The server that the page came from.
+pub(super) struct WebApi {
+    ctx: egui::Context,
+    inbox: Inbox,
+    socket: Option<Socket>,
+}
+
+/// An open socket with the closures that it calls; they must live as long as it does.
+struct Socket {
+    socket: web_sys::WebSocket,
+    _on_open: Closure<dyn FnMut()>,
+    _on_close: Closure<dyn FnMut()>,
+    _on_message: Closure<dyn FnMut(web_sys::MessageEvent)>,
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        self.socket.set_onopen(None);
+        self.socket.set_onclose(None);
+        self.socket.set_onmessage(None);
+        // Closing what is closed already is no error worth a word.
+        let _ = self.socket.close();
+    }
+}
+
+impl WebApi {
+    pub(super) fn new(ctx: egui::Context) -> Self {
+        Self { ctx, inbox: Inbox::default(), socket: None }
+    }
+
+    fn deliver(&self) -> impl Fn(ApiEvent) + Clone + 'static {
+        let (ctx, inbox) = (self.ctx.clone(), self.inbox.clone());
+        move |event| {
+            inbox.borrow_mut().push(event);
+            ctx.request_repaint();
+        }
+    }
+}
+
+impl Api for WebApi {
+    fn send(&mut self, request: Request) {
+        let deliver = self.deliver();
+        wasm_bindgen_futures::spawn_local(async move {
+            let result = fetch(request.to_http()).await;
+            deliver(ApiEvent::Answer { request, result });
+        });
+    }
+
+    fn open_socket(&mut self) {
+        let deliver = self.deliver();
+        let connecting = self
+            .socket
+            .as_ref()
+            .is_some_and(|socket| socket.socket.ready_state() == web_sys::WebSocket::CONNECTING);
+        if connecting {
+            return;
+        }
+        match open_socket(deliver.clone()) {
+            Ok(socket) => self.socket = Some(socket),
+            Err(_) => deliver(ApiEvent::SocketClosed),
+        }
+    }
+
+    fn poll(&mut self) -> Vec<ApiEvent> {
+        std::mem::take(&mut *self.inbox.borrow_mut())
+    }
+}
+
+fn open_socket(deliver: impl Fn(ApiEvent) + Clone + 'static) -> Result<Socket, JsValue> {
+    let location = web_sys::window().ok_or(JsValue::NULL)?.location();
+    let scheme = if location.protocol()? == "https:" { "wss" } else { "ws" };
+    let socket = web_sys::WebSocket::new(&format!("{scheme}://{}/api/v1/stream", location.host()?))?;
+    socket.set_binary_type(web_sys::BinaryType::Arraybuffer);
+    let on_open = {
+        let deliver = deliver.clone();
+        Closure::<dyn FnMut()>::new(move || deliver(ApiEvent::SocketOpen))
+    };
+    let on_close = {
+        let deliver = deliver.clone();
+        Closure::<dyn FnMut()>::new(move || deliver(ApiEvent::SocketClosed))
+    };
+    let on_message = Closure::<dyn FnMut(web_sys::MessageEvent)>::new(move |event: web_sys::MessageEvent| {
+        if let Ok(buffer) = event.data().dyn_into::<js_sys::ArrayBuffer>() {
+            deliver(ApiEvent::SocketMessage(js_sys::Uint8Array::new(&buffer).to_vec()));
+        }
+    });
+    socket.set_onopen(Some(on_open.as_ref().unchecked_ref()));
+    socket.set_onclose(Some(on_close.as_ref().unchecked_ref()));
+    socket.set_onmessage(Some(on_message.as_ref().unchecked_ref()));
+    Ok(Socket { socket, _on_open: on_open, _on_close: on_close, _on_message: on_message })
+}
+
+async fn fetch(request: HttpRequest) -> Result<Vec<u8>, String> {
+    let (status, body) = exchange(&request).await.map_err(|_| {
+        "the server did not answer; check that `palpate serve` is running and that the network is up"
+            .to_owned()
+    })?;
+    if (200..300).contains(&status) { Ok(body) } else { Err(problem_text(status, &body)) }
+}
+
+async fn exchange(request: &HttpRequest) -> Result<(u16, Vec<u8>), JsValue> {
+    let init = web_sys::RequestInit::new();
+    init.set_method(request.method);
+    let headers = web_sys::Headers::new()?;
+    if let Some((content_type, bytes)) = &request.body {
+        headers.set("content-type", content_type)?;
+        init.set_body(&js_sys::Uint8Array::from(bytes.as_slice()));
+    }
+    init.set_headers(&headers);
+    let window = web_sys::window().ok_or(JsValue::NULL)?;
+    let answer = JsFuture::from(window.fetch_with_str_and_init(&request.path, &init)).await?;
+    let response: web_sys::Response = answer.dyn_into()?;
+    let buffer = JsFuture::from(response.array_buffer()?).await?;
+    Ok((response.status(), js_sys::Uint8Array::new(&buffer).to_vec()))
+}
