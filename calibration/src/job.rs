@@ -1,12 +1,23 @@
 //! The calibration job.
 
-use palpate_robot_model::TactileLayout;
+use std::collections::{BTreeMap, BTreeSet};
+
+use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{
-    SensorModel,
+    SensorModel, Theta,
     job::{Cancel, Progress},
-    replay::ContactTrace,
+    tactile,
 };
-use palpate_wire::api::CalibrationReport;
+use palpate_wire::api::{CalibrationReport, HeldOut, MetricsPair, TakeMetrics, ThetaReport};
+use rayon::prelude::*;
+
+use crate::{
+    PairedTake, TakeTimeline,
+    bootstrap::intervals_95,
+    hold_out::held_out,
+    metrics::{MetricsSum, compare_take},
+    sweep::{FitData, Fitted, Watch, fit},
+};
 
 /// What to do.
 #[derive(Clone, Debug)]
@@ -15,11 +26,11 @@ pub struct CalibrationConfig {
     pub method: Method,
     /// Which takes to keep for judging.
     pub hold_out: HoldOut,
-    /// Values of alpha tried by the exact search before refinement, or on the grid's axis.
+    /// Values of alpha tried by the exact search before refinement, or on the grid's axis. At least 2.
     pub num_alphas: usize,
-    /// Values of each lambda on the grid.
+    /// Values of each lambda on the grid. At least 2.
     pub num_lambdas: usize,
-    /// Bootstrap resamples of takes for the 95 % intervals.
+    /// Bootstrap resamples of takes for the 95 % intervals; 0 leaves them out.
     pub bootstrap_resamples: usize,
     /// Seed of the bootstrap.
     pub seed: u64,
@@ -47,28 +58,23 @@ pub enum Method {
     Grid,
 }
 
+impl Method {
+    /// `exact` or `grid`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Grid => "grid",
+        }
+    }
+}
+
 /// Which takes to keep for judging.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum HoldOut {
-    /// About a third of the takes, every object among both halves where possible.
+    /// About a third of the takes, every object among both parts where possible.
     Auto,
     /// These takes, by id.
     Takes(Vec<String>),
-}
-
-/// A take, replayed: what calibration compares.
-#[derive(Clone, Debug)]
-pub struct PairedTake {
-    /// Id of the take within its session.
-    pub id: String,
-    /// Id of the object.
-    pub object: String,
-    /// Host time of each joint frame since the take's start, s.
-    pub frame_times_s: Vec<f64>,
-    /// Replayed contact.
-    pub contact: ContactTrace,
-    /// Real activation in effect at each frame, `[frame * num_channels + channel]`.
-    pub real_active: Vec<bool>,
 }
 
 /// What a calibration found.
@@ -78,13 +84,15 @@ pub struct CalibrationOutcome {
     pub report: CalibrationReport,
     /// The fitted model.
     pub model: SensorModel,
+    /// Trigger events of every take, for [`crate::report::html`].
+    pub timelines: Vec<TakeTimeline>,
 }
 
 /// A calibration that cannot be run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrationError {
-    /// The session holds nothing to fit.
+    /// The takes or the configuration do not make a calibration: which, why, and what to do.
     #[error("{0}")]
     Input(String),
     /// Somebody cancelled.
@@ -93,6 +101,10 @@ pub enum CalibrationError {
 }
 
 /// Fits theta on the takes that are not held out and judges it on all of them.
+///
+/// A parameter that the fitted takes say nothing about (a modality without any real contact) keeps its nominal value,
+/// and the report's notes say so. `clock_s` gives seconds since any fixed moment; only its differences are used, for the
+/// report. All else depends on the other arguments alone, to the bit, for any number of threads.
 pub fn calibrate(
     config: &CalibrationConfig,
     layout: &TactileLayout,
@@ -100,7 +112,231 @@ pub fn calibrate(
     takes: &[PairedTake],
     progress: &dyn Progress,
     cancel: &Cancel,
+    clock_s: &dyn Fn() -> f64,
 ) -> Result<CalibrationOutcome, CalibrationError> {
-    let _ = (config, layout, nominal, takes, progress, cancel);
-    todo!()
+    check_inputs(config, layout, takes)?;
+    let held_out = held_out(&config.hold_out, takes)?;
+    let fitted_takes: Vec<&PairedTake> =
+        takes.iter().zip(&held_out).filter(|&(_, &held_out)| !held_out).map(|(take, _)| take).collect();
+    let touched = |kind| fitted_takes.iter().any(|take| take.has_real_contact(layout, kind));
+    if ![SensorKind::Proximity, SensorKind::Pressure].into_iter().any(touched) {
+        let ids: Vec<&str> = fitted_takes.iter().map(|take| take.id.as_str()).collect();
+        return Err(CalibrationError::Input(format!(
+            "no real contact in the takes to fit ({}), so there is nothing to match; check the stream thresholds of the \
+             station, or hold out other takes",
+            ids.join(", ")
+        )));
+    }
+
+    let watch = Watch { progress, cancel, span: [0.0, 0.8] };
+    let data = FitData::new(layout, fitted_takes.iter().copied());
+    let start_s = clock_s();
+    let Fitted { theta, evaluations, objective, mut notes } = fit(config, &data, nominal.theta, watch)?;
+    let seconds = clock_s() - start_s;
+
+    let model = SensorModel {
+        format: 1,
+        name: format!("{}, calibrated", nominal.name),
+        theta,
+        provenance: provenance(config, takes, &held_out),
+    };
+    watch.within([0.8, 0.95]).step(0, 1, "judging both models on every take")?;
+    let judged: Vec<JudgedTake> = takes
+        .par_iter()
+        .zip(&held_out)
+        .map(|(take, &held_out)| {
+            if cancel.is_cancelled() {
+                return Err(CalibrationError::Cancelled);
+            }
+            Ok(JudgedTake::new(layout, take, held_out, nominal, &model))
+        })
+        .collect::<Result<_, _>>()?;
+    watch.within([0.95, 1.0]).step(0, 1, "resampling takes")?;
+    let report = Judgement { layout, judged: &judged }.report(
+        config,
+        [nominal.theta, theta],
+        objective,
+        evaluations,
+        seconds,
+        &mut notes,
+    );
+    progress.report(1.0, "done");
+    let timelines = judged.into_iter().map(|take| take.timeline).collect();
+    Ok(CalibrationOutcome { report, model, timelines })
+}
+
+fn check_inputs(
+    config: &CalibrationConfig,
+    layout: &TactileLayout,
+    takes: &[PairedTake],
+) -> Result<(), CalibrationError> {
+    let fail = |problem: String| Err(CalibrationError::Input(problem));
+    if config.num_alphas < 2 || config.num_lambdas < 2 {
+        return fail(format!(
+            "a search needs at least 2 values of alpha and of each lambda, not {} and {}",
+            config.num_alphas, config.num_lambdas
+        ));
+    }
+    if takes.iter().all(|take| take.num_frames() == 0) {
+        return fail(
+            "nothing to fit: the session has no accepted take with frames; record or accept one".to_owned(),
+        );
+    }
+    let mut ids = BTreeSet::new();
+    for take in takes {
+        take.check(layout)?;
+        if !ids.insert(&take.id) {
+            return fail(format!("two takes are called {:?}; rename one", take.id));
+        }
+    }
+    Ok(())
+}
+
+fn provenance(config: &CalibrationConfig, takes: &[PairedTake], held_out: &[bool]) -> Vec<String> {
+    let ids = |wanted: bool| {
+        let ids: Vec<&str> = takes
+            .iter()
+            .zip(held_out)
+            .filter(|&(_, &held)| held == wanted)
+            .map(|(take, _)| take.id.as_str())
+            .collect();
+        if ids.is_empty() { "none".to_owned() } else { ids.join(", ") }
+    };
+    vec![
+        format!(
+            "calibrated by palpate {} with the {} search",
+            env!("CARGO_PKG_VERSION"),
+            config.method.name()
+        ),
+        format!("fitted takes: {}", ids(false)),
+        format!("held-out takes: {}", ids(true)),
+    ]
+}
+
+/// Both models on one take.
+struct JudgedTake {
+    /// Per channel.
+    nominal: Vec<MetricsSum>,
+    /// Per channel.
+    calibrated: Vec<MetricsSum>,
+    timeline: TakeTimeline,
+    num_frames: usize,
+}
+
+impl JudgedTake {
+    fn new(
+        layout: &TactileLayout,
+        take: &PairedTake,
+        held_out: bool,
+        nominal: &SensorModel,
+        calibrated: &SensorModel,
+    ) -> Self {
+        let nominal = tactile::readings(layout, &take.contact, nominal).active;
+        let calibrated = tactile::readings(layout, &take.contact, calibrated).active;
+        let compare = |simulated: &[bool]| {
+            compare_take(&take.frame_times_s, layout.num_channels(), &take.real_active, simulated)
+        };
+        Self {
+            nominal: compare(&nominal),
+            calibrated: compare(&calibrated),
+            timeline: TakeTimeline::new(layout, take, held_out, &nominal, &calibrated),
+            num_frames: take.num_frames(),
+        }
+    }
+
+    fn held_out(&self) -> bool {
+        self.timeline.held_out
+    }
+
+    /// Sums over `channels`.
+    fn totals(&self, channels: std::ops::Range<usize>) -> [MetricsSum; 2] {
+        [self.nominal[channels.clone()].iter().sum(), self.calibrated[channels].iter().sum()]
+    }
+}
+
+/// Both models on every take, summed up in all the ways a report wants.
+struct Judgement<'a> {
+    layout: &'a TactileLayout,
+    judged: &'a [JudgedTake],
+}
+
+impl Judgement<'_> {
+    fn total(&self, channels: std::ops::Range<usize>, of: impl Fn(&JudgedTake) -> bool) -> [MetricsSum; 2] {
+        let takes = self.judged.iter().filter(|take| of(take));
+        takes
+            .map(|take| take.totals(channels.clone()))
+            .fold([MetricsSum::default(); 2], |[n, c], [nominal, calibrated]| [n + nominal, c + calibrated])
+    }
+
+    fn report(
+        &self,
+        config: &CalibrationConfig,
+        [nominal_theta, theta]: [Theta; 2],
+        objective: palpate_wire::api::Objective,
+        evaluations: u64,
+        seconds: f64,
+        notes: &mut Vec<String>,
+    ) -> CalibrationReport {
+        let all_channels = 0..self.layout.num_channels();
+        let pair = |[nominal, calibrated]: [MetricsSum; 2]| MetricsPair {
+            nominal: nominal.metrics(),
+            calibrated: calibrated.metrics(),
+        };
+        let everything = pair(self.total(all_channels.clone(), |_| true));
+        let unseen = self.total(all_channels.clone(), JudgedTake::held_out);
+        let num_held_out = self.judged.iter().filter(|take| take.held_out()).count();
+        if num_held_out == 0 {
+            notes.push("no take is held out: the figures are from the takes that were fitted".to_owned());
+        } else if unseen[0].real_contacts == 0 {
+            notes.push("the held-out takes hold no real contact: hold out others".to_owned());
+        }
+
+        let resample_all = num_held_out < 2;
+        let resampled = self.judged.iter().filter(|take| resample_all || take.held_out());
+        let (nominal_sums, calibrated_sums): (Vec<_>, Vec<_>) =
+            resampled.map(|take| take.totals(all_channels.clone())).map(|[n, c]| (n, c)).unzip();
+        let streams = self.layout.streams.iter();
+        let by_modality =
+            streams.map(|s| (s.id.clone(), pair(self.total(s.channels.clone(), |_| true)))).collect();
+        let by_take = self.judged.iter().map(|take| {
+            let MetricsPair { nominal, calibrated } = pair(take.totals(all_channels.clone()));
+            (take.timeline.take.clone(), TakeMetrics { nominal, calibrated, held_out: take.held_out() })
+        });
+        let channels = self.layout.channels.iter().enumerate();
+        let by_channel: BTreeMap<_, _> =
+            channels.map(|(idx, c)| (c.id.clone(), pair(self.total(idx..idx + 1, |_| true)))).collect();
+        let held_out_takes = self.judged.iter().filter(|take| take.held_out());
+        CalibrationReport {
+            nominal: everything.nominal,
+            calibrated: everything.calibrated,
+            held_out: HeldOut { nominal: unseen[0].metrics(), calibrated: unseen[1].metrics() },
+            theta: theta_report(theta),
+            nominal_theta: theta_report(nominal_theta),
+            frames: self.judged.iter().map(|take| take.num_frames).sum(),
+            channels: self.layout.num_channels(),
+            evaluations,
+            seconds,
+            method: config.method.name().to_owned(),
+            by_modality,
+            by_take: by_take.collect(),
+            by_channel,
+            intervals_95: intervals_95(
+                &nominal_sums,
+                &calibrated_sums,
+                config.bootstrap_resamples,
+                config.seed,
+            ),
+            objective,
+            held_out_takes: held_out_takes.map(|take| take.timeline.take.clone()).collect(),
+            notes: std::mem::take(notes),
+        }
+    }
+}
+
+fn theta_report(theta: Theta) -> ThetaReport {
+    ThetaReport {
+        lambda_con_m: theta.lambda_con_m,
+        alpha_per_m: theta.alpha_per_m,
+        lambda_pre_pa: theta.lambda_pre_pa,
+    }
 }

@@ -1,12 +1,19 @@
 //! Fits the sensor model to recorded takes and says how well it fits.
 //!
 //! [`calibrate`] is the job: paired takes in, [`palpate_wire::api::CalibrationReport`] and a sensor model out.
-//! [`metrics`] are the paper's, [`sweep`] holds its grid search and the exact search, [`report`] writes the
-//! self-contained HTML. Pure: takes, clocks, random seeds and paths come from the caller.
+//! [`PairedTake::from_take`] replays a recorded take for it. [`metrics`] are the paper's, [`sweep`] holds its grid search
+//! and the exact search, [`report`] writes the self-contained HTML, [`bench`] measures the searches. Pure: takes, clocks,
+//! random seeds and paths come from the caller.
 
-pub mod metrics;
+mod bootstrap;
+mod hold_out;
 mod job;
+pub mod metrics;
+mod paired;
 pub mod report;
 pub mod sweep;
+mod timelines;
 
-pub use job::{CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, PairedTake, calibrate};
+pub use job::{CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, calibrate};
+pub use paired::PairedTake;
+pub use timelines::{StreamEvents, TakeTimeline};
