@@ -7,6 +7,7 @@
 
 pub mod geometry;
 pub mod job;
+mod parallel;
 pub mod replay;
 mod sensor_model;
 pub mod tactile;

@@ -1,8 +1,10 @@
 //! The paper's tactile model: from a contact trace and theta to raw and binary readings of every channel.
 
-use palpate_robot_model::TactileLayout;
+use palpate_robot_model::{SensorKind, TactileLayout};
 
-use crate::{SensorModel, replay::ContactTrace};
+use crate::parallel::for_each_chunk;
+use crate::replay::{ContactTrace, PatchTrace};
+use crate::{SensorModel, Theta};
 
 /// Simulated readings of every channel over a take, frame-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,27 +20,134 @@ pub struct Readings {
     pub active: Vec<bool>,
 }
 
-/// Precomputed `exp(-alpha * |node - taxel|)` of one pressure patch: `[taxel * num_nodes + node]`.
+/// Precomputed `exp(-alpha * |node - taxel|)` of one pressure patch: `[node * num_taxels + taxel]`, so that one
+/// touched node adds to its taxels from consecutive weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Propagation {
-    /// Weights, taxel-major.
+    /// Weights, node-major.
     pub weights: Vec<f64>,
 }
 
 /// The weights of every patch of `layout` for one `alpha` (1/m); empty for proximity patches.
 pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation> {
-    let _ = (layout, alpha_per_m);
-    todo!()
+    let weights = |patch: &palpate_robot_model::Patch| match layout.streams[patch.stream].kind {
+        SensorKind::Proximity => Vec::new(),
+        SensorKind::Pressure => patch
+            .nodes
+            .iter()
+            .flat_map(|node| {
+                let weight = move |taxel: &nalgebra::Point3<f64>| {
+                    (-alpha_per_m * (node.pos_in_link - taxel).norm()).exp()
+                };
+                patch.taxels_in_link.iter().map(weight)
+            })
+            .collect(),
+    };
+    layout.patches.iter().map(|patch| Propagation { weights: weights(patch) }).collect()
 }
 
 /// The continuous signals of every channel, `[frame * num_channels + channel]`, as in [`Readings::raw`].
+///
+/// Propagated pressure of taxel i: `sum_j exp(-alpha * |p_j - t_i|) f_j` over the touched nodes j (paper, "Contact
+/// Modeling"). Nodes are summed in ascending order, so the bits do not depend on the number of threads.
+///
+/// # Panics
+/// If `trace` was made with another layout: a caller's bug.
 pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f64) -> Vec<f64> {
-    let _ = (layout, trace, alpha_per_m);
-    todo!()
+    let num_channels = layout.num_channels();
+    assert_eq!(trace.patches.len(), layout.patches.len(), "one trace per patch of the layout");
+    let mut raw = vec![0.0; trace.num_frames * num_channels];
+    if raw.is_empty() {
+        return raw;
+    }
+    let propagation = propagation(layout, alpha_per_m);
+    for_each_chunk(&mut raw, CHUNK_FRAMES * num_channels, |chunk, raw| {
+        for (i, frame_raw) in raw.chunks_exact_mut(num_channels).enumerate() {
+            let frame = chunk * CHUNK_FRAMES + i;
+            for (patch_idx, patch) in layout.patches.iter().enumerate() {
+                let taxels = &mut frame_raw[patch.channels.clone()];
+                match &trace.patches[patch_idx] {
+                    PatchTrace::Proximity { min_distance_m } => taxels.fill(min_distance_m[frame]),
+                    PatchTrace::Pressure { offsets, entries } => {
+                        let touched = &entries[PatchTrace::entry_range(offsets, frame)];
+                        propagate(&propagation[patch_idx].weights, touched, taxels);
+                    }
+                }
+            }
+        }
+    });
+    raw
+}
+
+/// Frames per unit of parallel work.
+const CHUNK_FRAMES: usize = 128;
+
+/// Adds the pressures of the touched nodes to the taxels.
+fn propagate(weights: &[f64], touched: &[(u32, f64)], taxels: &mut [f64]) {
+    // With a length known at compile time the sums stay in registers; any other length takes the loop below.
+    if let Ok(taxels) = <&mut [f64; 8]>::try_from(&mut *taxels) {
+        let mut sums = [0.0; 8];
+        for &(node, pressure_pa) in touched {
+            let node_weights = &weights[node as usize * 8..][..8];
+            for (sum, weight) in sums.iter_mut().zip(node_weights) {
+                *sum += weight * pressure_pa;
+            }
+        }
+        *taxels = sums;
+        return;
+    }
+    let num_taxels = taxels.len();
+    for &(node, pressure_pa) in touched {
+        let node_weights = &weights[node as usize * num_taxels..][..num_taxels];
+        for (sum, weight) in taxels.iter_mut().zip(node_weights) {
+            *sum += weight * pressure_pa;
+        }
+    }
+}
+
+/// The value that each channel's raw signal is compared with: `lambda_con` (m) for proximity channels, `lambda_pre`
+/// (Pa) for pressure channels.
+pub fn thresholds(layout: &TactileLayout, theta: &Theta) -> Vec<f64> {
+    let threshold = |channel: &palpate_robot_model::Channel| match layout.streams[channel.stream].kind {
+        SensorKind::Proximity => theta.lambda_con_m,
+        SensorKind::Pressure => theta.lambda_pre_pa,
+    };
+    layout.channels.iter().map(threshold).collect()
+}
+
+/// Whether a channel of `kind` is active: a proximity sensor nearer than its threshold, a pressure sensor above it.
+pub fn is_active(kind: SensorKind, raw: f64, threshold: f64) -> bool {
+    match kind {
+        SensorKind::Proximity => raw < threshold,
+        SensorKind::Pressure => raw > threshold,
+    }
 }
 
 /// Readings of `model` over a take.
+///
+/// `lambda_con` must not be beyond [`crate::replay::NEAR_M`], which [`SensorModel::from_toml`] makes sure of.
 pub fn readings(layout: &TactileLayout, trace: &ContactTrace, model: &SensorModel) -> Readings {
-    let _ = (layout, trace, model);
-    todo!()
+    let num_channels = layout.num_channels();
+    let raw = raw_signals(layout, trace, model.theta.alpha_per_m);
+    let thresholds = thresholds(layout, &model.theta);
+    let mut active = Vec::with_capacity(raw.len());
+    for frame_raw in raw.chunks_exact(num_channels.max(1)) {
+        let channels = layout.channels.iter().zip(frame_raw).zip(&thresholds);
+        active.extend(channels.map(|((channel, &raw), &threshold)| {
+            is_active(layout.streams[channel.stream].kind, raw, threshold)
+        }));
+    }
+    Readings { num_frames: trace.num_frames, num_channels, raw, active }
+}
+
+impl Readings {
+    /// Raw signals of one frame, one per channel.
+    pub fn raw_frame(&self, frame: usize) -> &[f64] {
+        &self.raw[frame * self.num_channels..(frame + 1) * self.num_channels]
+    }
+
+    /// Activations of one frame, one per channel.
+    pub fn active_frame(&self, frame: usize) -> &[bool] {
+        &self.active[frame * self.num_channels..(frame + 1) * self.num_channels]
+    }
 }
