@@ -1,1 +1,1 @@
-//! Architecture rules as tests.
+//! The rules of `ARCHITECTURE.md` as tests; there is nothing here but tests.

@@ -26,7 +26,8 @@ struct Flange {
 
 fn published() -> Published {
     let path = repository().join("tests/fixtures/kinematics/xarm6_leap_right.json");
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+    let text = std::fs::read_to_string(path).expect("the published vectors");
+    serde_json::from_str(&text).expect("the form of the published vectors")
 }
 
 #[test]
