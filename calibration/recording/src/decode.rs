@@ -88,14 +88,19 @@ pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, RecordingErro
         about.record(record);
         Ok(())
     })?;
-    let (meta, start_unix_ns, station_files) = match (about.take(path), damage) {
-        (Ok(found), _) => found,
+    let (meta, start_unix_ns, station_files) = match about.take(path) {
+        Ok(found) => found,
         // Cut off before it said what it is.
-        (Err(_), Some(damage)) => return Err(damage.into_error(path)),
-        (Err(error), None) => return Err(error),
+        Err(error) => return Err(damage.map_or(error, |damage| damage.into_error(path))),
     };
-    let station = Station::from_files(station_files)
-        .map_err(|source| RecordingError::Station { path: path.to_owned(), source })?;
+    let station = match Station::from_files(station_files) {
+        Ok(station) => station,
+        Err(source) => {
+            let error = RecordingError::Station { path: path.to_owned(), source };
+            // A file cut off among its attachments has an incomplete station.
+            return Err(damage.map_or(error, |damage| damage.into_error(path)));
+        }
+    };
 
     let mut messages = Messages::new(path, &station, start_unix_ns);
     let mut damage = for_each_record(bytes, false, |record| messages.record(record))?;
@@ -181,7 +186,7 @@ impl About {
     fn record(&mut self, record: Record<'_>) {
         match record {
             Record::Metadata(metadata) if metadata.name == TAKE_METADATA => {
-                self.metadata = Some(metadata.metadata)
+                self.metadata = Some(metadata.metadata);
             }
             Record::Attachment { header, data, .. } if header.name == STATION_ATTACHMENT => {
                 self.station_toml = Some(data.into_owned());

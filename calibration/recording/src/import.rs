@@ -86,7 +86,7 @@ pub fn import_csv(station: &Station, csv_dir: &Path, session_dir: &Path) -> Resu
     let mut entries = Vec::with_capacity(takes.len());
     for take in &takes {
         let file = format!("{}.mcap", take.id);
-        write_take(station, take, &draft.dir().join(&file))?;
+        write_take(station, take, &draft.partial_dir().join(&file))?;
         entries.push(SessionTake { file, object: take.meta.object.clone(), accepted: true });
     }
     let session = draft.commit(SessionFile {

@@ -200,7 +200,7 @@ impl SessionDraft {
     }
 
     /// Where to write takes until [`SessionDraft::commit`].
-    pub fn dir(&self) -> &Path {
+    pub fn partial_dir(&self) -> &Path {
         &self.partial_dir
     }
 

@@ -46,8 +46,9 @@ impl Table {
         let mut record = csv::StringRecord::new();
         let mut table = Self::default();
         let mut has_header = false;
+        let mut lines = LineCounter { bytes, position: 0, line: 1 };
         while reader.read_record(&mut record).map_err(|error| csv_error(path, &error))? {
-            let line = record.position().map_or(0, csv::Position::line);
+            let line = lines.line_of(record.position().map_or(0, csv::Position::byte));
             if !has_header {
                 check_header(path, line, &record, columns)?;
                 has_header = true;
@@ -125,6 +126,32 @@ impl Table {
         }
         self.lines.push(line);
         Ok(())
+    }
+}
+
+/// Counts lines by bytes: the library's own count stops short of the line feed of a CRLF and of blank lines.
+struct LineCounter<'a> {
+    bytes: &'a [u8],
+    position: usize,
+    line: u64,
+}
+
+impl LineCounter<'_> {
+    /// Line of the record whose reading began at `byte`, which must not go back.
+    fn line_of(&mut self, byte: u64) -> u64 {
+        let begin = usize::try_from(byte).unwrap_or(usize::MAX);
+        while let Some(&current) = self.bytes.get(self.position) {
+            let is_break = matches!(current, b'\n' | b'\r');
+            if self.position >= begin && !is_break {
+                break;
+            }
+            self.position += 1;
+            // A CRLF is one break; it counts at its line feed.
+            if current == b'\n' || (current == b'\r' && self.bytes.get(self.position) != Some(&b'\n')) {
+                self.line += 1;
+            }
+        }
+        self.line
     }
 }
 
@@ -245,6 +272,19 @@ mod tests {
         ];
         for (text, message) in cases {
             assert_eq!(parse(text, 2).unwrap_err(), message, "for {text:?}");
+        }
+    }
+
+    #[test]
+    fn lines_are_counted_as_an_editor_counts_them() {
+        for (text, line) in [
+            ("t_s,v0\r\n0,1\r\n1,x\r\n", 3),
+            ("t_s,v0\n\n0,1\n\n\n1,x\n", 6),
+            ("t_s,v0\r0,1\r1,x\r", 3),
+            ("t_s,v0\r\n\r\n0,1\r\n1,x", 4),
+        ] {
+            let error = parse(text, 1).unwrap_err();
+            assert!(error.starts_with(&format!("pad.csv: line {line}, column 2")), "{text:?}: {error}");
         }
     }
 

@@ -1,0 +1,8 @@
+//! Takes and sessions on disk, through the public API only.
+#![expect(clippy::unwrap_used, reason = "helpers of tests stop at what they do not expect, as tests do")]
+
+mod import;
+mod session;
+mod support;
+mod take;
+mod take_damage;
