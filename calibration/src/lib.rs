@@ -5,6 +5,7 @@
 //! and the exact search, [`report`] writes the self-contained HTML, [`bench`] measures the searches. Pure: takes, clocks,
 //! random seeds and paths come from the caller.
 
+pub mod bench;
 mod bootstrap;
 mod hold_out;
 mod job;

@@ -17,6 +17,7 @@ mod ranked;
 mod signals;
 
 pub use axes::{GridAxes, alpha_axis};
+pub(crate) use exact::REFINEMENT_ROUNDS;
 pub use exact::{ExactResult, TriedAlpha, exact};
 pub(crate) use fit::{Fitted, fit};
 pub use grid::{GridResult, grid, l1_of_readings};

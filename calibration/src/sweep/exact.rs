@@ -36,6 +36,13 @@ pub struct TriedAlpha {
 }
 
 impl ExactResult {
+    /// The objective at the optimum: both parts.
+    pub fn l1(&self) -> u64 {
+        let proximity = self.lambda_con_m.map_or(self.proximity.num_real_active(), |best| best.l1);
+        let without_pressure = self.tried.first().map_or(0, |alpha| alpha.pressure.num_real_active());
+        proximity + self.best_alpha().map_or(without_pressure, |(_, best)| best.l1)
+    }
+
     /// The best alpha and its `lambda_pre`; the smallest such alpha, where several are as good.
     pub fn best_alpha(&self) -> Option<(f64, BestThreshold)> {
         best_of(&self.tried)

@@ -97,13 +97,13 @@ fn from_exact(found: &ExactResult, axis: &[f64], nominal: Theta) -> Fitted {
     match found.lambda_con_m {
         Some(best) => theta.lambda_con_m = best.threshold,
         None => {
-            notes.extend(no_contact_in_replay(found.proximity.num_samples() > 0, "proximity", "lambda_con"))
+            notes.extend(no_contact_in_replay(found.proximity.num_samples() > 0, "proximity", "lambda_con"));
         }
     }
     match found.best_alpha() {
         Some((alpha_per_m, best)) => (theta.alpha_per_m, theta.lambda_pre_pa) = (alpha_per_m, best.threshold),
         None => {
-            notes.extend(no_contact_in_replay(!found.tried.is_empty(), "pressure", "alpha and lambda_pre"))
+            notes.extend(no_contact_in_replay(!found.tried.is_empty(), "pressure", "alpha and lambda_pre"));
         }
     }
     Fitted { theta, evaluations: found.evaluations, objective: picture(found, axis, theta, nominal), notes }

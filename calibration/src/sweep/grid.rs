@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use palpate_robot_model::SensorKind;
 use palpate_sim::{
     SensorModel, Theta,
-    tactile::{self, Readings},
+    tactile::{self, Readings, is_active},
 };
 use rayon::prelude::*;
 
@@ -27,6 +27,11 @@ pub struct GridResult {
 }
 
 impl GridResult {
+    /// The objective at the best point: both parts, each zero where it has no axis.
+    pub fn l1(&self) -> u64 {
+        self.best_lambda_con_m().map_or(0, |(_, l1)| l1) + self.best_alpha().map_or(0, |(_, _, l1)| l1)
+    }
+
     /// Best `(lambda_con, L1)`; the lowest where several are as good.
     pub fn best_lambda_con_m(&self) -> Option<(f64, u64)> {
         let points = self.axes.lambda_cons_m.iter().copied().zip(self.proximity_l1.iter().copied());
@@ -46,43 +51,34 @@ impl GridResult {
 pub fn grid(data: &FitData<'_>, axes: GridAxes, watch: Watch<'_>) -> Result<GridResult, CalibrationError> {
     let done = AtomicUsize::new(0);
     let num_units = axes.alphas_per_m.len() + 1;
-    let pressure_channels = data.channels(SensorKind::Pressure);
     let pressure_l1: Vec<Vec<u64>> = axes
         .alphas_per_m
         .par_iter()
         .map(|&alpha_per_m| {
             let stage = format!("alpha = {alpha_per_m:.4} /m, every lambda_pre");
             watch.step(done.load(Ordering::Relaxed), num_units, &stage)?;
-            let columns =
-                count(data, alpha_per_m, &pressure_channels, &axes.lambda_pres_pa, |raw, lambda| {
-                    raw > lambda
-                });
+            let columns = count(data, alpha_per_m, SensorKind::Pressure, &axes.lambda_pres_pa);
             done.fetch_add(1, Ordering::Relaxed);
             Ok(columns)
         })
         .collect::<Result<_, CalibrationError>>()?;
     watch.step(num_units - 1, num_units, "every lambda_con")?;
-    let proximity_channels = data.channels(SensorKind::Proximity);
-    let proximity_l1 = count(data, 0.0, &proximity_channels, &axes.lambda_cons_m, |raw, lambda| raw < lambda);
+    let proximity_l1 = count(data, 0.0, SensorKind::Proximity, &axes.lambda_cons_m);
     let evaluations = (axes.alphas_per_m.len() * axes.lambda_pres_pa.len() + axes.lambda_cons_m.len()) as u64;
     Ok(GridResult { axes, pressure_l1, proximity_l1, evaluations })
 }
 
-/// For each threshold, the channel-frames of `channels` that differ.
-fn count(
-    data: &FitData<'_>,
-    alpha_per_m: f64,
-    channels: &[usize],
-    thresholds: &[f64],
-    is_active: impl Fn(f64, f64) -> bool,
-) -> Vec<u64> {
+/// For each threshold, the channel-frames of sensors of `kind` that differ.
+fn count(data: &FitData<'_>, alpha_per_m: f64, kind: SensorKind, thresholds: &[f64]) -> Vec<u64> {
     let num_channels = data.layout().num_channels();
+    let channels = data.channels(kind);
     let mut l1 = vec![0; thresholds.len()];
     for take in data.takes() {
         let raw = tactile::raw_signals(data.layout(), &take.contact, alpha_per_m);
         for (raw, real) in raw.chunks_exact(num_channels).zip(take.real_active.chunks_exact(num_channels)) {
             for (l1, &threshold) in l1.iter_mut().zip(thresholds) {
-                *l1 += channels.iter().filter(|&&c| is_active(raw[c], threshold) != real[c]).count() as u64;
+                *l1 += channels.iter().filter(|&&c| is_active(kind, raw[c], threshold) != real[c]).count()
+                    as u64;
             }
         }
     }

@@ -1,0 +1,169 @@
+//! The objective as pictures: a heat map over (alpha, lambda_pre) and a curve over lambda_con.
+
+use std::fmt::{self, Write as _};
+
+use palpate_wire::api::{CalibrationReport, Objective};
+
+use super::tables::significant;
+
+const LEFT: f64 = 64.0;
+const TOP: f64 = 8.0;
+const WIDTH: f64 = 420.0;
+const HEIGHT: f64 = 260.0;
+
+pub(super) fn write(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+    page.push_str("<div class=\"pictures\">\n");
+    let objective = &report.objective;
+    if !objective.pressure_l1.is_empty() && !objective.lambda_pres_pa.is_empty() {
+        write_heat_map(page, report)?;
+    }
+    if !objective.lambda_cons_m.is_empty() {
+        write_curve(page, report)?;
+    }
+    page.push_str("</div>\n");
+    Ok(())
+}
+
+fn write_heat_map(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+    let Objective { alphas_per_m, lambda_pres_pa, pressure_l1, .. } = &report.objective;
+    let values = || pressure_l1.iter().flatten().copied();
+    let (least, most) = (values().min().unwrap_or(0), values().max().unwrap_or(0));
+    let shade = |l1: u64| {
+        // Logarithmic, so that the valley shows beside a peak of many times its height.
+        let log = |l1: u64| ((l1 + 1) as f64).ln();
+        if most > least { (log(l1) - log(least)) / (log(most) - log(least)) } else { 0.0 }
+    };
+    let cell_width = WIDTH / lambda_pres_pa.len() as f64;
+    let cell_height = HEIGHT / alphas_per_m.len() as f64;
+    open_picture(page, "L1 of the pressure channels over alpha and lambda_pre")?;
+    for (row_idx, row) in pressure_l1.iter().enumerate() {
+        // Small alphas at the bottom. Cells of one colour are one rectangle.
+        let y = TOP + HEIGHT - (row_idx + 1) as f64 * cell_height;
+        let colours: Vec<String> = row.iter().map(|&l1| colour(shade(l1))).collect();
+        let mut column = 0;
+        for run in colours.chunk_by(|a, b| a == b) {
+            let x = LEFT + column as f64 * cell_width;
+            let width = run.len() as f64 * cell_width + 0.3;
+            let height = cell_height + 0.3;
+            writeln!(
+                page,
+                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"/>",
+                run[0]
+            )?;
+            column += run.len();
+        }
+    }
+    let marks = [("nominal", &report.nominal_theta), ("calibrated", &report.theta)];
+    for (class, theta) in marks {
+        let column = position_on(lambda_pres_pa, theta.lambda_pre_pa);
+        let row = position_on(alphas_per_m, theta.alpha_per_m);
+        if let (Some(column), Some(row)) = (column, row) {
+            let x = LEFT + (column + 0.5) * cell_width;
+            let y = TOP + HEIGHT - (row + 0.5) * cell_height;
+            writeln!(
+                page,
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"7\" fill=\"none\" stroke=\"#fff\" stroke-width=\"5\"/>\
+                 <circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"7\" stroke-width=\"2.5\"/>"
+            )?;
+        }
+    }
+    write_ends(page, lambda_pres_pa, "λ_pre, Pa", alphas_per_m, "α, 1/m")?;
+    writeln!(
+        page,
+        "<figcaption>L1 of the pressure channels on the fitted takes: {least} (dark) to {most} (bright). Rings: nominal \
+         (orange, if in view) and calibrated (blue).</figcaption>\n</figure>"
+    )
+}
+
+fn write_curve(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+    let Objective { lambda_cons_m, proximity_l1, .. } = &report.objective;
+    let (low_m, high_m) = (lambda_cons_m[0], lambda_cons_m[lambda_cons_m.len() - 1]);
+    let (least, most) =
+        (proximity_l1.iter().min().copied().unwrap_or(0), proximity_l1.iter().max().copied().unwrap_or(0));
+    let x_of = |lambda_m: f64| LEFT + WIDTH * (lambda_m - low_m) / (high_m - low_m).max(f64::MIN_POSITIVE);
+    let y_of = |l1: u64| TOP + HEIGHT * (1.0 - l1 as f64 / most.max(1) as f64);
+    open_picture(page, "L1 of the proximity channels over lambda_con")?;
+    let (bottom, right) = (TOP + HEIGHT, LEFT + WIDTH);
+    writeln!(page, "<path class=\"axis\" d=\"M{LEFT} {TOP}V{bottom}H{right}\"/>")?;
+    for (class, theta) in [("nominal", &report.nominal_theta), ("calibrated", &report.theta)] {
+        if (low_m..=high_m).contains(&theta.lambda_con_m) {
+            let x = x_of(theta.lambda_con_m);
+            writeln!(
+                page,
+                "<path class=\"{class}\" stroke-width=\"2\" stroke-dasharray=\"4 3\" d=\"M{x:.1} {TOP}V{bottom}\"/>"
+            )?;
+        }
+    }
+    let points: Vec<String> = lambda_cons_m
+        .iter()
+        .zip(proximity_l1)
+        .map(|(&m, &l1)| format!("{:.1} {:.1}", x_of(m), y_of(l1)))
+        .collect();
+    writeln!(page, "<path class=\"real\" stroke-width=\"1.5\" d=\"M{}\"/>", points.join("L"))?;
+    let (low_mm, high_mm) = (1e3 * low_m, 1e3 * high_m);
+    write_ends(page, &[low_mm, high_mm], "λ_con, mm", &[0.0, most as f64], "L1")?;
+    writeln!(
+        page,
+        "<figcaption>L1 of the proximity channels on the fitted takes; the lowest point shown is {least}. Dashed: nominal \
+         (orange) and calibrated (blue).</figcaption>\n</figure>"
+    )
+}
+
+fn open_picture(page: &mut String, label: &str) -> fmt::Result {
+    let (width, height) = (LEFT + WIDTH + 12.0, TOP + HEIGHT + 34.0);
+    writeln!(page, "<figure>\n<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{label}\">")
+}
+
+/// Names of the axes and their first and last values; closes the picture.
+fn write_ends(
+    page: &mut String,
+    columns: &[f64],
+    columns_name: &str,
+    rows: &[f64],
+    rows_name: &str,
+) -> fmt::Result {
+    let ends = |values: &[f64]| {
+        let end = |value: Option<&f64>| value.map(|&value| significant(value)).unwrap_or_default();
+        (end(values.first()), end(values.last()))
+    };
+    let ((left, right), (bottom, top)) = (ends(columns), ends(rows));
+    let (bottom_y, right_x) = (TOP + HEIGHT, LEFT + WIDTH);
+    let (label_x, label_y, middle_x, middle_y) =
+        (LEFT - 6.0, bottom_y + 14.0, LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
+    writeln!(
+        page,
+        "<text x=\"{LEFT}\" y=\"{label_y}\">{left}</text>\
+         <text x=\"{right_x}\" y=\"{label_y}\" text-anchor=\"end\">{right}</text>\
+         <text x=\"{middle_x}\" y=\"{label_y}\" text-anchor=\"middle\">{columns_name}</text>\
+         <text x=\"{label_x}\" y=\"{bottom_y}\" text-anchor=\"end\">{bottom}</text>\
+         <text x=\"{label_x}\" y=\"{y}\" text-anchor=\"end\">{top}</text>\
+         <text x=\"{label_x}\" y=\"{middle_y}\" text-anchor=\"end\">{rows_name}</text>\n</svg>",
+        y = TOP + 10.0,
+    )
+}
+
+/// Where `value` lies on an ascending axis, in cells from its first; `None` outside of it.
+fn position_on(axis: &[f64], value: f64) -> Option<f64> {
+    let above = axis.iter().position(|&at| at >= value)?;
+    if above == 0 {
+        return (axis[0] == value).then_some(0.0);
+    }
+    let (low, high) = (axis[above - 1], axis[above]);
+    // Axes are even in the logarithm but for a leading zero.
+    let share = if low > 0.0 { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) };
+    Some((above - 1) as f64 + share)
+}
+
+/// Anchors of the viridis map, dark to bright.
+const VIRIDIS: [[f64; 3]; 5] =
+    [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
+
+fn colour(share: f64) -> String {
+    // Steps that the eye cannot tell apart are one colour, which keeps the file small.
+    let position = (share.clamp(0.0, 1.0) * 64.0).round() / 64.0 * (VIRIDIS.len() - 1) as f64;
+    let below = (position.floor() as usize).min(VIRIDIS.len() - 2);
+    let within = position - below as f64;
+    let [r, g, b] =
+        std::array::from_fn(|i| VIRIDIS[below][i] + within * (VIRIDIS[below + 1][i] - VIRIDIS[below][i]));
+    format!("#{:02x}{:02x}{:02x}", r.round() as u8, g.round() as u8, b.round() as u8)
+}
