@@ -26,7 +26,7 @@ use crate::{
 /// Writes one take, message by message. What was flushed survives a crash.
 ///
 /// What it is given is checked as the reader would check it, so that no take is written that cannot be read.
-/// Dropping the writer without [`TakeWriter::finish`] leaves a file that only [`crate::Take::recover`] opens.
+/// Dropping the writer completes the file as far as it goes but hides errors; [`TakeWriter::finish`] reports them.
 pub struct TakeWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
     start_unix_ns: u64,

@@ -3,6 +3,7 @@
 
 mod import;
 mod session;
+mod shipped_stations;
 mod support;
 mod take;
 mod take_damage;
