@@ -2,7 +2,7 @@
 //!
 //! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. Long work
 //! lives in [`jobs`], which the command line and the server call alike. Data is plain files below one folder
-//! ([`store::Store`]): `sessions/`, `models/`, `runs/`, and `trash/` for what was deleted.
+//! ([`Store`]): `sessions/`, `models/`, `runs/`, and `trash/` for what was deleted.
 //!
 //! # Routes
 //!
@@ -39,3 +39,27 @@
 //! A client gets the live station's frames at 30 Hz at most, and every job's progress when it changes. Each client has
 //! a bounded queue: the oldest live frames are dropped and counted in `dropped`; a newer state of a job replaces an
 //! older one that still waits, and no job's state is dropped otherwise.
+
+pub mod assets;
+mod cache;
+mod client_queue;
+mod error;
+pub mod files;
+mod hub;
+pub mod jobs;
+pub mod library;
+mod live;
+mod page;
+mod routes;
+mod runs;
+mod serve;
+mod store;
+mod stream;
+mod upload;
+
+pub use error::{Class, Error, chain};
+pub use hub::Hub;
+pub use live::LiveFeed;
+pub use routes::app;
+pub use serve::{AppState, ServeConfig, serve};
+pub use store::Store;

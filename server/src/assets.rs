@@ -1,0 +1,124 @@
+//! The robots, layouts, stations and truths that the binary carries, so that it works anywhere.
+
+use std::{fs, path::Path};
+
+use palpate_robot_model::Station;
+use tempfile::TempDir;
+
+use crate::Error;
+
+/// Sorted by path relative to `assets/`.
+static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/assets.rs"));
+
+/// Recordings from elsewhere belong to this station unless somebody says otherwise.
+pub const DEFAULT_STATION: &str = "xarm6-leap";
+
+/// Ids of the shipped stations.
+pub fn station_ids() -> Vec<String> {
+    station_files().map(|(id, _)| id).collect()
+}
+
+/// The shipped station called `id`.
+pub fn station(id: &str) -> Result<Station, Error> {
+    let Some((_, path)) = station_files().find(|(station_id, _)| station_id == id) else {
+        return Err(Error::Argument(format!(
+            "no station {id:?}; shipped are {}; or give the path of a station file",
+            station_ids().join(", ")
+        )));
+    };
+    let (folder, file_name) = path.rsplit_once('/').unwrap_or(("", path));
+    let station = Station::read(file_name, |name| {
+        read(&normalise(folder, name)).map(<[u8]>::to_vec).ok_or_else(|| "it is not shipped".to_owned())
+    })?;
+    Ok(station)
+}
+
+/// Writes all of it to a folder that goes when the result is dropped.
+pub fn unpack() -> Result<TempDir, Error> {
+    let dir = tempfile::tempdir().map_err(Error::io("make", std::env::temp_dir()))?;
+    for (name, bytes) in FILES {
+        let path = dir.path().join(name);
+        let folder = path.parent().unwrap_or(dir.path());
+        fs::create_dir_all(folder).map_err(Error::io("make", folder))?;
+        fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+    }
+    Ok(dir)
+}
+
+/// A truth file by path, or a shipped one by name (`demo`); the folder must outlive its use.
+pub fn truth(path_or_name: &Path) -> Result<(std::path::PathBuf, Option<TempDir>), Error> {
+    let shipped = path_or_name.to_str().map(|name| format!("truth/{name}.toml"));
+    match shipped.filter(|shipped| !path_or_name.exists() && read(shipped).is_some()) {
+        Some(shipped) => {
+            let dir = unpack()?;
+            Ok((dir.path().join(shipped), Some(dir)))
+        }
+        None => Ok((path_or_name.to_owned(), None)),
+    }
+}
+
+/// `(station id, path)` of every shipped station file.
+fn station_files() -> impl Iterator<Item = (String, &'static str)> {
+    FILES.iter().filter_map(|(path, bytes)| {
+        if !path.starts_with("stations/") || !path.ends_with(".toml") {
+            return None;
+        }
+        let table: toml::Table = toml::from_str(std::str::from_utf8(bytes).ok()?).ok()?;
+        Some((table.get("id")?.as_str()?.to_owned(), *path))
+    })
+}
+
+fn read(path: &str) -> Option<&'static [u8]> {
+    FILES.binary_search_by_key(&path, |(name, _)| name).ok().map(|idx| FILES[idx].1)
+}
+
+/// `folder/name` without `.` and `..`.
+fn normalise(folder: &str, name: &str) -> String {
+    let mut parts: Vec<&str> = Vec::new();
+    for part in folder.split('/').chain(name.split('/')) {
+        match part {
+            "" | "." => {}
+            ".." => {
+                parts.pop();
+            }
+            part => parts.push(part),
+        }
+    }
+    parts.join("/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_station_can_be_used() {
+        let ids = station_ids();
+        assert!(ids.len() >= 2 && ids.iter().any(|id| id == DEFAULT_STATION), "{ids:?}");
+        for id in ids {
+            let station = station(&id).unwrap();
+            assert_eq!(station.id, id);
+            assert!(station.layout.num_channels() > 0);
+        }
+    }
+
+    #[test]
+    fn unknown_station_names_the_shipped_ones() {
+        let message = station("xarm7").unwrap_err().to_string();
+        assert!(message.contains("xarm7") && message.contains(DEFAULT_STATION), "{message}");
+    }
+
+    #[test]
+    fn shipped_truth_is_found_by_name() {
+        let (path, dir) = truth(Path::new("demo")).unwrap();
+        assert!(dir.is_some() && path.is_file(), "{path:?}");
+        let (path, dir) = truth(Path::new("nowhere/demo.toml")).unwrap();
+        assert!(dir.is_none() && path == Path::new("nowhere/demo.toml"));
+    }
+
+    #[test]
+    fn paths_are_resolved_within_the_assets() {
+        assert_eq!(normalise("stations", "../robots/./x.urdf"), "robots/x.urdf");
+        assert_eq!(normalise("", "a/b"), "a/b");
+    }
+}

@@ -1,0 +1,89 @@
+//! The command line: arguments in, one line of error or one JSON document out.
+
+mod bench;
+mod calibrate;
+mod emulate;
+mod import;
+mod output;
+mod progress;
+mod replay;
+mod serve;
+mod session;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use palpate_server::{Error, chain};
+
+/// Calibration and teleoperation studio for tactile dexterous hands
+#[derive(Parser)]
+#[command(name = "palpate", version, about, max_term_width = 100)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Record a calibration session from an emulated station
+    Emulate(emulate::EmulateArgs),
+    /// Bring recordings made elsewhere into a session
+    Import(import::ImportArgs),
+    /// Look at a recorded session
+    #[command(subcommand)]
+    Session(session::SessionCommand),
+    /// Replay a take's joint path through a sensor model
+    Replay(replay::ReplayArgs),
+    /// Fit the sensor model to a session
+    Calibrate(calibrate::CalibrateArgs),
+    /// Start the studio
+    Serve(serve::ServeArgs),
+    /// Measure a path that has to be fast
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
+}
+
+/// Runs the command; exit code 0 done, 1 failed, 2 bad arguments or bad input.
+pub(crate) fn main() -> ExitCode {
+    let args = Args::parse();
+    init_log(matches!(args.command, Command::Serve(_)));
+    let result = match args.command {
+        Command::Emulate(args) => emulate::run(&args),
+        Command::Import(args) => import::run(&args),
+        Command::Session(command) => session::run(&command),
+        Command::Replay(args) => replay::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
+        Command::Serve(args) => serve::run(args),
+        Command::Bench(command) => bench::run(&command),
+    };
+    match result {
+        Ok(code) => code,
+        Err(err) => {
+            eprintln!("error: {}", chain(&err));
+            ExitCode::from(err.exit_code())
+        }
+    }
+}
+
+/// What a command gives: its exit code, or why it could not be done.
+type Outcome = Result<ExitCode, Error>;
+
+/// Logs go to standard error; `RUST_LOG` chooses what.
+fn init_log(is_server: bool) {
+    let default_level = if is_server { "info" } else { "warn" };
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default_level));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Args::command().debug_assert();
+    }
+}

@@ -1,0 +1,156 @@
+//! `palpate calibrate`.
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use clap::{Args, ValueEnum};
+use palpate_calibration::{CalibrationConfig, HoldOut, Method, report::headline};
+use palpate_recording::Session;
+use palpate_server::{
+    Error, files,
+    jobs::{CalibrationArtifacts, calibrate_session},
+    library::Library,
+};
+use palpate_wire::api::{CalibrationReport, Metrics};
+
+use super::{
+    Outcome, output,
+    progress::{Bar, cancel_on_ctrl_c},
+};
+
+#[derive(Args)]
+pub(crate) struct CalibrateArgs {
+    /// Folder of the session
+    #[arg(long, value_name = "SESSION")]
+    session: PathBuf,
+    /// How to search
+    #[arg(long, value_enum, default_value = "exact")]
+    method: MethodArg,
+    /// Takes that the fit must not see, by id; `auto` keeps about a third of them
+    #[arg(long, value_name = "TAKE,...|auto", default_value = "auto")]
+    hold_out: String,
+    /// Write the fitted model here
+    #[arg(long, value_name = "MODEL.toml")]
+    out: Option<PathBuf>,
+    /// Write report.json, report.html and model.toml into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Seed of the resampling behind the intervals
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum MethodArg {
+    /// The best thresholds over all real values, by sorting
+    Exact,
+    /// The paper's grid
+    Grid,
+}
+
+pub(super) fn run(args: &CalibrateArgs) -> Outcome {
+    let session = Session::open(&args.session)?;
+    if let Some(out) = &args.out {
+        files::check_target(out)?;
+    }
+    let config = CalibrationConfig {
+        method: match args.method {
+            MethodArg::Exact => Method::Exact,
+            MethodArg::Grid => Method::Grid,
+        },
+        hold_out: hold_out(&args.hold_out, &session)?,
+        seed: args.seed,
+        ..CalibrationConfig::default()
+    };
+    let artifacts = {
+        let bar = Bar::new();
+        calibrate_session(&Library::default(), &session, &config, &bar, &cancel_on_ctrl_c())?
+    };
+    write(args, &artifacts)?;
+    if args.json {
+        output::json(&artifacts.report)?;
+    } else {
+        output::line(&text(&artifacts.report))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn hold_out(text: &str, session: &Session) -> Result<HoldOut, Error> {
+    if text == "auto" {
+        return Ok(HoldOut::Auto);
+    }
+    let ids: Vec<String> = text.split(',').map(|id| id.trim().to_owned()).collect();
+    for id in &ids {
+        if !session.file.takes.iter().any(|take| take.id() == id) {
+            let takes: Vec<&str> = session.file.takes.iter().map(|take| take.id()).collect();
+            return Err(Error::Argument(format!(
+                "--hold-out: no take {id:?} in session {:?}; its takes are {}",
+                session.id,
+                takes.join(", ")
+            )));
+        }
+    }
+    Ok(HoldOut::Takes(ids))
+}
+
+fn write(args: &CalibrateArgs, artifacts: &CalibrationArtifacts) -> Result<(), Error> {
+    let model = artifacts.model.to_toml();
+    if let Some(dir) = &args.report {
+        fs::create_dir_all(dir).map_err(Error::io("make", dir))?;
+        let json =
+            serde_json::to_vec_pretty(&artifacts.report).map_err(|err| Error::Internal(err.to_string()))?;
+        files::write(&dir.join("report.json"), &json)?;
+        files::write(&dir.join("report.html"), artifacts.html.as_bytes())?;
+        files::write(&dir.join("model.toml"), model.as_bytes())?;
+    }
+    match &args.out {
+        Some(out) => files::write(out, model.as_bytes()),
+        None => Ok(()),
+    }
+}
+
+fn text(report: &CalibrationReport) -> String {
+    let mut lines = vec![headline(report), String::new()];
+    lines.push(format!(
+        "{:<24} {:>12} {:>12} {:>8} {:>9} {:>10}",
+        "", "onset (ms)", "offset (ms)", "F1", "FPR", "L1"
+    ));
+    let mut row = |label: &str, metrics: &Metrics| {
+        lines.push(format!(
+            "{label:<24} {:>12} {:>12} {:>8} {:>9} {:>10}",
+            number(metrics.onset_error_ms, 0),
+            number(metrics.offset_error_ms, 0),
+            number(metrics.f1, 3),
+            number(metrics.fpr, 4),
+            metrics.l1
+        ));
+    };
+    if !report.held_out_takes.is_empty() {
+        row("held out, nominal", &report.held_out.nominal);
+        row("held out, calibrated", &report.held_out.calibrated);
+    }
+    row("all takes, nominal", &report.nominal);
+    row("all takes, calibrated", &report.calibrated);
+    let theta = &report.theta;
+    lines.push(format!(
+        "\nlambda_con {:.3} mm, alpha {:.1} 1/m, lambda_pre {:.1} Pa",
+        theta.lambda_con_m * 1000.0,
+        theta.alpha_per_m,
+        theta.lambda_pre_pa
+    ));
+    let takes =
+        if report.held_out_takes.is_empty() { "none".to_owned() } else { report.held_out_takes.join(", ") };
+    lines.push(format!("held out: {takes}"));
+    lines.push(format!(
+        "{} search: {} evaluations in {:.2} s, {} frames, {} channels",
+        report.method, report.evaluations, report.seconds, report.frames, report.channels
+    ));
+    lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n")
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+}

@@ -1,0 +1,106 @@
+//! What waits to be sent to one client of the stream: bounded, and honest about what it dropped.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage, stream_message::Message};
+
+/// Live frames that may wait: a quarter of a second, after which a picture is no longer live.
+pub(crate) const MAX_LIVE_FRAMES: usize = 8;
+
+/// Messages for one client. Job updates go first and are never dropped; the oldest live frames are.
+#[derive(Debug, Default)]
+pub(crate) struct ClientQueue {
+    jobs: VecDeque<JobUpdate>,
+    live: VecDeque<Arc<LiveFrame>>,
+    dropped: u64,
+}
+
+impl ClientQueue {
+    /// Adds the newest state of the station.
+    pub(crate) fn push_live(&mut self, frame: Arc<LiveFrame>) {
+        if self.live.len() == MAX_LIVE_FRAMES {
+            self.live.pop_front();
+            self.dropped += 1;
+        }
+        self.live.push_back(frame);
+    }
+
+    /// Adds a job's newest state in place of an older one of the same job that still waits, so that there are never more
+    /// than there are jobs.
+    pub(crate) fn push_job(&mut self, update: JobUpdate) {
+        match self.jobs.iter_mut().find(|waiting| waiting.job == update.job) {
+            Some(waiting) => *waiting = update,
+            None => self.jobs.push_back(update),
+        }
+    }
+
+    /// The next message to send.
+    pub(crate) fn pop(&mut self) -> Option<StreamMessage> {
+        let message = match self.jobs.pop_front() {
+            Some(update) => Message::Job(update),
+            None => Message::Live((*self.live.pop_front()?).clone()),
+        };
+        Some(StreamMessage { message: Some(message), dropped: self.dropped })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn frame(idx: usize) -> Arc<LiveFrame> {
+        Arc::new(LiveFrame { time_s: idx as f64, ..LiveFrame::default() })
+    }
+
+    fn update(job: &str, fraction: f64) -> JobUpdate {
+        JobUpdate { job: job.into(), fraction, ..JobUpdate::default() }
+    }
+
+    proptest! {
+        #[test]
+        fn every_live_frame_is_sent_in_order_or_counted(num_frames in 0_usize..100, reads in 0_usize..40) {
+            let mut queue = ClientQueue::default();
+            let (mut sent, mut last_dropped) = (Vec::new(), 0);
+            for idx in 0..num_frames {
+                queue.push_live(frame(idx));
+                if idx < reads && let Some(message) = queue.pop() {
+                    sent.push(message);
+                }
+            }
+            sent.extend(std::iter::from_fn(|| queue.pop()));
+            let mut times = Vec::new();
+            for message in &sent {
+                prop_assert!(message.dropped >= last_dropped);
+                last_dropped = message.dropped;
+                if let Some(Message::Live(frame)) = &message.message {
+                    times.push(frame.time_s);
+                }
+            }
+            prop_assert!(times.is_sorted());
+            prop_assert_eq!(times.len() + last_dropped as usize, num_frames);
+        }
+    }
+
+    #[test]
+    fn job_updates_overtake_live_frames_and_survive_them() {
+        let mut queue = ClientQueue::default();
+        queue.push_job(update("a", 0.1));
+        for idx in 0..50 {
+            queue.push_live(frame(idx));
+        }
+        queue.push_job(update("b", 0.5));
+        queue.push_job(update("a", 0.2));
+        let Some(Message::Job(first)) = queue.pop().and_then(|message| message.message) else {
+            panic!("a job update comes first")
+        };
+        assert_eq!((first.job.as_str(), first.fraction), ("a", 0.2));
+        let Some(Message::Job(second)) = queue.pop().and_then(|message| message.message) else {
+            panic!("then the other job's")
+        };
+        assert_eq!(second.job, "b");
+        let live = queue.pop().expect("then live frames");
+        assert_eq!(live.dropped, 50 - MAX_LIVE_FRAMES as u64);
+    }
+}

@@ -1,0 +1,154 @@
+//! One error for the command line and the server: what happened, and whose turn it is.
+
+use std::{fmt::Write as _, io, path::PathBuf};
+
+use palpate_calibration::CalibrationError;
+use palpate_emulator::EmulationError;
+use palpate_recording::RecordingError;
+use palpate_robot_model::ModelError;
+use palpate_sim::SensorModelError;
+
+/// Anything that can go wrong with a command or a request.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// An argument of the caller makes no sense, whatever the data.
+    #[error("{0}")]
+    Argument(String),
+    /// The data given cannot be used.
+    #[error("{0}")]
+    Content(String),
+    /// A take, session or import.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// A robot, layout, object or station file.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A sensor model file.
+    #[error(transparent)]
+    SensorModel(#[from] SensorModelError),
+    /// The emulator.
+    #[error(transparent)]
+    Emulation(#[from] EmulationError),
+    /// The calibration.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
+    /// Nothing of that name.
+    #[error("no {what} {id:?}; {hint}")]
+    NotFound {
+        /// What was looked for, e.g. `session`.
+        what: &'static str,
+        /// Its id.
+        id: String,
+        /// Where to look.
+        hint: &'static str,
+    },
+    /// In the way of something that exists.
+    #[error("{0}")]
+    Conflict(String),
+    /// More than the server takes.
+    #[error("{0}")]
+    TooLarge(String),
+    /// The operating system refused.
+    #[error("failed to {action} {path:?}")]
+    Io {
+        /// What was tried, e.g. `write`.
+        action: &'static str,
+        /// On which path.
+        path: PathBuf,
+        /// Why not.
+        #[source]
+        source: io::Error,
+    },
+    /// Somebody cancelled.
+    #[error("cancelled")]
+    Cancelled,
+    /// A fault of this program.
+    #[error("{0}")]
+    Internal(String),
+}
+
+/// Whose turn it is after an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// The caller's: the arguments.
+    BadArgument,
+    /// The caller's: the data.
+    BadContent,
+    /// The caller's: there is no such thing.
+    NotFound,
+    /// The caller's: something is in the way.
+    Conflict,
+    /// The caller's: less of it.
+    TooLarge,
+    /// Nobody's.
+    Cancelled,
+    /// The operator's of this machine.
+    Failed,
+}
+
+impl Error {
+    /// `failed to {action} {path}`.
+    pub fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { action, path, source }
+    }
+
+    /// Whose turn it is.
+    pub fn class(&self) -> Class {
+        match self {
+            Self::Argument(_) => Class::BadArgument,
+            Self::Content(_) | Self::Model(_) | Self::SensorModel(_) => Class::BadContent,
+            Self::Recording(err) | Self::Emulation(EmulationError::Recording(err)) => recording_class(err),
+            Self::Emulation(EmulationError::Cancelled)
+            | Self::Calibration(CalibrationError::Cancelled)
+            | Self::Cancelled => Class::Cancelled,
+            Self::Emulation(EmulationError::Truth { .. }) => Class::BadContent,
+            Self::Calibration(CalibrationError::Input(_)) => Class::BadContent,
+            Self::NotFound { .. } => Class::NotFound,
+            Self::Conflict(_) => Class::Conflict,
+            Self::TooLarge(_) => Class::TooLarge,
+            Self::Io { action, source, .. } => io_class(action, source),
+            // The enums of other crates may grow.
+            Self::Emulation(_) | Self::Calibration(_) | Self::Internal(_) => Class::Failed,
+        }
+    }
+
+    /// Exit code of the command line: 2 where the caller can mend it, 1 otherwise.
+    pub fn exit_code(&self) -> u8 {
+        match self.class() {
+            Class::Cancelled | Class::Failed => 1,
+            _ => 2,
+        }
+    }
+}
+
+fn recording_class(err: &RecordingError) -> Class {
+    match err {
+        RecordingError::Io { action, source, .. } => io_class(action, source),
+        _ => Class::BadContent,
+    }
+}
+
+/// A path that does not exist, or is of the wrong kind, was given by the caller; a full disk was not.
+fn io_class(action: &str, source: &io::Error) -> Class {
+    match source.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory | io::ErrorKind::IsADirectory => {
+            Class::BadArgument
+        }
+        io::ErrorKind::AlreadyExists => Class::Conflict,
+        io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof if action == "read" => Class::BadContent,
+        _ => Class::Failed,
+    }
+}
+
+/// `err` and its causes on one line, outermost first.
+pub fn chain(err: &dyn std::error::Error) -> String {
+    let mut text = err.to_string();
+    let mut cause = err.source();
+    while let Some(err) = cause {
+        let _ = write!(text, ": {err}");
+        cause = err.source();
+    }
+    text.replace('\n', " ")
+}

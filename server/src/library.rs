@@ -1,0 +1,222 @@
+//! Takes and their replays, kept in memory so that scrubbing and calibrating again cost nothing.
+
+use std::{path::Path, sync::Arc};
+
+use palpate_calibration::PairedTake;
+use palpate_recording::{Session, Take};
+use palpate_sim::{SensorModel, replay::PatchTrace, tactile};
+use palpate_wire::{
+    api::{SessionDetail, SessionSummary, TakeSummary},
+    bits,
+    proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
+};
+
+use crate::{
+    Error,
+    cache::{Cache, FileKey},
+};
+
+/// Recorded takes may fill this much memory, and their replays as much again.
+const BUDGET_BYTES: usize = 512 << 20;
+
+/// Reads takes once.
+pub struct Library {
+    takes: Cache<TakeKey, Take>,
+    paired: Cache<TakeKey, PairedTake>,
+    summaries: Cache<TakeKey, TakeSummary>,
+}
+
+/// A take as it was when it was read. `session.toml` belongs to it: it says whether the take was accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct TakeKey {
+    take: FileKey,
+    session: FileKey,
+}
+
+impl Default for Library {
+    fn default() -> Self {
+        Self::new(BUDGET_BYTES)
+    }
+}
+
+impl Library {
+    /// An empty library that keeps takes of about `budget_bytes`, and replays of as many.
+    pub fn new(budget_bytes: usize) -> Self {
+        Self {
+            takes: Cache::new(budget_bytes),
+            paired: Cache::new(budget_bytes),
+            // A summary is a few hundred bytes: tens of thousands of takes.
+            summaries: Cache::new(16 << 20),
+        }
+    }
+
+    /// Take `take_idx` of `session`.
+    pub fn take(&self, session: &Session, take_idx: usize) -> Result<Arc<Take>, Error> {
+        self.takes.get_or_try_insert(&key(session, take_idx), take_size_bytes, || Ok(session.take(take_idx)?))
+    }
+
+    /// The same, replayed beside its real events.
+    pub fn paired(&self, session: &Session, take_idx: usize) -> Result<Arc<PairedTake>, Error> {
+        self.paired.get_or_try_insert(&key(session, take_idx), paired_size_bytes, || {
+            Ok(PairedTake::from_take(&*self.take(session, take_idx)?)?)
+        })
+    }
+
+    /// What `session` holds, take by take.
+    pub fn detail(&self, session: &Session) -> Result<SessionDetail, Error> {
+        let takes = (0..session.file.takes.len())
+            .map(|take_idx| self.summary(session, take_idx).map(|summary| (*summary).clone()))
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut objects: Vec<String> = takes.iter().map(|take| take.object.clone()).collect();
+        objects.sort();
+        objects.dedup();
+        let summary = SessionSummary {
+            id: session.id.clone(),
+            station: session.file.station.clone(),
+            takes: takes.len(),
+            frames: takes.iter().map(|take| take.frames).sum(),
+            duration_s: takes.iter().map(|take| take.duration_s).sum(),
+            objects,
+            recorded: session.file.recorded.clone(),
+            error: None,
+        };
+        Ok(SessionDetail { summary, takes })
+    }
+
+    /// An entry of the list of sessions: what `dir` holds, or why it cannot be opened.
+    pub fn list_entry(&self, id: &str, dir: &Path) -> SessionSummary {
+        let detail = Session::open(dir).map_err(Error::from).and_then(|session| self.detail(&session));
+        match detail {
+            Ok(detail) => detail.summary,
+            Err(err) => SessionSummary {
+                id: id.to_owned(),
+                station: String::new(),
+                takes: 0,
+                frames: 0,
+                duration_s: 0.0,
+                objects: Vec::new(),
+                recorded: String::new(),
+                error: Some(crate::chain(&err)),
+            },
+        }
+    }
+
+    fn summary(&self, session: &Session, take_idx: usize) -> Result<Arc<TakeSummary>, Error> {
+        self.summaries.get_or_try_insert(
+            &key(session, take_idx),
+            |_| size_of::<TakeSummary>() + 256,
+            || {
+                let take = self.take(session, take_idx)?;
+                let pose = &take.meta.base_from_object;
+                let (position, rotation) = (pose.translation.vector, pose.rotation);
+                Ok(TakeSummary {
+                    id: take.id.clone(),
+                    object: take.meta.object.clone(),
+                    object_pose: [
+                        position.x, position.y, position.z, rotation.w, rotation.i, rotation.j, rotation.k,
+                    ],
+                    primitive: take.meta.primitive.clone(),
+                    frames: take.num_frames(),
+                    duration_s: take.duration_s(),
+                    accepted: session.file.takes[take_idx].accepted,
+                    has_raw: take.has_raw(),
+                })
+            },
+        )
+    }
+}
+
+/// Index of the take called `id`.
+pub fn take_index(session: &Session, id: &str) -> Result<usize, Error> {
+    session.file.takes.iter().position(|take| take.id() == id).ok_or_else(|| Error::NotFound {
+        what: "take",
+        id: id.to_owned(),
+        hint: "the session's page lists its takes",
+    })
+}
+
+/// The nominal model of the station that `take` was recorded on.
+pub fn nominal_model(take: &Take) -> Result<SensorModel, Error> {
+    Ok(SensorModel::from_toml("nominal model of the station", &take.station.nominal_model_toml)?)
+}
+
+/// `take`, ready to draw.
+pub fn take_trace(take: &Take) -> TakeTrace {
+    let streams = take.station.layout.streams.iter().zip(&take.streams).map(|(stream, log)| StreamTrace {
+        stream: stream.id.clone(),
+        times_s: log.times_s.clone(),
+        raw: log
+            .raw
+            .iter()
+            .zip(log.reference.iter().cycle())
+            .map(|(raw, reference)| raw - reference)
+            .collect(),
+        active: bits::pack(log.active.iter().copied()),
+    });
+    let spans = take.spans.iter().map(|span| SpanTrace {
+        kind: match span.kind {
+            palpate_recording::SpanKind::Baseline => "baseline",
+            palpate_recording::SpanKind::Repetition => "repetition",
+            palpate_recording::SpanKind::Note => "note",
+        }
+        .to_owned(),
+        start_s: span.start_s,
+        end_s: span.end_s,
+        label: span.label.clone(),
+    });
+    TakeTrace {
+        frame_times_s: take.joints.times_s.clone(),
+        joint_positions: take.joints.positions.iter().map(|&position| position as f32).collect(),
+        real_active: bits::pack(take.active_at_frames()),
+        streams: streams.collect(),
+        spans: spans.collect(),
+    }
+}
+
+/// `take` as `model` replays it.
+pub fn replay_trace(take: &Take, paired: &PairedTake, model: &SensorModel) -> ReplayTrace {
+    let layout = &take.station.layout;
+    let readings = tactile::readings(layout, &paired.contact, model);
+    let thresholds = layout.channels.iter().map(|channel| match layout.streams[channel.stream].kind {
+        palpate_robot_model::SensorKind::Proximity => model.theta.lambda_con_m as f32,
+        palpate_robot_model::SensorKind::Pressure => model.theta.lambda_pre_pa as f32,
+    });
+    ReplayTrace {
+        model: model.name.clone(),
+        active: bits::pack(readings.active.iter().copied()),
+        raw: readings.raw.iter().map(|&raw| raw as f32).collect(),
+        thresholds: thresholds.collect(),
+    }
+}
+
+fn key(session: &Session, take_idx: usize) -> TakeKey {
+    // A take beyond the end has no file; reading it says so.
+    let entry = session.file.takes.get(take_idx);
+    TakeKey {
+        take: FileKey::of(&entry.map(|entry| session.take_path(entry)).unwrap_or_default()),
+        session: FileKey::of(&session.dir.join("session.toml")),
+    }
+}
+
+fn take_size_bytes(take: &Take) -> usize {
+    let logs = [&take.joints, &take.commands];
+    let joints: usize = logs.iter().map(|log| 8 * (log.times_s.len() + log.positions.len())).sum();
+    let streams: usize = take
+        .streams
+        .iter()
+        .map(|log| 8 * (log.times_s.len() + log.device_times_s.len()) + 4 * log.raw.len() + log.active.len())
+        .sum();
+    let station: usize = take.station.files.files.values().map(Vec::len).sum();
+    // The parsed layout is about as large as the texts, several times over.
+    joints + streams + 4 * station
+}
+
+fn paired_size_bytes(paired: &PairedTake) -> usize {
+    let patches = paired.contact.patches.iter().map(|patch| match patch {
+        PatchTrace::Proximity { min_distance_m } => 8 * min_distance_m.len(),
+        PatchTrace::Pressure { offsets, entries } => {
+            4 * offsets.len() + size_of::<(u32, f64)>() * entries.len()
+        }
+    });
+    8 * paired.frame_times_s.len() + paired.real_active.len() + patches.sum::<usize>()
+}

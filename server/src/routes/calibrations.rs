@@ -1,0 +1,59 @@
+//! Calibration runs.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::State,
+    http::{StatusCode, header},
+    response::{Html, IntoResponse, Response},
+};
+use palpate_wire::api::{CalibrationRequest, CalibrationRun, SaveModelRequest};
+
+use super::{
+    blocking,
+    extract::{Body, Ids},
+    problem::Answer,
+};
+use crate::AppState;
+
+pub(super) async fn start(
+    State(state): State<Arc<AppState>>,
+    Body(request): Body<CalibrationRequest>,
+) -> Answer<Response> {
+    let run = blocking(move || state.runs().start(request)).await?;
+    let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
+    Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
+}
+
+pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<CalibrationRun>> {
+    Json(state.runs().list())
+}
+
+pub(super) async fn detail(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<CalibrationRun>> {
+    Ok(Json(state.runs().get(&id)?))
+}
+
+pub(super) async fn cancel(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<CalibrationRun>> {
+    blocking(move || state.runs().cancel(&id).map(Json)).await
+}
+
+pub(super) async fn save(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    Body(request): Body<SaveModelRequest>,
+) -> Answer<Response> {
+    let saved = blocking(move || state.runs().save_model(&id, &request.name)).await?;
+    let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
+    Ok((StatusCode::CREATED, location, Json(saved)).into_response())
+}
+
+pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
+    blocking(move || Ok(Html(state.runs().html(&id)?))).await
+}

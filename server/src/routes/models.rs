@@ -1,0 +1,45 @@
+//! Saved sensor models.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::State,
+    http::{StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use palpate_wire::api::ModelSummary;
+
+use super::{blocking, extract::Ids, problem::Answer};
+use crate::{
+    AppState,
+    store::{Kind, model_summary},
+};
+
+pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
+    blocking(move || Ok(Json(state.store().models()?))).await
+}
+
+pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
+    blocking(move || {
+        let (_, text) = state.store().model(&id)?;
+        Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
+    })
+    .await
+}
+
+pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
+    blocking(move || state.store().discard(Kind::Model, &id).map(|()| StatusCode::NO_CONTENT)).await
+}
+
+pub(super) async fn restore(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<ModelSummary>> {
+    blocking(move || {
+        state.store().restore(Kind::Model, &id)?;
+        let (model, _) = state.store().model(&id)?;
+        Ok(Json(model_summary(&id, &model)))
+    })
+    .await
+}

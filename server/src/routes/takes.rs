@@ -1,0 +1,68 @@
+//! Takes and their replays, as protobuf.
+
+use std::sync::Arc;
+
+use axum::{
+    extract::State,
+    http::header,
+    response::{IntoResponse, Response},
+};
+use palpate_sim::SensorModel;
+use prost::Message;
+use serde::Deserialize;
+
+use super::{
+    blocking,
+    extract::{Ids, Params},
+    problem::Answer,
+};
+use crate::{
+    AppState, Error,
+    library::{nominal_model, replay_trace, take_index, take_trace},
+};
+
+pub(super) async fn trace(
+    State(state): State<Arc<AppState>>,
+    Ids((session, take)): Ids<(String, String)>,
+) -> Answer<Response> {
+    blocking(move || {
+        let session = state.store().session(&session)?;
+        let take = state.library().take(&session, take_index(&session, &take)?)?;
+        Ok(protobuf(&take_trace(&take)))
+    })
+    .await
+}
+
+#[derive(Deserialize)]
+pub(super) struct ReplayParams {
+    #[serde(default = "nominal")]
+    model: String,
+}
+
+fn nominal() -> String {
+    "nominal".to_owned()
+}
+
+pub(super) async fn replay(
+    State(state): State<Arc<AppState>>,
+    Ids((session, take)): Ids<(String, String)>,
+    Params(ReplayParams { model }): Params<ReplayParams>,
+) -> Answer<Response> {
+    blocking(move || {
+        let session = state.store().session(&session)?;
+        let take_idx = take_index(&session, &take)?;
+        let take = state.library().take(&session, take_idx)?;
+        let model: SensorModel = match (model.as_str(), model.strip_prefix("run:")) {
+            ("nominal", _) => nominal_model(&take)?,
+            (_, Some(run)) => state.runs().model(run)?,
+            (id, None) => state.store().model(id)?.0,
+        };
+        let paired = state.library().paired(&session, take_idx)?;
+        Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)))
+    })
+    .await
+}
+
+fn protobuf(message: &impl Message) -> Response {
+    ([(header::CONTENT_TYPE, "application/x-protobuf")], message.encode_to_vec()).into_response()
+}

@@ -1,0 +1,103 @@
+//! What requests share, and the socket.
+
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tokio::{net::TcpListener, sync::watch};
+
+use crate::{Error, Hub, LiveFeed, Store, app, library::Library, page, runs::Runs};
+
+/// How to serve.
+#[derive(Clone, Debug)]
+pub struct ServeConfig {
+    /// Address to listen on; port 0 takes any free one.
+    pub listen: SocketAddr,
+    /// Where sessions, models and runs are kept.
+    pub data: PathBuf,
+    /// Truth file of an emulated station to run.
+    pub emulate: Option<PathBuf>,
+}
+
+/// What requests share.
+pub struct AppState {
+    store: Arc<Store>,
+    library: Arc<Library>,
+    hub: Arc<Hub>,
+    runs: Runs,
+    live: Option<LiveFeed>,
+    shutdown: watch::Sender<bool>,
+}
+
+impl AppState {
+    /// Opens the data folder `data`; with a live station if `truth` names a truth file.
+    pub fn open(data: &Path, truth: Option<&Path>) -> Result<Arc<Self>, Error> {
+        let store = Arc::new(Store::open(data)?);
+        let library = Arc::new(Library::default());
+        let hub = Arc::new(Hub::default());
+        let runs = Runs::open(store.clone(), library.clone(), hub.clone())?;
+        let live = truth.map(|truth| LiveFeed::start(truth, 0, hub.clone())).transpose()?;
+        Ok(Arc::new(Self { store, library, hub, runs, live, shutdown: watch::Sender::new(false) }))
+    }
+
+    /// Where live frames and job updates go.
+    pub fn hub(&self) -> &Hub {
+        &self.hub
+    }
+
+    pub(crate) fn store(&self) -> &Arc<Store> {
+        &self.store
+    }
+
+    pub(crate) fn library(&self) -> &Library {
+        &self.library
+    }
+
+    pub(crate) fn runs(&self) -> &Runs {
+        &self.runs
+    }
+
+    pub(crate) fn live(&self) -> Option<&LiveFeed> {
+        self.live.as_ref()
+    }
+
+    /// Becomes true when the server ends.
+    pub(crate) fn shutdown(&self) -> watch::Receiver<bool> {
+        self.shutdown.subscribe()
+    }
+
+    /// Ends streams and runs, so that the server can end.
+    pub fn begin_shutdown(&self) {
+        self.shutdown.send_replace(true);
+        self.runs.cancel_all();
+    }
+}
+
+/// Serves until `stop` completes. `ready` learns the real address.
+pub async fn serve(
+    config: ServeConfig,
+    ready: impl FnOnce(SocketAddr),
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), Error> {
+    let ServeConfig { listen, data, emulate } = config;
+    let state = AppState::open(&data, emulate.as_deref())?;
+    let failed_to = |action: &'static str| {
+        move |err: std::io::Error| {
+            Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))
+        }
+    };
+    let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
+    if !page::is_built() {
+        tracing::warn!("built without the page; `cargo xtask build` builds a binary that has it");
+    }
+    ready(listener.local_addr().map_err(failed_to("listen on"))?);
+    let ending = state.clone();
+    let stop = async move {
+        stop.await;
+        ending.begin_shutdown();
+    };
+    let serving = axum::serve(listener, app(state)).with_graceful_shutdown(stop);
+    serving.await.map_err(|err| Error::Internal(format!("the server stopped: {err}")))
+}

@@ -1,0 +1,269 @@
+//! The data folder: sessions, models, calibration runs, and a trash from which they come back.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Mutex,
+};
+
+use palpate_recording::Session;
+use palpate_sim::SensorModel;
+use palpate_wire::api::{CalibrationRun, ModelSummary, ThetaReport};
+
+use crate::{Error, cache::lock, files};
+
+/// Plain files below one folder.
+#[derive(Debug)]
+pub struct Store {
+    root: PathBuf,
+    /// Held while a name is looked for and taken.
+    naming: Mutex<()>,
+}
+
+/// What the trash keeps apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Session,
+    Model,
+}
+
+impl Kind {
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Session => "sessions",
+            Self::Model => "models",
+        }
+    }
+
+    fn what(self) -> &'static str {
+        match self {
+            Self::Session => "session",
+            Self::Model => "model",
+        }
+    }
+
+    fn file_name(self, id: &str) -> String {
+        match self {
+            Self::Session => id.to_owned(),
+            Self::Model => format!("{id}.toml"),
+        }
+    }
+}
+
+impl Store {
+    /// Opens `root`, making what is missing.
+    pub fn open(root: &Path) -> Result<Self, Error> {
+        for folder in ["sessions", "models", "runs", "trash/sessions", "trash/models"] {
+            let path = root.join(folder);
+            fs::create_dir_all(&path).map_err(Error::io("make", &path))?;
+        }
+        Ok(Self { root: root.to_owned(), naming: Mutex::default() })
+    }
+
+    /// The data folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// `(id, folder)` of every session, by id.
+    pub(crate) fn sessions(&self) -> Result<Vec<(String, PathBuf)>, Error> {
+        let entries = self.entries("sessions")?;
+        Ok(entries.into_iter().filter(|(_, path)| path.is_dir()).collect())
+    }
+
+    /// The session called `id`.
+    pub(crate) fn session(&self, id: &str) -> Result<Session, Error> {
+        let dir = self.existing(Kind::Session, id)?;
+        Ok(Session::open(&dir)?)
+    }
+
+    /// Puts the folder `dir`, which must be on the same file system, in place as session `id`.
+    pub(crate) fn adopt_session(&self, id: &str, dir: &Path) -> Result<Session, Error> {
+        let _naming = lock(&self.naming);
+        let target = self.free_session_dir(id)?;
+        fs::rename(dir, &target).map_err(Error::io("make", &target))?;
+        Ok(Session::open(&target)?)
+    }
+
+    /// Where session `id` would lie; refused if there is one.
+    pub(crate) fn free_session_dir(&self, id: &str) -> Result<PathBuf, Error> {
+        files::check_id("session", id)?;
+        let target = self.path(Kind::Session, id);
+        if target.exists() {
+            return Err(Error::Conflict(format!("there is a session {id:?} already; choose another name")));
+        }
+        Ok(target)
+    }
+
+    /// Every model that can be read, by id.
+    pub(crate) fn models(&self) -> Result<Vec<ModelSummary>, Error> {
+        let mut models = Vec::new();
+        for (file_name, path) in self.entries("models")? {
+            let Some(id) = file_name.strip_suffix(".toml") else { continue };
+            match self.model(id) {
+                Ok((model, _)) => models.push(model_summary(id, &model)),
+                Err(err) => {
+                    tracing::warn!(path = %path.display(), err = crate::chain(&err), "left out a model");
+                }
+            }
+        }
+        Ok(models)
+    }
+
+    /// The model called `id`, and its text.
+    pub(crate) fn model(&self, id: &str) -> Result<(SensorModel, String), Error> {
+        let path = self.existing(Kind::Model, id)?;
+        let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+        let model = SensorModel::from_toml(&path.display().to_string(), &text)?;
+        Ok((model, text))
+    }
+
+    /// Saves `model` under an id made from its name; an older model of that name stays.
+    pub(crate) fn save_model(&self, model: &SensorModel) -> Result<ModelSummary, Error> {
+        let slug = files::slug(&model.name)?;
+        let _naming = lock(&self.naming);
+        let numbered = (2..).map(|number| format!("{slug}-{number}"));
+        let id = std::iter::once(slug.clone())
+            .chain(numbered)
+            // "nominal" always means the station's own.
+            .find(|id| id != "nominal" && !self.path(Kind::Model, id).exists())
+            .unwrap_or(slug);
+        files::write(&self.path(Kind::Model, &id), model.to_toml().as_bytes())?;
+        Ok(model_summary(&id, model))
+    }
+
+    /// Moves an entry to the trash.
+    pub(crate) fn discard(&self, kind: Kind, id: &str) -> Result<(), Error> {
+        let path = self.existing(kind, id)?;
+        let _naming = lock(&self.naming);
+        let target = self.trash_path(kind, id);
+        if target.exists() {
+            // An older one of that name steps aside and can be brought back by hand.
+            let aside = (2..)
+                .map(|number| target.with_file_name(format!(".{number}-{}", kind.file_name(id))))
+                .find(|aside| !aside.exists())
+                .unwrap_or_else(|| target.clone());
+            fs::rename(&target, &aside).map_err(Error::io("move", &target))?;
+        }
+        fs::rename(&path, &target).map_err(Error::io("move", &path))
+    }
+
+    /// Brings an entry back from the trash.
+    pub(crate) fn restore(&self, kind: Kind, id: &str) -> Result<(), Error> {
+        files::check_id(kind.what(), id)?;
+        let _naming = lock(&self.naming);
+        let (path, target) = (self.trash_path(kind, id), self.path(kind, id));
+        if !path.exists() {
+            return Err(Error::NotFound {
+                what: kind.what(),
+                id: id.to_owned(),
+                hint: "it is not in the trash",
+            });
+        }
+        if target.exists() {
+            let what = kind.what();
+            return Err(Error::Conflict(format!(
+                "there is another {what} {id:?} now; rename or delete that one first"
+            )));
+        }
+        fs::rename(&path, &target).map_err(Error::io("move", &path))
+    }
+
+    /// Every calibration run on disk.
+    pub(crate) fn runs(&self) -> Result<Vec<CalibrationRun>, Error> {
+        let mut runs = Vec::new();
+        for (file_name, path) in self.entries("runs")? {
+            let Some(id) = file_name.strip_suffix(".json") else { continue };
+            let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+            match serde_json::from_str::<CalibrationRun>(&text) {
+                Ok(run) if run.id == id => runs.push(run),
+                Ok(run) => {
+                    tracing::warn!(path = %path.display(), id = run.id, "left out a run of another id");
+                }
+                Err(err) => {
+                    tracing::warn!(path = %path.display(), %err, "left out a calibration run");
+                }
+            }
+        }
+        Ok(runs)
+    }
+
+    /// Writes `run` in place of what was known of it.
+    pub(crate) fn save_run(&self, run: &CalibrationRun) -> Result<(), Error> {
+        let json = serde_json::to_vec(run).map_err(|err| Error::Internal(err.to_string()))?;
+        files::write(&self.root.join("runs").join(format!("{}.json", run.id)), &json)
+    }
+
+    /// Writes the report of run `id` for people.
+    pub(crate) fn save_run_html(&self, id: &str, html: &str) -> Result<(), Error> {
+        files::write(&self.run_html_path(id), html.as_bytes())
+    }
+
+    /// The report of run `id` for people.
+    pub(crate) fn run_html(&self, id: &str) -> Result<String, Error> {
+        files::check_id("calibration", id)?;
+        let path = self.run_html_path(id);
+        fs::read_to_string(&path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound => Error::NotFound {
+                what: "report of calibration",
+                id: id.to_owned(),
+                hint: "a calibration has a report once it is done",
+            },
+            _ => Error::Io { action: "read", path, source },
+        })
+    }
+
+    fn run_html_path(&self, id: &str) -> PathBuf {
+        self.root.join("runs").join(format!("{id}.html"))
+    }
+
+    fn path(&self, kind: Kind, id: &str) -> PathBuf {
+        self.root.join(kind.folder()).join(kind.file_name(id))
+    }
+
+    fn trash_path(&self, kind: Kind, id: &str) -> PathBuf {
+        self.root.join("trash").join(kind.folder()).join(kind.file_name(id))
+    }
+
+    fn existing(&self, kind: Kind, id: &str) -> Result<PathBuf, Error> {
+        files::check_id(kind.what(), id)?;
+        let path = self.path(kind, id);
+        if !path.exists() {
+            let hint = match kind {
+                Kind::Session => "GET /api/v1/sessions lists them",
+                Kind::Model => "GET /api/v1/models lists them; \"nominal\" is the station's own",
+            };
+            return Err(Error::NotFound { what: kind.what(), id: id.to_owned(), hint });
+        }
+        Ok(path)
+    }
+
+    /// `(name, path)` of what lies in `folder`, by name; hidden entries are work in progress.
+    fn entries(&self, folder: &str) -> Result<Vec<(String, PathBuf)>, Error> {
+        let dir = self.root.join(folder);
+        let mut entries = Vec::new();
+        for entry in fs::read_dir(&dir).map_err(Error::io("read", &dir))? {
+            let entry = entry.map_err(Error::io("read", &dir))?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if !name.starts_with('.') {
+                entries.push((name, entry.path()));
+            }
+        }
+        entries.sort();
+        Ok(entries)
+    }
+}
+
+/// An entry of the list of models.
+pub(crate) fn model_summary(id: &str, model: &SensorModel) -> ModelSummary {
+    ModelSummary {
+        id: id.to_owned(),
+        name: model.name.clone(),
+        theta: ThetaReport {
+            lambda_con_m: model.theta.lambda_con_m,
+            alpha_per_m: model.theta.alpha_per_m,
+            lambda_pre_pa: model.theta.lambda_pre_pa,
+        },
+        provenance: model.provenance.clone(),
+    }
+}
