@@ -8,7 +8,7 @@ use crate::{
     commands::Command,
     playback::{ModelRef, Playback},
     route::{Route, Screen},
-    screens::{self, ScreenContext},
+    screens::{self, PickedFile, ScreenContext},
     store::{Connection, Store},
     theme::{self, Palette},
 };
@@ -28,6 +28,10 @@ pub trait Platform {
     fn replace_hash(&mut self, hash: &str);
     /// The operator's time of day, e.g. `14:03:12`.
     fn time_of_day(&self) -> String;
+    /// Opens the file dialog.
+    fn pick_file(&mut self);
+    /// Files that were chosen in the file dialog, or dropped on the page, since the last call.
+    fn picked_files(&mut self) -> Vec<PickedFile>;
 }
 
 /// The page.
@@ -45,6 +49,8 @@ pub struct StudioApp {
     surface_format: Option<wgpu::TextureFormat>,
     overlays: overlays::Overlays,
     timelines: screens::timelines::TimelinesState,
+    calibrate: screens::calibrate::CalibrateState,
+    sessions: screens::sessions::SessionsState,
 }
 
 impl StudioApp {
@@ -68,6 +74,8 @@ impl StudioApp {
             surface_format,
             overlays: overlays::Overlays::default(),
             timelines: screens::timelines::TimelinesState::default(),
+            calibrate: screens::calibrate::CalibrateState::default(),
+            sessions: screens::sessions::SessionsState::default(),
         };
         app.store.ask_info();
         app.last_hash = app.platform.hash();
@@ -78,6 +86,11 @@ impl StudioApp {
     /// The screen that is open.
     pub fn screen(&self) -> Screen {
         self.route.screen
+    }
+
+    /// The stretch of time that the timelines show, once a take is open there.
+    pub fn timelines_view(&self) -> Option<screens::timelines::view::TimeView> {
+        self.timelines.view()
     }
 
     /// One frame.
@@ -114,6 +127,8 @@ impl StudioApp {
 
     fn screen_ui(&mut self, ui: &mut egui::Ui, now_s: f64, go_to: &mut Option<Route>) {
         let route = self.route.clone();
+        let mut picked_files = self.platform.picked_files();
+        let mut pick_file = false;
         let mut cx = ScreenContext {
             store: &mut self.store,
             playback: &mut self.playback,
@@ -122,12 +137,17 @@ impl StudioApp {
             go_to,
             surface_format: self.surface_format,
             now_s,
+            picked_files: &mut picked_files,
+            pick_file: &mut pick_file,
         };
         match route.screen {
             Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
             Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
-            Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx),
-            Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx),
+            Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx, &mut self.calibrate),
+            Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
+        }
+        if pick_file {
+            self.platform.pick_file();
         }
     }
 

@@ -28,6 +28,19 @@ pub struct ScreenContext<'a> {
     pub surface_format: Option<wgpu::TextureFormat>,
     /// The page's clock, s since it opened.
     pub now_s: f64,
+    /// Files that the operator chose in the file dialog or dropped on the page.
+    pub picked_files: &'a mut Vec<PickedFile>,
+    /// Set it to open the file dialog after this frame.
+    pub pick_file: &'a mut bool,
+}
+
+/// A file that the operator chose.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PickedFile {
+    /// Its name, without a folder.
+    pub name: String,
+    /// What is in it.
+    pub bytes: Vec<u8>,
 }
 
 impl ScreenContext<'_> {

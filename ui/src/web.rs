@@ -1,6 +1,7 @@
 //! The browser: starts the page, and gives it `fetch`, a `WebSocket` and the address bar.
 
 mod fetch;
+mod file_dialog;
 mod window;
 
 use wasm_bindgen::{JsCast as _, prelude::wasm_bindgen};
@@ -38,7 +39,12 @@ async fn run() -> Result<(), String> {
                 let surface_format = cc.wgpu_render_state.as_ref().map(|state| state.target_format);
                 crate::mirror::install(&cc.egui_ctx, &mirror_canvas);
                 let api = Box::new(fetch::WebApi::new(cc.egui_ctx.clone()));
-                let app = StudioApp::new(&cc.egui_ctx, api, Box::new(window::AddressBar), surface_format);
+                let app = StudioApp::new(
+                    &cc.egui_ctx,
+                    api,
+                    Box::new(window::BrowserWindow::new(&cc.egui_ctx)),
+                    surface_format,
+                );
                 window::remove(SKELETON_ID);
                 Ok(Box::new(WebApp { app }))
             }),

@@ -109,6 +109,8 @@ fn bind(wasm: &Path, out_dir: &Path) -> anyhow::Result<()> {
         .input_path(wasm)
         .web(true)?
         .typescript(false)
+        .remove_name_section(true)
+        .remove_producers_section(true)
         .generate(out_dir)
         .context("failed to bind the page to JavaScript")
 }

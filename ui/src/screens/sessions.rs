@@ -1,27 +1,178 @@
-//! Sessions: what has been recorded, and whether it can be used.
+//! Sessions: what has been recorded, whether it can be used, and bringing in more.
+
+mod check;
+mod import;
+
+use egui::RichText;
+use palpate_wire::api::{SessionDetail, SessionSummary};
 
 use super::{ScreenContext, duration_text, failed_ui, loading_ui};
-use crate::{route::Screen, store::Loadable};
+use crate::{
+    route::{Route, Screen},
+    store::Loadable,
+};
+
+/// What the operator chose on this screen.
+#[derive(Debug, Default)]
+pub struct SessionsState {
+    import: import::ImportState,
+}
 
 /// The screen.
-pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut SessionsState) {
     let sessions = match cx.store.sessions() {
         Loadable::Ready(sessions) => sessions,
         Loadable::Failed(error) => return failed_ui(ui, cx, "The list of sessions did not arrive", &error),
         Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
     };
-    ui.heading("Sessions");
-    if sessions.is_empty() {
-        ui.label("No session yet. `palpate emulate` and `palpate import` make one.");
+    import::take_picked_files(cx, &mut state.import);
+    let shown = cx.route.session.clone().or_else(|| cx.playback.session.clone());
+    let shown = shown.filter(|id| sessions.iter().any(|session| session.id == *id));
+    let shown = shown.or_else(|| sessions.first().map(|session| session.id.clone()));
+
+    egui::Panel::left("sessions_list").resizable(false).exact_size(292.0).show(ui, |ui| {
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            ui.add_space(4.0);
+            ui.heading("Sessions");
+            undo_ui(ui, cx);
+            for session in sessions.iter() {
+                entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));
+            }
+            ui.add_space(8.0);
+            import::import_ui(ui, cx, &mut state.import);
+        });
+    });
+    egui::CentralPanel::default().show(ui, |ui| match shown {
+        Some(id) => session_ui(ui, cx, &id),
+        None => {
+            ui.add_space((ui.available_height() * 0.25).min(180.0));
+            ui.vertical_centered(|ui| {
+                ui.set_max_width(480.0);
+                ui.heading("No session yet");
+                ui.label(
+                    "A session is a set of takes: recordings of the hand touching a known object. Import one on \
+                     the left, or record one on the emulated station with `palpate emulate`.",
+                );
+            });
+        }
+    });
+}
+
+fn undo_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    match cx.store.deleted_session.clone() {
+        Loadable::Ready(id) => {
+            ui.horizontal(|ui| {
+                ui.label(format!("{id} is in the trash."));
+                if ui.button("Undo").clicked() {
+                    cx.store.restore_session(&id);
+                }
+            });
+        }
+        Loadable::Failed(error) => {
+            ui.colored_label(cx.palette.mismatch, error);
+        }
+        Loadable::Idle | Loadable::Loading => {}
     }
-    for session in sessions.iter() {
-        ui.horizontal(|ui| {
-            if ui.button(format!("Open {}", session.id)).clicked() {
-                cx.playback.session = Some(session.id.clone());
+}
+
+fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &SessionSummary, chosen: bool) {
+    let facts = match &session.error {
+        Some(_) => "cannot be opened".to_owned(),
+        None => format!("{} takes, {}", session.takes, duration_text(session.duration_s)),
+    };
+    let width = ui.available_width() - 8.0;
+    let button = egui::Button::selectable(chosen, RichText::new(&session.id).strong())
+        .right_text(RichText::new(facts).color(cx.palette.text_weak))
+        .min_size(egui::vec2(width, 36.0));
+    let response = ui.add(button);
+    response.widget_info(|| {
+        let name = format!("Session {}", session.id);
+        egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, name)
+    });
+    if response.clicked() {
+        if cx.playback.session.as_ref() != Some(&session.id) {
+            cx.playback.session = Some(session.id.clone());
+            cx.playback.take = None;
+        }
+        *cx.go_to = Some(Route::to(Screen::Sessions).with_session(session.id.clone()));
+    }
+}
+
+fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
+    let detail = match cx.store.session(id) {
+        Loadable::Ready(detail) => detail,
+        Loadable::Failed(error) => {
+            return failed_ui(ui, cx, &format!("Session {id} cannot be opened"), &error);
+        }
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, &format!("Opening session {id}")),
+    };
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        ui.heading(id);
+        let summary = &detail.summary;
+        let recorded = if summary.recorded.is_empty() { "date unknown" } else { &summary.recorded };
+        ui.label(format!(
+            "Station {}, {} takes, {} frames, {}, {recorded}",
+            summary.station,
+            summary.takes,
+            summary.frames,
+            duration_text(summary.duration_s),
+        ));
+        actions_ui(ui, cx, id, &detail);
+        ui.add_space(8.0);
+        check::check_ui(ui, cx, id);
+        ui.add_space(10.0);
+        takes_ui(ui, cx, id, &detail);
+        ui.add_space(12.0);
+    });
+}
+
+fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
+    ui.horizontal_wrapped(|ui| {
+        for (name, screen) in [
+            ("Watch on the hand", Screen::Hand),
+            ("Compare on Timelines", Screen::Timelines),
+            ("Calibrate on it", Screen::Calibrate),
+        ] {
+            if ui.button(name).clicked() {
+                if cx.playback.session.as_deref() != Some(id) {
+                    cx.playback.session = Some(id.to_owned());
+                    cx.playback.take = detail.takes.first().map(|take| take.id.clone());
+                }
+                cx.go_to_screen(screen);
+            }
+        }
+        if ui.button("Move to trash").on_hover_text("Can be undone").clicked() {
+            cx.store.delete_session(id);
+            if cx.playback.session.as_deref() == Some(id) {
+                cx.playback.session = None;
                 cx.playback.take = None;
+            }
+            *cx.go_to = Some(Route::to(Screen::Sessions));
+        }
+    });
+}
+
+fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
+    ui.heading("Takes");
+    egui::Grid::new("session_takes").striped(true).spacing([22.0, 4.0]).show(ui, |ui| {
+        for name in ["Take", "Primitive", "Object", "Frames", "Duration", "Readings", ""] {
+            ui.label(RichText::new(name).strong());
+        }
+        ui.end_row();
+        for take in &detail.takes {
+            let open = ui.button(&take.id).on_hover_text("Open on Timelines");
+            if open.clicked() {
+                cx.playback.open(id, &take.id);
                 cx.go_to_screen(Screen::Timelines);
             }
-            ui.label(format!("{} takes, {}", session.takes, duration_text(session.duration_s)));
-        });
-    }
+            ui.label(&take.primitive);
+            ui.label(&take.object);
+            ui.label(take.frames.to_string());
+            ui.label(duration_text(take.duration_s));
+            ui.label(if take.has_raw { "raw and events" } else { "events only" });
+            ui.label(if take.accepted { "" } else { "not accepted" });
+            ui.end_row();
+        }
+    });
 }

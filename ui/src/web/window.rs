@@ -2,7 +2,8 @@
 
 use wasm_bindgen::JsValue;
 
-use crate::Platform;
+use super::file_dialog::FileDialog;
+use crate::{Platform, screens::PickedFile};
 
 pub(super) fn document() -> Option<web_sys::Document> {
     web_sys::window().and_then(|window| window.document())
@@ -20,10 +21,18 @@ pub(super) fn remove(id: &str) {
     }
 }
 
-/// The browser's address bar and clock.
-pub(super) struct AddressBar;
+/// The browser's address bar, clock and file dialog.
+pub(super) struct BrowserWindow {
+    file_dialog: FileDialog,
+}
 
-impl Platform for AddressBar {
+impl BrowserWindow {
+    pub(super) fn new(ctx: &egui::Context) -> Self {
+        Self { file_dialog: FileDialog::new(ctx) }
+    }
+}
+
+impl Platform for BrowserWindow {
     fn hash(&self) -> String {
         web_sys::window().and_then(|window| window.location().hash().ok()).unwrap_or_default()
     }
@@ -44,5 +53,13 @@ impl Platform for AddressBar {
     fn time_of_day(&self) -> String {
         let now = js_sys::Date::new_0();
         format!("{:02}:{:02}:{:02}", now.get_hours(), now.get_minutes(), now.get_seconds())
+    }
+
+    fn pick_file(&mut self) {
+        self.file_dialog.open();
+    }
+
+    fn picked_files(&mut self) -> Vec<PickedFile> {
+        self.file_dialog.take_picked()
     }
 }

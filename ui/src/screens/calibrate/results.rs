@@ -1,0 +1,171 @@
+//! What a finished run found: one sentence, the picture, the numbers, and what to do with it.
+
+use egui::RichText;
+use palpate_wire::api::{CalibrationReport, CalibrationRun, Intervals, Metrics};
+
+use super::{CalibrateState, objective, tables};
+use crate::{
+    route::Screen,
+    screens::{ScreenContext, duration_text},
+    store::Loadable,
+};
+
+pub(super) fn results_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut CalibrateState,
+    run: &CalibrationRun,
+    report: &CalibrationReport,
+) {
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        ui.heading("3  See");
+        let headline = headline(report);
+        let response = ui.label(RichText::new(&headline).size(17.0).strong());
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Label, true, &headline));
+        for note in &report.notes {
+            ui.colored_label(cx.palette.warning, format!("\u{26a0} {note}"));
+        }
+        ui.add_space(6.0);
+        metrics_ui(ui, cx, report);
+        ui.add_space(10.0);
+        objective::objective_ui(ui, &cx.palette, report);
+        ui.add_space(10.0);
+        keep_ui(ui, cx, state, run, report);
+        ui.add_space(10.0);
+        tables::tables_ui(ui, cx, &mut state.table, report);
+        ui.add_space(12.0);
+    });
+}
+
+/// One sentence: what changed on takes that the fit has not seen.
+fn headline(report: &CalibrationReport) -> String {
+    let (before, after) = (&report.held_out.nominal, &report.held_out.calibrated);
+    let mut parts = Vec::new();
+    if let (Some(a), Some(b)) = (before.onset_error_ms, after.onset_error_ms) {
+        parts.push(format!("onset error {a:.0} \u{2192} {b:.0} ms"));
+    }
+    if let (Some(a), Some(b)) = (before.f1, after.f1) {
+        parts.push(format!("F1 {a:.2} \u{2192} {b:.2}"));
+    }
+    if let (Some(a), Some(b)) = (before.fpr, after.fpr) {
+        parts.push(format!("false positives {:.1} \u{2192} {:.1} %", a * 100.0, b * 100.0));
+    }
+    if parts.is_empty() {
+        return "Calibrated, but the held-out takes hold no touch to judge by.".to_owned();
+    }
+    format!("Calibrated: {} on takes it has not seen.", parts.join(", "))
+}
+
+/// A metric in the words of people: its name, and its text for a set of metrics.
+type Row = (&'static str, fn(&Metrics) -> String, fn(&Intervals) -> [Option<[f64; 2]>; 2], f64);
+
+fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationReport) {
+    let rows: [Row; 4] = [
+        (
+            "Onset error, ms",
+            |m| tables::number(m.onset_error_ms, 1.0, 0),
+            |i| [i.nominal.onset_error_ms, i.calibrated.onset_error_ms],
+            1.0,
+        ),
+        (
+            "Offset error, ms",
+            |m| tables::number(m.offset_error_ms, 1.0, 0),
+            |i| [i.nominal.offset_error_ms, i.calibrated.offset_error_ms],
+            1.0,
+        ),
+        ("F1, %", |m| tables::number(m.f1, 100.0, 1), |i| [i.nominal.f1, i.calibrated.f1], 100.0),
+        (
+            "False positive rate, %",
+            |m| tables::number(m.fpr, 100.0, 2),
+            |i| [i.nominal.fpr, i.calibrated.fpr],
+            100.0,
+        ),
+    ];
+    let held = report.held_out_takes.join(", ");
+    ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
+    egui::Grid::new("calibrate_metrics").striped(true).spacing([28.0, 6.0]).show(ui, |ui| {
+        ui.label("");
+        ui.label(RichText::new("Nominal").color(cx.palette.nominal).strong());
+        ui.label(RichText::new("95 %").color(cx.palette.text_weak));
+        ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
+        ui.label(RichText::new("95 %").color(cx.palette.text_weak));
+        ui.end_row();
+        for (name, text, intervals, factor) in rows {
+            let [before, after] = report.intervals_95.as_ref().map_or([None; 2], intervals);
+            ui.label(name);
+            ui.label(text(&report.held_out.nominal));
+            ui.label(RichText::new(range(before, factor)).color(cx.palette.text_weak));
+            ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
+            ui.label(RichText::new(range(after, factor)).color(cx.palette.text_weak));
+            ui.end_row();
+        }
+        ui.label("Real contacts with a partner, %");
+        ui.label(tables::number(report.held_out.nominal.onset_coverage, 100.0, 0));
+        ui.label("");
+        ui.label(tables::number(report.held_out.calibrated.onset_coverage, 100.0, 0));
+        ui.end_row();
+    });
+}
+
+fn range(interval: Option<[f64; 2]>, factor: f64) -> String {
+    let Some([low, high]) = interval else { return String::new() };
+    let digits = if (high - low).abs() * factor >= 10.0 { 0 } else { 1 };
+    format!("{:.digits$} to {:.digits$}", low * factor, high * factor)
+}
+
+fn keep_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut CalibrateState,
+    run: &CalibrationRun,
+    report: &CalibrationReport,
+) {
+    ui.heading("4  Keep");
+    let theta = &report.theta;
+    ui.label(format!(
+        "\u{3bb}con {:.2} mm, \u{3b1} {:.0} /m, \u{3bb}pre {:.0} Pa; {} evaluations in {}",
+        theta.lambda_con_m * 1e3,
+        theta.alpha_per_m,
+        theta.lambda_pre_pa,
+        report.evaluations,
+        duration_text(report.seconds),
+    ));
+    ui.horizontal_wrapped(|ui| {
+        let label = ui.label("Model name");
+        let field = egui::TextEdit::singleline(&mut state.model_name).desired_width(200.0);
+        ui.add(field).labelled_by(label.id);
+        let named = !state.model_name.trim().is_empty();
+        if ui.add_enabled(named, egui::Button::new("Save model")).clicked() {
+            cx.store.save_model(&run.id, state.model_name.trim());
+        }
+        if ui.button("Compare on Timelines").clicked() {
+            cx.go_to_screen(Screen::Timelines);
+        }
+        ui.hyperlink_to("Open the report", format!("/api/v1/calibrations/{}/report.html", run.id));
+    });
+    match (&cx.store.saved_model, &run.saved_as) {
+        (Loadable::Failed(error), _) => {
+            ui.colored_label(cx.palette.mismatch, format!("The model was not saved: {error}"));
+        }
+        (_, Some(id)) => {
+            ui.label(format!("\u{2714} Saved as {id}."));
+        }
+        (Loadable::Loading, None) => {
+            ui.spinner();
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_read_with_sensible_digits() {
+        assert_eq!(range(Some([0.612, 0.703]), 100.0), "61.2 to 70.3");
+        assert_eq!(range(Some([180.4, 251.0]), 1.0), "180 to 251");
+        assert_eq!(range(None, 1.0), "");
+    }
+}
