@@ -143,30 +143,18 @@ impl SignedDistance {
     ) {
         let rotation = object_from_frame.rotation.to_rotation_matrix().into_inner();
         let translation = object_from_frame.translation.vector;
-        let mut each = |distance: &dyn Fn(&Point3<f64>) -> f64| {
-            for (i, p) in points_in_frame.iter().enumerate() {
-                visit(i, distance(&Point3::from(rotation * p.coords + translation)));
-            }
-        };
+        let to_object = |p: &Point3<f64>| Point3::from(rotation * p.coords + translation);
+        let points = points_in_frame.iter().map(to_object).enumerate();
         match &self.shape {
-            &Shape::Ball { radius } => {
-                for (i, p) in points_in_frame.iter().enumerate() {
-                    visit(i, ball_distance(&Point3::from(rotation * p.coords + translation), radius));
-                }
-            }
+            &Shape::Ball { radius } => points.for_each(|(i, p)| visit(i, ball_distance(&p, radius))),
             &Shape::Cylinder { radius, half_height } => {
-                for (i, p) in points_in_frame.iter().enumerate() {
-                    let pos_in_object = Point3::from(rotation * p.coords + translation);
-                    visit(i, cylinder_distance(&pos_in_object, radius, half_height));
-                }
+                points.for_each(|(i, p)| visit(i, cylinder_distance(&p, radius, half_height)));
             }
             Shape::Cuboid { half_extents } => {
-                for (i, p) in points_in_frame.iter().enumerate() {
-                    visit(i, cuboid_distance(&Point3::from(rotation * p.coords + translation), half_extents));
-                }
+                points.for_each(|(i, p)| visit(i, cuboid_distance(&p, half_extents)));
             }
             Shape::Convex(_) | Shape::Mesh(_) | Shape::Union(_) => {
-                each(&|p| self.distance_below_m(p, limit_m))
+                points.for_each(|(i, p)| visit(i, self.distance_below_m(&p, limit_m)));
             }
         }
     }

@@ -147,7 +147,7 @@ fn check(robot: &Robot, base_from_object: &Isometry3<f64>, positions: &[f64]) ->
     if positions.is_empty() {
         return Ok(0);
     }
-    if num_dofs == 0 || positions.len() % num_dofs != 0 {
+    if num_dofs == 0 || !positions.len().is_multiple_of(num_dofs) {
         return Err(ReplayError::RaggedPath { num_values: positions.len(), num_dofs });
     }
     if let Some(i) = positions.iter().position(|position| !position.is_finite()) {

@@ -82,8 +82,9 @@ pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f6
 /// Frames per unit of parallel work.
 const CHUNK_FRAMES: usize = 128;
 
-/// Adds the pressures of the touched nodes to the taxels.
-fn propagate(weights: &[f64], touched: &[(u32, f64)], taxels: &mut [f64]) {
+/// Propagated pressure of the taxels of one patch in one frame, `taxels` being zero before: `weights` as in
+/// [`Propagation`], `touched` the frame's `(node, pressure)` entries. [`raw_signals`] is made of these sums, bit for bit.
+pub fn propagate(weights: &[f64], touched: &[(u32, f64)], taxels: &mut [f64]) {
     // With a length known at compile time the sums stay in registers; any other length takes the loop below.
     if let Ok(taxels) = <&mut [f64; 8]>::try_from(&mut *taxels) {
         let mut sums = [0.0; 8];

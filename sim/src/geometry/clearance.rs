@@ -48,8 +48,8 @@ impl LinkClearance {
     /// `object_from_link` is `base_from_object.inverse() * root_from_link[link_idx]`.
     ///
     /// Apart, it is parry's distance between the shapes, good to about a micrometre. Overlapping, it is never
-    /// positive: minus the depth of the deepest of the link's surface samples, which misses at most 3 mm of the depth
-    /// (a quarter of a millimetre is typical); zero where the object overlaps the link without reaching a sample.
+    /// positive: the signed distance of the deepest of the link's surface samples, which are 3 mm apart, so that a
+    /// point of the link can be up to 2 mm deeper; zero where the overlap reaches no sample.
     pub fn link_clearance_m(
         &self,
         link_idx: usize,

@@ -161,12 +161,16 @@ proptest! {
     #[test]
     fn meshed_sphere_is_within_its_sagitta(p in point(0.12)) {
         let (vertices, triangles) = sphere_mesh(4);
-        // Edges of an octahedron subdivided four times span about 6 degrees: sagitta r (1 - cos 4 degrees) at most.
-        let sagitta = SPHERE_RADIUS_M * (1.0 - 4.5_f64.to_radians().cos());
+        let flat_distance = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| vertices[i as usize]);
+            (b - a).cross(&(c - a)).normalize().dot(&a.coords)
+        };
+        let sagitta = SPHERE_RADIUS_M - triangles.iter().map(flat_distance).fold(f64::INFINITY, f64::min);
+        prop_assert!(sagitta > 0.0 && sagitta < 5e-4);
         let meshed = new(&ObjectShape::Mesh { vertices: vertices.clone(), triangles }).distance_m(&p);
         let hull = new(&ObjectShape::ConvexParts { parts: vec![vertices] }).distance_m(&p);
         let exact = new(&sphere(SPHERE_RADIUS_M)).distance_m(&p);
-        prop_assert!(meshed >= exact - 1e-12 && meshed <= exact + sagitta, "{} against {}", meshed, exact);
+        prop_assert!(meshed >= exact - 1e-12 && meshed <= exact + sagitta + 1e-12, "{} against {}", meshed, exact);
         prop_assert!((hull - meshed).abs() < 1e-9, "hull {} against mesh {}", hull, meshed);
     }
 
@@ -215,14 +219,15 @@ proptest! {
             prop_assert!((clearance - exact).abs() < 1e-6, "{} against {}", clearance, exact);
         } else if exact < -1e-6 {
             prop_assert!(clearance <= 0.0 && clearance >= exact - 1e-9, "{} against {}", clearance, exact);
-            if object.distance_m(&center) > 0.0 {
+            // Two balls: the point of one that is deepest in the other lies that deep. Corners are less deep.
+            if matches!(shape, ObjectShape::Sphere { .. }) {
                 prop_assert!(clearance <= (exact + 0.003).min(0.0), "{} against {}", clearance, exact);
             }
         }
     }
 
     #[test]
-    fn link_shapes_turn_and_move_with_their_link(angle in -3.0..3.0, gap in 0.001..0.05) {
+    fn link_shapes_turn_and_move_with_their_link(angle in -3.0..3.0_f64, gap in 0.001..0.05_f64) {
         // A long cylinder along its own z, laid along x by its pose in the link, beside the sphere.
         let robot = robot(r#"<cylinder radius="0.01" length="0.2"/>"#);
         let spin = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle);
