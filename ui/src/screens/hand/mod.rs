@@ -1,11 +1,600 @@
-//! Hand: the take at the cursor.
+//! The hand: a 3-D view and a flat map of the same taxels, replaying a take or following the live station.
+//!
+//! [`scene`] and [`signal`] say what is to be seen (pure), [`renderer`] draws it, the others are widgets.
 
-use super::{ScreenContext, ensure_take_ui};
+mod camera;
+mod details;
+mod flat_map;
+mod hull;
+mod mesh;
+mod renderer;
+mod scene;
+mod signal;
+#[cfg(test)]
+mod tests;
+mod transport;
+mod view3d;
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use egui::{Align, Key, Layout, Panel, Rgba, RichText, accesskit::Role};
+use nalgebra::Isometry3;
+use palpate_robot_model::Station;
+use palpate_wire::{
+    api::{Source, TakeSummary},
+    proto::{LiveFrame, ReplayTrace},
+};
+
+use self::{
+    details::{Details, details_ui, tooltip_ui},
+    flat_map::{FlatMap, click, flat_map_ui},
+    scene::{Geometry, TaxelLook},
+    signal::{Coloring, FULL_SCALE_THRESHOLDS, Sample, Signal},
+    view3d::{Moment, ViewState, view3d_ui},
+};
+use super::{ScreenContext, empty_ui, ensure_take_ui, failed_ui, loading_ui};
+use crate::{
+    playback::{HandSource, ModelRef},
+    route::Screen,
+    store::{Connection, Loadable},
+    take_data::TakeData,
+    theme::taxel_scale,
+};
+
+const SIDE_WIDTH: f32 = 340.0;
+
+/// What the screen remembers between frames.
+#[derive(Default)]
+struct HandState {
+    view: ViewState,
+    signal: Signal,
+    coloring: Coloring,
+}
+
+/// Everything that one frame shows, recorded or live.
+struct Shot {
+    station: Arc<Station>,
+    positions: Vec<f64>,
+    real: Vec<Sample>,
+    nominal: Vec<Sample>,
+    compared: Vec<Sample>,
+    object: Option<(String, Isometry3<f64>)>,
+    take: Option<(Arc<TakeData>, f64)>,
+    replays: [Option<Arc<ReplayTrace>>; 2],
+    banner: Banner,
+}
+
+/// Where the data comes from, in words.
+struct Banner {
+    source: String,
+    color: egui::Color32,
+    about: String,
+    /// Why a simulation that was asked for is not shown.
+    missing: Option<String>,
+}
 
 /// The screen.
 pub fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    let id = egui::Id::unique("hand screen");
+    let shared: Arc<Mutex<HandState>> = ui.data_mut(|data| Arc::clone(data.get_temp_mut_or_default(id)));
+    let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+    if !live_offered(cx) {
+        cx.playback.hand_source = HandSource::Recorded;
+    }
+    let shot = match cx.playback.hand_source {
+        HandSource::Recorded => recorded_shot(ui, cx, &mut state),
+        HandSource::Live => live_shot(ui, cx, &mut state),
+    };
+    if let Some(shot) = shot {
+        shot_ui(ui, cx, &mut state, &shot);
+    }
+}
+
+/// Whether there is a live station to look at.
+fn live_offered(cx: &ScreenContext<'_>) -> bool {
+    cx.store.info.ready().is_some_and(|info| info.source != Source::Replay && info.station.is_some())
+}
+
+/// The chosen take at the cursor. `None` while something is missing, which is then on the screen.
+fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState) -> Option<Shot> {
+    let live_wanted =
+        live_offered(cx) && !cx.store.sessions().ready().is_some_and(|sessions| !sessions.is_empty());
+    if live_wanted {
+        source_switch_ui(ui, cx);
+    }
     if !ensure_take_ui(ui, cx) {
+        return None;
+    }
+    let (session, take_id) = (cx.playback.session.clone()?, cx.playback.take.clone()?);
+    let station = match cx.store.station(&session) {
+        Loadable::Ready(station) => station,
+        Loadable::Failed(error) => {
+            failed_ui(ui, cx, &format!("The station of session {session} could not be read"), &error);
+            return None;
+        }
+        Loadable::Idle | Loadable::Loading => {
+            loading_ui(ui, "Reading the station");
+            return None;
+        }
+    };
+    let take = match cx.store.take(&session, &take_id) {
+        Loadable::Ready(take) => take,
+        Loadable::Failed(error) => {
+            failed_ui(ui, cx, &format!("Take {take_id} of session {session} did not arrive"), &error);
+            return None;
+        }
+        Loadable::Idle | Loadable::Loading => {
+            loading_ui(ui, &format!("Loading {take_id}"));
+            return None;
+        }
+    };
+    if let Err(error) = take.check_against(&station) {
+        failed_ui(ui, cx, &format!("Take {take_id} does not match its station"), &error);
+        return None;
+    }
+    if take.num_frames() == 0 {
+        let text = "Nothing was logged from the joints in this take, so there is no posture to show.";
+        if empty_ui(ui, &format!("Take {take_id} holds no joint frames"), text, "Choose another take") {
+            cx.go_to_screen(Screen::Sessions);
+        }
+        return None;
+    }
+    cx.playback.duration_s = take.duration_s();
+    let time_s = cx.playback.time_s.min(take.duration_s());
+
+    let replay = |cx: &mut ScreenContext<'_>, model: &ModelRef| {
+        let loaded = cx.store.replay(&session, &take_id, model);
+        let problem = match &loaded {
+            Loadable::Ready(replay) => crate::take_data::check_replay(replay, &take, &station).err(),
+            Loadable::Failed(error) => Some(error.clone()),
+            Loadable::Idle | Loadable::Loading => None,
+        };
+        let usable = loaded.ready().filter(|_| problem.is_none()).cloned();
+        (usable, problem)
+    };
+    let (nominal, nominal_problem) = replay(cx, &ModelRef::Nominal);
+    let compared_model = cx.playback.compared.clone();
+    let (compared, compared_problem) =
+        compared_model.as_ref().map_or((None, None), |model| replay(cx, model));
+    let at_cursor = |replay: &Option<Arc<ReplayTrace>>| {
+        replay.as_ref().map_or_else(Vec::new, |replay| signal::simulated(&station, &take, replay, time_s))
+    };
+    let missing = match state.signal {
+        Signal::Real => None,
+        Signal::Nominal => {
+            nominal.is_none().then(|| nominal_problem.unwrap_or_else(|| "simulating\u{2026}".to_owned()))
+        }
+        Signal::Calibrated if compared_model.is_none() => Some("choose a model to compare with".to_owned()),
+        Signal::Calibrated => {
+            compared.is_none().then(|| compared_problem.unwrap_or_else(|| "simulating\u{2026}".to_owned()))
+        }
+    };
+    let summary = cx
+        .store
+        .session(&session)
+        .ready()
+        .and_then(|detail| detail.takes.iter().find(|summary| summary.id == take_id).cloned());
+    let object = summary
+        .as_ref()
+        .and_then(|summary| Some((summary.object.clone(), signal::pose_from(&summary.object_pose)?)));
+    Some(Shot {
+        positions: take.joint_positions_at(time_s),
+        real: signal::recorded(&station, &take, time_s),
+        nominal: at_cursor(&nominal),
+        compared: at_cursor(&compared),
+        object,
+        banner: Banner {
+            source: "REPLAY".to_owned(),
+            color: cx.palette.text_weak,
+            about: about_take(&station, &take_id, summary.as_ref()),
+            missing,
+        },
+        take: Some((take, time_s)),
+        replays: [nominal, compared],
+        station,
+    })
+}
+
+fn about_take(station: &Station, take_id: &str, summary: Option<&TakeSummary>) -> String {
+    let Some(summary) = summary else { return take_id.to_owned() };
+    let object = station.objects.get(&summary.object).map_or(summary.object.as_str(), |object| &object.label);
+    [take_id, &summary.primitive, object]
+        .into_iter()
+        .filter(|word| !word.is_empty())
+        .collect::<Vec<_>>()
+        .join(" \u{b7} ")
+}
+
+/// The newest frame of the live station.
+fn live_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState) -> Option<Shot> {
+    let station = match cx.store.live_station() {
+        Loadable::Ready(station) => station,
+        other => {
+            source_switch_ui(ui, cx);
+            match other {
+                Loadable::Failed(error) => failed_ui(ui, cx, "The live station could not be read", &error),
+                _ => loading_ui(ui, "Reading the live station"),
+            }
+            return None;
+        }
+    };
+    let Some(frame) = cx.store.live_frame().cloned() else {
+        source_switch_ui(ui, cx);
+        loading_ui(ui, "Waiting for the first live frame");
+        return None;
+    };
+    if frame.joint_positions.len() != station.robot.num_dofs()
+        || frame.joint_positions.iter().any(|value| !value.is_finite())
+    {
+        source_switch_ui(ui, cx);
+        let why = format!(
+            "It sent {} joint positions, and its robot has {}. Restart the server with the station file in use.",
+            frame.joint_positions.len(),
+            station.robot.num_dofs()
+        );
+        failed_ui(ui, cx, "The live station does not match its description", &why);
+        return None;
+    }
+    state.signal = Signal::Real;
+    Some(Shot {
+        positions: frame.joint_positions.iter().map(|&position| f64::from(position)).collect(),
+        real: signal::live(&station, &frame),
+        nominal: Vec::new(),
+        compared: Vec::new(),
+        object: signal::pose_from(&frame.object_pose).map(|pose| (frame.object.clone(), pose)),
+        take: None,
+        replays: [None, None],
+        banner: live_banner(cx, &frame),
+        station,
+    })
+}
+
+fn live_banner(cx: &ScreenContext<'_>, frame: &LiveFrame) -> Banner {
+    let emulated = cx.store.info.ready().is_some_and(|info| info.source == Source::Emulated);
+    match &cx.store.connection {
+        Connection::Lost { since, .. } => Banner {
+            source: format!("FROZEN SINCE {since}"),
+            color: cx.palette.mismatch,
+            about: "the connection is lost; this is the last frame that arrived".to_owned(),
+            missing: None,
+        },
+        _ => Banner {
+            source: if emulated { "LIVE (EMULATED)" } else { "LIVE" }.to_owned(),
+            color: if emulated { cx.palette.warning } else { cx.palette.mismatch },
+            about: frame.activity.clone(),
+            missing: None,
+        },
+    }
+}
+
+fn source_switch_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    ui.horizontal(|ui| {
+        ui.selectable_value(&mut cx.playback.hand_source, HandSource::Recorded, "Recorded");
+        ui.selectable_value(&mut cx.playback.hand_source, HandSource::Live, "Live");
+    });
+}
+
+fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState, shot: &Shot) {
+    let mut root_from_link = Vec::new();
+    shot.station.robot.forward_kinematics(&shot.positions, &mut root_from_link);
+    let geometry = state.view.geometry_of(&shot.station);
+    let shown = match state.signal {
+        Signal::Real => &shot.real,
+        Signal::Nominal => &shot.nominal,
+        Signal::Calibrated => &shot.compared,
+    };
+    // A simulation that is not here yet shows as unknown, never as the recording.
+    let unknown = vec![Sample::default(); shot.station.layout.num_channels()];
+    let samples = if shown.is_empty() { &unknown } else { shown };
+    let (signal, coloring, palette) = (state.signal, state.coloring, cx.palette);
+    let looks: Vec<TaxelLook> = samples
+        .iter()
+        .enumerate()
+        .map(|(channel, sample)| {
+            let rgba = Rgba::from(sample.color(coloring, signal, &palette));
+            TaxelLook {
+                color: [rgba.r(), rgba.g(), rgba.b()],
+                active: sample.active == Some(true),
+                marked: cx.playback.highlighted() == Some(channel)
+                    || cx.playback.pinned == Some(channel)
+                    || cx.playback.selected.contains(&channel),
+            }
+        })
+        .collect();
+    let moment = Moment {
+        station: &shot.station,
+        root_from_link: &root_from_link,
+        looks: &looks,
+        object: shot.object.as_ref().map(|(id, pose)| (id.as_str(), pose)),
+    };
+    let details = Details {
+        station: &shot.station,
+        samples: [&shot.real, &shot.nominal, &shot.compared],
+        take: shot.take.as_ref().map(|(take, time_s)| (&**take, *time_s)),
+        replays: [shot.replays[0].as_deref(), shot.replays[1].as_deref()],
+    };
+
+    let frame = egui::Frame::NONE;
+    Panel::top("hand_controls").frame(frame).show_separator_line(false).show(ui, |ui| {
+        controls_ui(ui, cx, state, shot);
+        views_ui(ui, state, &geometry, &moment);
+        ui.add_space(4.0);
+    });
+    Panel::bottom("hand_transport").frame(frame).show_separator_line(false).show(ui, |ui| {
+        ui.add_space(6.0);
+        match &shot.take {
+            Some((take, _)) => transport::transport_ui(ui, cx.playback, take, &palette),
+            None => live_rates_ui(ui, cx, &shot.station),
+        }
+    });
+    Panel::right("hand_side")
+        .frame(frame)
+        .resizable(false)
+        .exact_size(SIDE_WIDTH)
+        .show_separator_line(false)
+        .show(ui, |ui| {
+            let map = FlatMap {
+                station: &shot.station,
+                samples,
+                real: (signal != Signal::Real && !shown.is_empty()).then_some(shot.real.as_slice()),
+                signal,
+                coloring,
+            };
+            side_ui(ui, cx, &map, &details);
+        });
+    egui::CentralPanel::default().frame(egui::Frame::NONE).show(ui, |ui| {
+        let rect = ui.available_rect_before_wrap();
+        if rect.width() < 40.0 || rect.height() < 40.0 {
+            return;
+        }
+        let seen = view3d_ui(ui, rect, &mut state.view, &geometry, &moment, &palette, cx.surface_format);
+        if let Some(channel) = seen.hovered {
+            cx.playback.hovered = Some(channel);
+            if let Some(response) = seen.response {
+                response.on_hover_ui_at_pointer(|ui| tooltip_ui(ui, &details, channel, signal));
+            }
+        }
+        if let Some(channel) = seen.clicked {
+            let only_select = ui.input(|input| input.modifiers.command);
+            click(cx.playback, channel, only_select);
+        }
+    });
+    keys(ui, state, &geometry, &moment);
+}
+
+/// Where the data comes from, and what colours the taxels.
+fn controls_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState, shot: &Shot) {
+    ui.horizontal_wrapped(|ui| {
+        ui.label(RichText::new(&shot.banner.source).strong().size(16.0).color(shot.banner.color));
+        ui.label(&shot.banner.about);
+        if live_offered(cx) {
+            ui.separator();
+            ui.selectable_value(&mut cx.playback.hand_source, HandSource::Recorded, "Recorded");
+            ui.selectable_value(&mut cx.playback.hand_source, HandSource::Live, "Live");
+        }
+        if cx.playback.hand_source == HandSource::Recorded {
+            ui.separator();
+            for signal in Signal::ALL {
+                let text = RichText::new(signal.label()).strong().color(signal.color(&cx.palette));
+                let chosen = state.signal == signal;
+                let response = ui.selectable_label(chosen, text).on_hover_text(signal_hint(signal));
+                response.widget_info(|| {
+                    egui::WidgetInfo::selected(Role::RadioButton, true, chosen, signal.label())
+                });
+                if response.clicked() {
+                    state.signal = signal;
+                }
+            }
+            if state.signal == Signal::Calibrated {
+                model_picker_ui(ui, cx);
+            }
+        }
+        ui.separator();
+        ui.selectable_value(&mut state.coloring, Coloring::Reading, "Reading")
+            .on_hover_text("Colour taxels by how much they read");
+        ui.selectable_value(&mut state.coloring, Coloring::Active, "Active")
+            .on_hover_text("Colour taxels by whether they are active");
+        if let Some(missing) = &shot.banner.missing {
+            ui.label(
+                RichText::new(format!("\u{26a0} {}: {missing}", state.signal.label()))
+                    .color(cx.palette.warning),
+            );
+        }
+    });
+}
+
+fn signal_hint(signal: Signal) -> &'static str {
+    match signal {
+        Signal::Real => "What the hand reported",
+        Signal::Nominal => "What the nominal simulation of the same motion says",
+        Signal::Calibrated => "What the compared simulation says, usually a calibrated one",
+    }
+}
+
+/// Which simulation is the blue one.
+fn model_picker_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    let mut offered: Vec<(ModelRef, String)> = Vec::new();
+    if let Loadable::Ready(models) = cx.store.models() {
+        offered.extend(models.iter().map(|model| (ModelRef::Saved(model.id.clone()), model.name.clone())));
+    }
+    if let Loadable::Ready(runs) = cx.store.runs() {
+        offered.extend(runs.iter().filter(|run| run.report.is_some()).map(|run| {
+            (ModelRef::Run(run.id.clone()), format!("Run {} on {}", run.id, run.request.session))
+        }));
+    }
+    if offered.is_empty() {
+        if ui
+            .button("Calibrate first")
+            .on_hover_text("No calibrated model yet: calibrate this session to get one")
+            .clicked()
+        {
+            cx.go_to_screen(Screen::Calibrate);
+        }
         return;
     }
-    ui.label(format!("{:.3} s", cx.playback.time_s));
+    let current = cx.playback.compared.as_ref().map_or_else(
+        || "Choose a model".to_owned(),
+        |model| {
+            offered
+                .iter()
+                .find(|(known, _)| known == model)
+                .map_or_else(|| model.to_string(), |(_, name)| name.clone())
+        },
+    );
+    let combo =
+        egui::ComboBox::from_id_salt("hand model").width(150.0).selected_text(&current).show_ui(ui, |ui| {
+            for (model, name) in offered {
+                ui.selectable_value(&mut cx.playback.compared, Some(model), name);
+            }
+        });
+    combo.response.widget_info(|| {
+        egui::WidgetInfo::labeled(Role::ComboBox, true, format!("Compared model: {current}"))
+    });
+}
+
+/// Named views and what is shown.
+fn views_ui(ui: &mut egui::Ui, state: &mut HandState, geometry: &Geometry, moment: &Moment<'_>) {
+    ui.horizontal_wrapped(|ui| {
+        ui.label("View");
+        for (idx, view) in geometry.views.iter().enumerate() {
+            let hint = format!("Look at: {} (key {})", view.label, idx + 1);
+            let response = ui.button(&view.label).on_hover_text(hint);
+            response.widget_info(|| {
+                egui::WidgetInfo::labeled(Role::Button, true, format!("View: {}", view.label))
+            });
+            if response.clicked() {
+                state.view.look_at(geometry, moment, view);
+            }
+        }
+        let reset = ui.button("Reset").on_hover_text("The view this screen opens with (key R)");
+        reset.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, "Reset view"));
+        if reset.clicked() {
+            state.view.reset(geometry, moment);
+        }
+        ui.separator();
+        ui.checkbox(&mut state.view.shown.object, "Object");
+        ui.checkbox(&mut state.view.shown.arm, "Arm");
+        ui.checkbox(&mut state.view.labels, "Labels");
+        ui.checkbox(&mut state.view.follow, "Follow").on_hover_text("The camera moves with the hand");
+    });
+}
+
+/// Flat map on top, the taxel at hand below.
+fn side_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, map: &FlatMap<'_>, details: &Details<'_>) {
+    let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
+    let map_height = (room.height() * 0.48).clamp(120.0, 420.0);
+    let rect = egui::Rect::from_min_size(room.min, egui::vec2(room.width(), map_height));
+    ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
+        flat_map_ui(ui, rect, map, cx.playback, &cx.palette);
+        ui.advance_cursor_after_rect(rect);
+        legend_ui(ui, map, &cx.palette);
+        ui.separator();
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            let channel = cx
+                .playback
+                .pinned
+                .or(cx.playback.highlighted())
+                .filter(|&channel| channel < map.samples.len());
+            match channel {
+                Some(channel) => {
+                    let pinned = cx.playback.pinned == Some(channel);
+                    if details_ui(ui, details, channel, pinned, &cx.palette) {
+                        click(cx.playback, channel, false);
+                    }
+                }
+                None => nothing_pinned_ui(ui, map, cx.palette.text_weak),
+            }
+        });
+    });
+}
+
+fn nothing_pinned_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, weak: egui::Color32) {
+    let active = map.samples.iter().filter(|sample| sample.active == Some(true)).count();
+    ui.label(RichText::new(format!("{active} of {} taxels active", map.samples.len())).strong());
+    ui.label(
+        RichText::new(
+            "Point at a taxel, here or on the hand, to see what it reads. Click to keep it here with its trace; \
+             Ctrl-click picks several for the timelines.",
+        )
+        .color(weak),
+    );
+}
+
+/// What the colours mean. The scale is fixed, in thresholds.
+fn legend_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, palette: &crate::theme::Palette) {
+    match map.coloring {
+        Coloring::Reading => {
+            ui.horizontal(|ui| {
+                ui.label("0");
+                let (rect, response) = ui.allocate_exact_size(egui::vec2(170.0, 14.0), egui::Sense::hover());
+                let steps = 48;
+                for step in 0..steps {
+                    let share = |step: i32| step as f32 / steps as f32;
+                    let x = egui::lerp(rect.x_range(), share(step))..=egui::lerp(rect.x_range(), share(step + 1)) + 0.5;
+                    let cell = egui::Rect::from_x_y_ranges(x, rect.y_range());
+                    ui.painter().rect_filled(cell, 0.0, taxel_scale(share(step) + 0.5 / steps as f32));
+                }
+                let tick = egui::lerp(rect.x_range(), 1.0 / FULL_SCALE_THRESHOLDS);
+                ui.painter().vline(tick, rect.expand(3.0).y_range(), egui::Stroke::new(2.0, palette.real));
+                let name = format!("Scale: violet is no touch, the mark is the threshold, yellow is {FULL_SCALE_THRESHOLDS} thresholds or more");
+                response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, name.clone()));
+                response.on_hover_text(
+                    "Readings in thresholds: the mark is where a taxel switches. A simulated distance counts one step \
+                     for every 5 mm past its threshold.",
+                );
+                ui.label(format!("{FULL_SCALE_THRESHOLDS} \u{d7} threshold"));
+            });
+        }
+        Coloring::Active => {
+            ui.horizontal(|ui| {
+                let (rect, _) = ui.allocate_exact_size(egui::vec2(14.0, 14.0), egui::Sense::hover());
+                ui.painter().circle_filled(rect.center(), 6.0, map.signal.color(palette));
+                ui.label("active");
+                let (rect, _) = ui.allocate_exact_size(egui::vec2(14.0, 14.0), egui::Sense::hover());
+                ui.painter().circle(
+                    rect.center(),
+                    4.5,
+                    palette.line,
+                    egui::Stroke::new(1.0, palette.text_weak),
+                );
+                ui.label("not active");
+            });
+        }
+    }
+    if map.real.is_some() {
+        ui.label(RichText::new("Hollow: simulated only. Red line: real only.").color(palette.text_weak));
+    }
+}
+
+/// Measured rates of the live station.
+fn live_rates_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, station: &Station) {
+    let Some(frame) = cx.store.live_frame() else { return };
+    ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+        ui.label(format!("Running for {}", super::duration_text(frame.time_s)));
+        let names = std::iter::once("joints")
+            .chain(station.layout.streams.iter().map(|stream| stream.label.as_str()));
+        for (name, rate_hz) in names.zip(&frame.rates_hz) {
+            ui.separator();
+            ui.label(format!("{name} {rate_hz:.1} Hz"));
+        }
+    });
+}
+
+/// R and the numbers; everything else belongs to the whole page.
+fn keys(ui: &egui::Ui, state: &mut HandState, geometry: &Geometry, moment: &Moment<'_>) {
+    if ui.ctx().text_edit_focused() {
+        return;
+    }
+    const NUMBERS: [Key; 9] =
+        [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
+    let (reset, number) = ui.input(|input| {
+        let plain = input.modifiers.is_none();
+        (plain && input.key_pressed(Key::R), NUMBERS.iter().position(|&key| plain && input.key_pressed(key)))
+    });
+    if reset {
+        state.view.reset(geometry, moment);
+    }
+    if let Some(view) = number.and_then(|idx| geometry.views.get(idx)) {
+        state.view.look_at(geometry, moment, view);
+    }
 }
