@@ -133,7 +133,7 @@ impl StudioApp {
     fn connection_ui(&self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
         match &self.store.connection {
             Connection::Open => {
-                ui.label(RichText::new("\u{25cf} Connected").color(palette.diagnosed));
+                dot_ui(ui, "Connected", palette.diagnosed, true);
                 if let Some(rate_hz) =
                     self.store.live_frame().and_then(|frame| frame.rates_hz.first().copied())
                 {
@@ -145,13 +145,24 @@ impl StudioApp {
                 }
             }
             Connection::Connecting => {
-                ui.label(RichText::new("\u{25cb} Connecting").color(palette.text_weak));
+                dot_ui(ui, "Connecting", palette.text_weak, false);
             }
             Connection::Lost { since_s, .. } => {
                 let ago = crate::screens::duration_text((now_s - since_s).max(0.0).floor());
-                ui.label(RichText::new(format!("\u{25cb} Lost {ago} ago")).color(palette.mismatch));
+                dot_ui(ui, &format!("Lost {ago} ago"), palette.mismatch, false);
             }
         }
+    }
+}
+
+/// A word with a dot: full when live.
+fn dot_ui(ui: &mut egui::Ui, word: &str, colour: egui::Color32, live: bool) {
+    ui.label(RichText::new(word).color(colour));
+    let (rect, _) = ui.allocate_exact_size(egui::vec2(12.0, 12.0), egui::Sense::hover());
+    if live {
+        ui.painter().circle_filled(rect.center(), 5.0, colour);
+    } else {
+        ui.painter().circle_stroke(rect.center(), 4.5, egui::Stroke::new(1.5, colour));
     }
 }
 

@@ -1,0 +1,273 @@
+//! A page on a made-up server: one session of the shipped probe bench with two takes, whose simulation lags.
+
+use std::{
+    cell::RefCell,
+    collections::{BTreeMap, VecDeque},
+    path::Path,
+    rc::Rc,
+};
+
+use base64::Engine as _;
+use egui_kittest::Harness;
+use palpate_robot_model::Station;
+use palpate_ui::{
+    Platform, StudioApp,
+    api_client::{Api, ApiEvent, FakeApi, Request},
+    playback::ModelRef,
+    screens::PickedFile,
+};
+use palpate_wire::{
+    api::{
+        Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary, ThetaReport,
+    },
+    bits,
+    proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
+};
+use prost::Message as _;
+
+pub(crate) const FRAMES: usize = 200;
+pub(crate) const FRAME_S: f64 = 0.1;
+/// The nominal simulation lags by so many frames; the saved model is right.
+pub(crate) const LAG_FRAMES: usize = 3;
+
+/// A server that the test can talk to while the page has it.
+#[derive(Clone, Default)]
+pub(crate) struct SharedApi(pub(crate) Rc<RefCell<FakeApi>>);
+
+impl Api for SharedApi {
+    fn send(&mut self, request: Request) {
+        self.0.borrow_mut().send(request);
+    }
+
+    fn open_socket(&mut self) {
+        self.0.borrow_mut().open_socket();
+    }
+
+    fn poll(&mut self) -> Vec<ApiEvent> {
+        self.0.borrow_mut().poll()
+    }
+}
+
+/// An address bar with a history.
+#[derive(Clone, Default)]
+pub(crate) struct FakeWindow(pub(crate) Rc<RefCell<History>>);
+
+#[derive(Default)]
+pub(crate) struct History {
+    pub(crate) entries: Vec<String>,
+}
+
+impl FakeWindow {
+    pub(crate) fn at(hash: &str) -> Self {
+        Self(Rc::new(RefCell::new(History { entries: vec![hash.to_owned()] })))
+    }
+
+    pub(crate) fn back(&self) {
+        self.0.borrow_mut().entries.pop();
+    }
+
+    pub(crate) fn current(&self) -> String {
+        self.0.borrow().entries.last().cloned().unwrap_or_default()
+    }
+
+    pub(crate) fn steps(&self) -> usize {
+        self.0.borrow().entries.len()
+    }
+}
+
+impl Platform for FakeWindow {
+    fn hash(&self) -> String {
+        self.current()
+    }
+
+    fn push_hash(&mut self, hash: &str) {
+        self.0.borrow_mut().entries.push(hash.to_owned());
+    }
+
+    fn replace_hash(&mut self, hash: &str) {
+        let mut history = self.0.borrow_mut();
+        history.entries.pop();
+        history.entries.push(hash.to_owned());
+    }
+
+    fn time_of_day(&self) -> String {
+        "14:03:12".to_owned()
+    }
+
+    fn pick_file(&mut self) {}
+
+    fn picked_files(&mut self) -> Vec<PickedFile> {
+        Vec::new()
+    }
+}
+
+pub(crate) fn station() -> Station {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/stations");
+    Station::read("probe_bench.toml", |path| {
+        std::fs::read(folder.join(path)).map_err(|err| format!("{path}: {err}"))
+    })
+    .expect("the shipped station is sound")
+}
+
+/// Channel `channel` is touched for ten frames from frame `20 + 4 * channel` on, `lag` frames later in a simulation, and
+/// once more at frame 150 in simulations that lag.
+pub(crate) fn is_active(frame: usize, channel: usize, lag: usize) -> bool {
+    let start = 20 + 4 * channel + lag;
+    (start..start + 10).contains(&frame) || (lag > 0 && channel == 0 && (150..153).contains(&frame))
+}
+
+fn activations(num_channels: usize, lag: usize) -> Vec<u8> {
+    bits::pack(
+        (0..FRAMES).flat_map(|frame| (0..num_channels).map(move |channel| is_active(frame, channel, lag))),
+    )
+}
+
+pub(crate) fn take_trace(station: &Station) -> TakeTrace {
+    let num_channels = station.layout.num_channels();
+    let frame_times_s: Vec<f64> = (0..FRAMES).map(|frame| frame as f64 * FRAME_S).collect();
+    let streams = station
+        .layout
+        .streams
+        .iter()
+        .zip(&station.streams)
+        .map(|(stream, config)| {
+            let samples = || (0..FRAMES).flat_map(|frame| stream.channels.clone().map(move |c| (frame, c)));
+            let raw = samples()
+                .map(
+                    |(frame, channel)| {
+                        if is_active(frame, channel, 0) { 2.0 * config.on_threshold as f32 } else { 1.0 }
+                    },
+                )
+                .collect();
+            StreamTrace {
+                stream: stream.id.clone(),
+                times_s: frame_times_s.clone(),
+                raw,
+                active: bits::pack(samples().map(|(frame, channel)| is_active(frame, channel, 0))),
+            }
+        })
+        .collect();
+    TakeTrace {
+        joint_positions: vec![0.0; FRAMES * station.robot.num_dofs()],
+        real_active: activations(num_channels, 0),
+        streams,
+        spans: vec![
+            SpanTrace { kind: "baseline".into(), start_s: 0.0, end_s: 1.5, label: String::new() },
+            SpanTrace { kind: "repetition".into(), start_s: 2.0, end_s: 9.0, label: "tap".into() },
+        ],
+        frame_times_s,
+    }
+}
+
+fn replay(station: &Station, lag: usize) -> ReplayTrace {
+    let num_channels = station.layout.num_channels();
+    ReplayTrace {
+        model: String::new(),
+        active: activations(num_channels, lag),
+        raw: vec![0.0; FRAMES * num_channels],
+        thresholds: vec![0.5; num_channels],
+    }
+}
+
+fn summary() -> SessionSummary {
+    SessionSummary {
+        id: "bench-1".into(),
+        station: "probe-bench".into(),
+        takes: 2,
+        frames: 2 * FRAMES,
+        duration_s: 2.0 * FRAMES as f64 * FRAME_S,
+        objects: vec!["sphere_50mm".into()],
+        recorded: "2026-05-04T10:00:00Z".into(),
+        error: None,
+    }
+}
+
+fn take_summary(id: &str) -> TakeSummary {
+    TakeSummary {
+        id: id.into(),
+        object: "sphere_50mm".into(),
+        object_pose: [0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0],
+        primitive: "tap".into(),
+        frames: FRAMES,
+        duration_s: FRAMES as f64 * FRAME_S,
+        accepted: true,
+        has_raw: true,
+    }
+}
+
+fn json(value: &impl serde::Serialize) -> Vec<u8> {
+    serde_json::to_vec(value).expect("it serialises")
+}
+
+/// A server with everything.
+pub(crate) fn full_api() -> SharedApi {
+    let station = station();
+    let mut api = FakeApi::default();
+    let info = Info {
+        name: "palpate".into(),
+        version: "0.1.0".into(),
+        station: Some("Probe bench".into()),
+        source: Source::Emulated,
+    };
+    api.answer(&Request::Info, json(&info));
+    api.answer(&Request::Sessions, json(&vec![summary()]));
+    let takes = vec![take_summary("take-01"), take_summary("take-02")];
+    api.answer(&Request::Session("bench-1".into()), json(&SessionDetail { summary: summary(), takes }));
+    let files_base64: BTreeMap<String, String> = station
+        .files
+        .files
+        .iter()
+        .map(|(path, bytes)| (path.clone(), base64::engine::general_purpose::STANDARD.encode(bytes)))
+        .collect();
+    let document = StationDocument { station_toml: station.files.station_toml.clone(), files_base64 };
+    api.answer(&Request::Station("bench-1".into()), json(&document));
+    let model = ModelSummary {
+        id: "bench-fit".into(),
+        name: "Bench fit".into(),
+        theta: ThetaReport { lambda_con_m: 0.001, alpha_per_m: 100.0, lambda_pre_pa: 10.0 },
+        provenance: vec!["calibrated on bench-1".into()],
+    };
+    api.answer(&Request::Models, json(&vec![model]));
+    api.answer(&Request::Runs, b"[]".to_vec());
+    for take in ["take-01", "take-02"] {
+        let (session, take) = ("bench-1".to_owned(), take.to_owned());
+        let request = Request::Take { session: session.clone(), take: take.clone() };
+        api.answer(&request, take_trace(&station).encode_to_vec());
+        for (model, lag) in [(ModelRef::Nominal, LAG_FRAMES), (ModelRef::Saved("bench-fit".into()), 0)] {
+            let request = Request::Replay { session: session.clone(), take: take.clone(), model };
+            api.answer(&request, replay(&station, lag).encode_to_vec());
+        }
+    }
+    SharedApi(Rc::new(RefCell::new(api)))
+}
+
+/// A page of 1280 x 800 points that has come to rest.
+pub(crate) fn page(api: &SharedApi, window: &FakeWindow) -> Harness<'static, Option<StudioApp>> {
+    let (api, window) = (api.clone(), window.clone());
+    let mut harness =
+        Harness::builder().with_size([1280.0, 800.0]).with_max_steps(60).with_step_dt(0.02).build_ui_state(
+            move |ui, app: &mut Option<StudioApp>| {
+                let app = app.get_or_insert_with(|| {
+                    StudioApp::new(ui.ctx(), Box::new(api.clone()), Box::new(window.clone()), None)
+                });
+                app.ui(ui);
+            },
+            None,
+        );
+    // Fonts and sizes are set in the first frame and hold from the second.
+    harness.run_steps(12);
+    harness
+}
+
+pub(crate) fn app<'a>(harness: &'a Harness<'static, Option<StudioApp>>) -> &'a StudioApp {
+    harness.state().as_ref().expect("the page is there after the first frame")
+}
+
+pub(crate) fn app_mut<'a>(harness: &'a mut Harness<'static, Option<StudioApp>>) -> &'a mut StudioApp {
+    harness.state_mut().as_mut().expect("the page is there after the first frame")
+}
+
+/// Events for the page's next frame.
+pub(crate) fn deliver(api: &SharedApi, events: impl IntoIterator<Item = ApiEvent>) {
+    api.0.borrow_mut().events.extend(VecDeque::from_iter(events));
+}

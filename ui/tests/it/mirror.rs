@@ -1,0 +1,109 @@
+//! The mirror's plugin in a running page: what it shows, and what comes back.
+
+use std::sync::{Arc, Mutex};
+
+use egui_kittest::Harness;
+use palpate_ui::mirror::{
+    MirrorEvent, MirrorInbox, MirrorPlugin,
+    model::{Change, MirrorNode},
+};
+
+#[derive(Default)]
+struct Form {
+    presses: usize,
+    share: f64,
+    name: String,
+    on: bool,
+}
+
+type Seen = Arc<Mutex<Vec<MirrorNode>>>;
+
+/// A form with the mirror over it, and the elements as a browser would hold them.
+fn form() -> (Harness<'static, Form>, MirrorInbox, Seen) {
+    let (inbox, seen) = (MirrorInbox::default(), Seen::default());
+    let plugin = {
+        let (inbox, seen) = (inbox.clone(), seen.clone());
+        move |ctx: &egui::Context| {
+            let sink = move |changes: &[Change], _focus: Option<u64>| {
+                let mut seen = seen.lock().expect("no panic so far");
+                for change in changes {
+                    match change {
+                        Change::Remove(id) => seen.retain(|node| node.id != *id),
+                        Change::Insert { node, .. } => seen.push(node.clone()),
+                        Change::Move { .. } => {}
+                        Change::Update(node) => {
+                            let known = seen.iter_mut().find(|known| known.id == node.id);
+                            known.expect("updates what was inserted").clone_from(node);
+                        }
+                    }
+                }
+            };
+            ctx.enable_accesskit();
+            ctx.add_plugin(MirrorPlugin::new(inbox, Box::new(sink)));
+        }
+    };
+    let mut harness = Harness::builder().with_context_setup(plugin).build_ui_state(
+        |ui, form: &mut Form| {
+            if ui.button("Press me").clicked() {
+                form.presses += 1;
+            }
+            ui.checkbox(&mut form.on, "Switch");
+            ui.add(egui::Slider::new(&mut form.share, 0.0..=10.0).text("Share"));
+            let label = ui.label("Your name");
+            ui.text_edit_singleline(&mut form.name).labelled_by(label.id);
+        },
+        Form::default(),
+    );
+    harness.run_steps(2);
+    (harness, inbox, seen)
+}
+
+fn find(seen: &Seen, role: &str, name: &str) -> MirrorNode {
+    let seen = seen.lock().expect("no panic so far");
+    let found: Vec<_> = seen.iter().filter(|node| node.role == role && node.name == name).collect();
+    assert_eq!(found.len(), 1, "{role} {name:?} among {seen:#?}");
+    found[0].clone()
+}
+
+#[test]
+fn controls_have_roles_names_and_places() {
+    let (_harness, _inbox, seen) = form();
+    for (role, name) in
+        [("button", "Press me"), ("checkbox", "Switch"), ("slider", "Share"), ("textbox", "Your name")]
+    {
+        let node = find(&seen, role, name);
+        assert!(node.interactive && node.rect.is_some(), "{node:?}");
+    }
+    assert_eq!(find(&seen, "slider", "Share").number.map(|number| number.max), Some(Some(10.0)));
+}
+
+#[test]
+fn click_number_and_text_reach_the_widgets() {
+    let (mut harness, inbox, seen) = form();
+    let send = |event| inbox.lock().expect("no panic so far").push(event);
+    send(MirrorEvent::Click(find(&seen, "button", "Press me").id));
+    send(MirrorEvent::Click(find(&seen, "checkbox", "Switch").id));
+    send(MirrorEvent::SetNumber(find(&seen, "slider", "Share").id, 7.5));
+    harness.run_steps(3);
+    assert_eq!((harness.state().presses, harness.state().on, harness.state().share), (1, true, 7.5));
+
+    let field = find(&seen, "textbox", "Your name").id;
+    send(MirrorEvent::SetText(field, "Ada".into()));
+    harness.run_steps(5);
+    assert_eq!(harness.state().name, "Ada");
+    send(MirrorEvent::SetText(field, "Grace".into()));
+    harness.run_steps(5);
+    assert_eq!(harness.state().name, "Grace");
+    assert_eq!(find(&seen, "textbox", "Your name").text, "Grace");
+    send(MirrorEvent::SetText(field, String::new()));
+    harness.run_steps(5);
+    assert_eq!(harness.state().name, "");
+}
+
+#[test]
+fn quiet_page_costs_no_changes() {
+    let (mut harness, _inbox, seen) = form();
+    let before = seen.lock().expect("no panic so far").clone();
+    harness.run_steps(3);
+    assert_eq!(*seen.lock().expect("no panic so far"), before);
+}

@@ -1,0 +1,157 @@
+//! The timelines on a take whose nominal simulation lags by three frames.
+
+use egui::{Key, accesskit::Role};
+use egui_kittest::{Harness, kittest::Queryable as _};
+use palpate_ui::{StudioApp, playback::ModelRef};
+
+use crate::fixture::{FRAME_S, FakeWindow, LAG_FRAMES, app, app_mut, full_api, page, station};
+
+fn open() -> Harness<'static, Option<StudioApp>> {
+    page(&full_api(), &FakeWindow::at("#/timelines/bench-1?take=take-01"))
+}
+
+fn time_s(harness: &Harness<'static, Option<StudioApp>>) -> f64 {
+    app(harness).playback.time_s
+}
+
+#[test]
+fn every_stream_and_touched_channel_has_a_named_lane() {
+    let harness = open();
+    let station = station();
+    for stream in &station.layout.streams {
+        harness.get_by_role_and_label(Role::Image, &format!("{}, any", stream.label));
+    }
+    for channel in &station.layout.channels {
+        harness.get_by_role_and_label(Role::Button, &channel.id);
+    }
+}
+
+#[test]
+fn lane_says_what_the_cursor_is_on() {
+    let mut harness = open();
+    let channel = station().layout.channels[0].id.clone();
+    // The first contact of channel 0 is real from frame 20 on, and simulated LAG_FRAMES later.
+    app_mut(&mut harness).playback.seek(20.5 * FRAME_S);
+    harness.run_steps(2);
+    let value = harness.get_by_label(&channel).value().expect("the lane has a value");
+    assert!(value.contains("real touched, nominal not touched"), "{value}");
+    app_mut(&mut harness).playback.seek((20.5 + LAG_FRAMES as f64) * FRAME_S);
+    harness.run_steps(2);
+    let value = harness.get_by_label(&channel).value().expect("the lane has a value");
+    assert!(value.contains("real touched, nominal touched"), "{value}");
+}
+
+#[test]
+fn brackets_jump_from_mismatch_to_mismatch() {
+    let mut harness = open();
+    harness.key_press(Key::CloseBracket);
+    harness.run_steps(3);
+    assert!((time_s(&harness) - 20.0 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+    harness.key_press(Key::CloseBracket);
+    harness.run_steps(3);
+    assert!((time_s(&harness) - 24.0 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+    harness.key_press(Key::OpenBracket);
+    harness.run_steps(3);
+    assert!((time_s(&harness) - 20.0 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+}
+
+#[test]
+fn model_without_a_gap_leaves_no_mismatch() {
+    let mut harness = open();
+    harness.get_by_label_contains("mismatches in the channels shown");
+    assert!(harness.query_by_label("0 mismatches in the channels shown").is_none());
+    app_mut(&mut harness).playback.compared = Some(ModelRef::Saved("bench-fit".into()));
+    harness.run_steps(4);
+    harness.get_by_label("0 mismatches in the channels shown");
+}
+
+#[test]
+fn comma_and_period_step_one_frame_and_space_plays() {
+    let mut harness = open();
+    harness.key_press(Key::Period);
+    harness.key_press(Key::Period);
+    harness.run_steps(3);
+    assert!((time_s(&harness) - 2.0 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+    harness.key_press(Key::Comma);
+    harness.run_steps(2);
+    assert!((time_s(&harness) - FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+    harness.key_press(Key::Space);
+    harness.run_steps(10);
+    assert!(app(&harness).playback.playing);
+    assert!(time_s(&harness) > FRAME_S + 0.1);
+}
+
+#[test]
+fn cursor_is_a_slider_that_can_be_set() {
+    let mut harness = open();
+    harness.get_by_role_and_label(Role::Slider, "Time cursor").set_value_accesskit(7.25);
+    harness.run_steps(2);
+    assert!((time_s(&harness) - 7.25).abs() < 1e-9);
+}
+
+#[test]
+fn click_puts_the_cursor_and_drag_moves_the_view() {
+    let mut harness = open();
+    let name = format!("{}, any", station().layout.streams[0].label);
+    let lane = harness.get_by_role_and_label(Role::Image, &name);
+    let y = lane.rect().center().y;
+    let ruler = harness.get_by_label("Time cursor").rect();
+    let centre = egui::pos2(ruler.center().x, y);
+    harness.drag_at(centre);
+    harness.run_steps(2);
+    harness.drop_at(centre);
+    harness.run_steps(3);
+    // The view shows the whole take with the same margin on both sides.
+    let middle_s = app(&harness).playback.duration_s / 2.0;
+    assert!((time_s(&harness) - middle_s).abs() < 0.1, "{} {middle_s}", time_s(&harness));
+}
+
+#[test]
+fn wheel_zooms_at_the_pointer_and_fit_shows_all_again() {
+    let mut harness = open();
+    let ruler = harness.get_by_label("Time cursor").rect();
+    let whole = view_span_s(&harness);
+    harness.hover_at(ruler.center() + egui::vec2(100.0, 60.0));
+    harness.step();
+    for _ in 0..5 {
+        harness.event(egui::Event::MouseWheel {
+            unit: egui::MouseWheelUnit::Point,
+            delta: egui::vec2(0.0, 120.0),
+            modifiers: egui::Modifiers::NONE,
+            phase: egui::TouchPhase::Move,
+            source: egui::MouseWheelSource::Unknown,
+        });
+    }
+    harness.run_steps(30);
+    assert!(view_span_s(&harness) < whole / 3.0, "{} of {whole}", view_span_s(&harness));
+    harness.key_press(Key::F);
+    harness.run_steps(3);
+    assert!((view_span_s(&harness) - whole).abs() < 1e-6);
+}
+
+fn view_span_s(harness: &Harness<'static, Option<StudioApp>>) -> f64 {
+    app(harness).timelines_view().expect("a take is open").span_s()
+}
+
+#[test]
+fn pressing_a_name_pins_the_channel() {
+    let mut harness = open();
+    let channel = station().layout.channels[1].id.clone();
+    harness.get_by_role_and_label(Role::Button, &channel).click();
+    harness.run_steps(3);
+    assert_eq!(app(&harness).playback.pinned, Some(1));
+}
+
+#[test]
+fn take_that_does_not_fit_its_station_says_so() {
+    use palpate_ui::api_client::Request;
+    use prost::Message as _;
+    let api = full_api();
+    let mut trace = crate::fixture::take_trace(&station());
+    trace.streams[0].stream = "whiskers".into();
+    let request = Request::Take { session: "bench-1".into(), take: "take-01".into() };
+    api.0.borrow_mut().answer(&request, trace.encode_to_vec());
+    let harness = page(&api, &FakeWindow::at("#/timelines/bench-1?take=take-01"));
+    harness.get_by_label_contains("This take cannot be drawn");
+    harness.get_by_label_contains("whiskers");
+}
