@@ -67,6 +67,18 @@ fn palette_finds_and_runs_a_command() {
 }
 
 #[test]
+fn escape_leaves_the_palette() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/timelines"));
+    harness.key_press_modifiers(Modifiers::COMMAND, Key::K);
+    harness.run_steps(3);
+    harness.get_by_label("Command");
+    harness.key_press(Key::Escape);
+    harness.run_steps(3);
+    assert!(harness.query_by_label("Command").is_none());
+    assert_eq!(app(&harness).screen(), Screen::Timelines);
+}
+
+#[test]
 fn typing_in_the_palette_runs_no_shortcut() {
     let mut harness = page(&full_api(), &FakeWindow::at("#/timelines"));
     harness.key_press_modifiers(Modifiers::COMMAND, Key::K);

@@ -155,3 +155,56 @@ fn take_that_does_not_fit_its_station_says_so() {
     harness.get_by_label_contains("This take cannot be drawn");
     harness.get_by_label_contains("whiskers");
 }
+
+/// A measurement, not a law: run it alone, optimised, with `--ignored --nocapture`.
+#[test]
+#[ignore = "measures time; says how long a frame of ten busy minutes takes"]
+fn ten_minutes_of_every_channel_at_sixty_frames_a_second() {
+    use palpate_ui::api_client::Request;
+    use palpate_wire::{
+        bits,
+        proto::{ReplayTrace, TakeTrace},
+    };
+    use prost::Message as _;
+    let station = station();
+    let num_channels = station.layout.num_channels();
+    let num_frames = 6000;
+    // A contact every second frame: nothing is harder to draw.
+    let active = |shift: usize| {
+        bits::pack((0..num_frames).flat_map(|f| (0..num_channels).map(move |c| (f + c + shift) % 2 == 0)))
+    };
+    let mut trace = crate::fixture::take_trace(&station);
+    trace = TakeTrace {
+        frame_times_s: (0..num_frames).map(|frame| frame as f64 * 0.1).collect(),
+        joint_positions: vec![0.0; num_frames * station.robot.num_dofs()],
+        real_active: active(0),
+        ..trace
+    };
+    for (stream, info) in trace.streams.iter_mut().zip(&station.layout.streams) {
+        let num_samples = 60_000;
+        let width = info.channels.len();
+        stream.times_s = (0..num_samples).map(|sample| sample as f64 * 0.01).collect();
+        stream.raw = (0..num_samples * width).map(|value| ((value * 7919) % 1000) as f32).collect();
+        stream.active = bits::pack(std::iter::repeat_n(false, num_samples * width));
+    }
+    let api = full_api();
+    let (session, take) = ("bench-1".to_owned(), "take-01".to_owned());
+    let request = Request::Take { session: session.clone(), take: take.clone() };
+    api.0.borrow_mut().answer(&request, trace.encode_to_vec());
+    let replay = ReplayTrace { active: active(1), ..Default::default() };
+    let request = Request::Replay { session, take, model: ModelRef::Nominal };
+    api.0.borrow_mut().answer(&request, replay.encode_to_vec());
+    let mut harness = page(&api, &FakeWindow::at("#/timelines/bench-1?take=take-01"));
+    harness.get_by_label("Time cursor");
+    let start = std::time::Instant::now();
+    let num_steps = 60;
+    for step in 0..num_steps {
+        app_mut(&mut harness).playback.seek(f64::from(step) * 10.0);
+        harness.step();
+        let output = harness.output();
+        let shapes = output.shapes.clone();
+        std::hint::black_box(harness.ctx.tessellate(shapes, 1.0));
+    }
+    let per_frame_ms = start.elapsed().as_secs_f64() * 1e3 / f64::from(num_steps);
+    println!("{per_frame_ms:.2} ms a frame with {num_channels} channels");
+}

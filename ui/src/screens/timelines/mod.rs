@@ -45,6 +45,7 @@ pub struct TimelinesState {
     view: Option<TimeView>,
     view_of: Option<(String, String)>,
     cache: Option<Cache>,
+    mismatches: Option<Mismatches>,
 }
 
 impl TimelinesState {
@@ -73,6 +74,15 @@ impl Cache {
             && self.replays.len() == replays.len()
             && self.replays.iter().zip(replays).all(|(a, b)| Arc::ptr_eq(a, b))
     }
+}
+
+/// Where the mismatches of the channels shown begin, and what that was worked out from.
+#[derive(Debug)]
+struct Mismatches {
+    lanes: Arc<TakeLanes>,
+    channels: Vec<usize>,
+    sim: usize,
+    starts_s: Arc<[f64]>,
 }
 
 /// A simulation in the picture.
@@ -142,8 +152,9 @@ pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut T
     };
     let channels = shown_channels(state.shown, cx, &lanes);
     let judged = simulations.iter().rev().find_map(|simulation| simulation.row);
+    let mismatches_s = judged.map(|sim| mismatches_of(state, &lanes, &channels, sim));
     for command in commands {
-        run_command(command, cx, &mut view, &lanes, &channels, judged);
+        run_command(command, cx, &mut view, mismatches_s.as_deref().unwrap_or_default());
     }
     if cx.playback.playing {
         view.reveal(cx.playback.time_s);
@@ -154,7 +165,7 @@ pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut T
         lanes: &lanes,
         simulations: &simulations,
         channels: &channels,
-        judged,
+        num_mismatches: mismatches_s.map(|starts_s| starts_s.len()),
     };
     paint::picture_ui(ui, cx, &picture, &mut view);
     state.view = Some(view);
@@ -207,6 +218,29 @@ fn lanes_of(
     lanes
 }
 
+fn mismatches_of(
+    state: &mut TimelinesState,
+    lanes: &Arc<TakeLanes>,
+    channels: &[usize],
+    sim: usize,
+) -> Arc<[f64]> {
+    if let Some(known) = &state.mismatches
+        && Arc::ptr_eq(&known.lanes, lanes)
+        && known.channels == channels
+        && known.sim == sim
+    {
+        return known.starts_s.clone();
+    }
+    let starts_s: Arc<[f64]> = lanes.mismatches(channels, sim).into();
+    state.mismatches = Some(Mismatches {
+        lanes: lanes.clone(),
+        channels: channels.to_vec(),
+        sim,
+        starts_s: starts_s.clone(),
+    });
+    starts_s
+}
+
 fn shown_channels(shown: ShownChannels, cx: &ScreenContext<'_>, lanes: &TakeLanes) -> Vec<usize> {
     match shown {
         ShownChannels::Touched => lanes.touched(),
@@ -217,30 +251,20 @@ fn shown_channels(shown: ShownChannels, cx: &ScreenContext<'_>, lanes: &TakeLane
     }
 }
 
-fn run_command(
-    command: Command,
-    cx: &mut ScreenContext<'_>,
-    view: &mut TimeView,
-    lanes: &TakeLanes,
-    channels: &[usize],
-    judged: Option<usize>,
-) {
-    /// Two mismatches nearer than this are one to jump to, s.
+fn run_command(command: Command, cx: &mut ScreenContext<'_>, view: &mut TimeView, mismatches_s: &[f64]) {
+    /// Nearer than this is here, s.
     const NEAR_S: f64 = 1e-6;
     let cursor_s = cx.playback.time_s;
-    let mismatches = || judged.map(|sim| lanes.mismatches(channels, sim)).unwrap_or_default();
     let target_s = match command {
         Command::FitTake => {
             *view = TimeView::fit(cx.playback.duration_s);
             return;
         }
-        Command::PreviousMismatch => {
-            mismatches().into_iter().rev().find(|&start_s| start_s < cursor_s - NEAR_S)
-        }
-        Command::NextMismatch => mismatches().into_iter().find(|&start_s| start_s > cursor_s + NEAR_S),
+        Command::PreviousMismatch => mismatches_s.iter().rev().find(|&&start_s| start_s < cursor_s - NEAR_S),
+        Command::NextMismatch => mismatches_s.iter().find(|&&start_s| start_s > cursor_s + NEAR_S),
         _ => return,
     };
-    if let Some(target_s) = target_s {
+    if let Some(&target_s) = target_s {
         cx.playback.playing = false;
         cx.playback.seek(target_s);
         view.reveal(target_s);

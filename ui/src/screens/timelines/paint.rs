@@ -25,8 +25,8 @@ pub(super) struct Picture<'a> {
     pub(super) simulations: &'a [Simulation],
     /// Channels that have a lane.
     pub(super) channels: &'a [usize],
-    /// Row of the simulation that mismatches are told by.
-    pub(super) judged: Option<usize>,
+    /// Mismatches in these channels, against the last simulation that is here.
+    pub(super) num_mismatches: Option<usize>,
 }
 
 /// From time to the screen and back.
@@ -118,8 +118,7 @@ fn legend_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, picture: &Picture<'_>) {
         let hollow = picture.simulations.last().map_or(cx.palette.nominal, |simulation| simulation.colour);
         key(ui, hollow, false, false, "simulated, not real");
         key(ui, cx.palette.mismatch, true, true, "real, not simulated");
-        if let Some(sim) = picture.judged {
-            let count = picture.lanes.mismatches(picture.channels, sim).len();
+        if let Some(count) = picture.num_mismatches {
             ui.label(RichText::new(format!("{count} mismatches in the channels shown")).small());
         }
     });

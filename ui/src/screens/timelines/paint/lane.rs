@@ -42,7 +42,8 @@ pub(super) fn lane_ui(
         return;
     }
     let id = ui.scope_id().with(("lane", lane.stream, lane.channel));
-    let response = ui.interact(rect, id, Sense::click_and_drag());
+    // Not a stop for the keyboard: the time cursor and the names are.
+    let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
     plot_pointer(&response, cx, axis, view);
     if response.hovered() && lane.channel.is_some() {
         cx.playback.hovered = lane.channel;
