@@ -9,10 +9,10 @@
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ranked {
     floor: f64,
-    /// Ascending, above `floor`.
-    active: Vec<f64>,
-    /// Ascending, above `floor`.
-    inactive: Vec<f64>,
+    /// Keys of scores above `floor`, ascending.
+    active: Vec<u64>,
+    /// Keys of scores above `floor`, ascending.
+    inactive: Vec<u64>,
     active_at_rest: u64,
     inactive_at_rest: u64,
 }
@@ -42,7 +42,7 @@ impl Unranked {
     pub(crate) fn push(&mut self, score: f64, real_active: bool) {
         let ranked = &mut self.0;
         if score > ranked.floor {
-            if real_active { ranked.active.push(score) } else { ranked.inactive.push(score) }
+            if real_active { ranked.active.push(key(score)) } else { ranked.inactive.push(key(score)) }
         } else {
             self.push_at_rest(1, u64::from(real_active));
         }
@@ -57,9 +57,8 @@ impl Unranked {
 
     pub(crate) fn rank(self) -> Ranked {
         let mut ranked = self.0;
-        // Equal floats may differ in bits only as zeros do; `total_cmp` keeps them together all the same.
-        ranked.active.sort_unstable_by(f64::total_cmp);
-        ranked.inactive.sort_unstable_by(f64::total_cmp);
+        ranked.active.sort_unstable();
+        ranked.inactive.sort_unstable();
         ranked
     }
 }
@@ -91,6 +90,7 @@ impl Ranked {
 
     /// Channel-frames that differ if those with `score > threshold` are active; `threshold` is at least the floor.
     pub fn l1_at(&self, threshold: f64) -> u64 {
+        let threshold = key(threshold);
         let misses = self.active.partition_point(|&score| score <= threshold);
         let false_alarms = self.inactive.len() - self.inactive.partition_point(|&score| score <= threshold);
         self.active_at_rest + (misses + false_alarms) as u64
@@ -99,7 +99,7 @@ impl Ranked {
     /// The score below which a share `quantile` of those lies that are above the floor with the real channel active.
     pub fn active_quantile(&self, quantile: f64) -> Option<f64> {
         let last = self.active.len().checked_sub(1)?;
-        Some(self.active[(quantile * last as f64).round() as usize])
+        Some(score(self.active[(quantile * last as f64).round() as usize]))
     }
 
     /// The threshold with the smallest objective over all real numbers from the floor on; `None` if no score is above
@@ -112,23 +112,36 @@ impl Ranked {
         let mut plateaus = Plateaus::start(self.floor, self.active_at_rest + self.inactive.len() as u64);
         let (mut i, mut j) = (0, 0);
         while i < self.active.len() || j < self.inactive.len() {
-            let score = match (self.active.get(i), self.inactive.get(j)) {
+            let next = match (self.active.get(i), self.inactive.get(j)) {
                 (Some(&a), Some(&b)) => a.min(b),
                 (Some(&a), None) => a,
                 (None, Some(&b)) => b,
                 (None, None) => break,
             };
             let (misses_before, alarms_before) = (i, j);
-            while self.active.get(i) == Some(&score) {
+            while self.active.get(i) == Some(&next) {
                 i += 1;
             }
-            while self.inactive.get(j) == Some(&score) {
+            while self.inactive.get(j) == Some(&next) {
                 j += 1;
             }
-            plateaus.step(score, (i - misses_before) as u64, (j - alarms_before) as u64);
+            plateaus.step(score(next), (i - misses_before) as u64, (j - alarms_before) as u64);
         }
         (i + j > 0).then(|| plateaus.finish())
     }
+}
+
+/// Integers compare faster than floats: a key that orders as the score does. `-0.0` and `0.0` have one key.
+#[inline]
+fn key(score: f64) -> u64 {
+    let bits = (score + 0.0).to_bits();
+    // Negative floats order backwards by their bits, and below all positive ones.
+    if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
+}
+
+#[inline]
+fn score(key: u64) -> f64 {
+    f64::from_bits(if key >> 63 == 1 { key & !(1 << 63) } else { !key })
 }
 
 /// Follows the objective upwards and keeps its widest lowest plateau.
@@ -252,6 +265,12 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn keys_order_as_scores_and_lead_back(a in -1e9..1e9_f64, b in prop_oneof![Just(0.0), Just(-0.0), -1e-300..1e9_f64]) {
+            prop_assert_eq!(a.partial_cmp(&b), Some(key(a).cmp(&key(b))));
+            prop_assert_eq!(score(key(a)), a);
+        }
+
         #[test]
         fn objective_equals_brute_force_at_every_threshold(
             scores in scores_strategy(),

@@ -51,8 +51,7 @@ impl<'a> FitData<'a> {
                 for channel in patch.channels.clone() {
                     let real = take.real_active.iter().skip(channel).step_by(num_channels);
                     for (&distance_m, &real_active) in min_distance_m.iter().zip(real) {
-                        // Adding zero turns -0.0 into 0.0, so that equal scores have equal bits.
-                        scores.push(-distance_m + 0.0, real_active);
+                        scores.push(-distance_m, real_active);
                     }
                 }
             }
@@ -61,32 +60,36 @@ impl<'a> FitData<'a> {
     }
 
     /// Propagated pressure of every pressure channel-frame. The threshold is `lambda_pre`, its floor zero.
+    ///
+    /// The same sums as in [`tactile::raw_signals`], but frames without contact, which are most, are only counted.
     pub fn pressure(&self, alpha_per_m: f64) -> Ranked {
         let num_channels = self.layout.num_channels();
+        let propagation = tactile::propagation(self.layout, alpha_per_m);
         let mut scores = Unranked::new(0.0);
-        let ranges = self.pressure_ranges();
+        let mut taxels_pa = Vec::new();
         for take in &self.takes {
-            let raw = tactile::raw_signals(self.layout, &take.contact, alpha_per_m);
-            let frames = raw.chunks_exact(num_channels).zip(take.real_active.chunks_exact(num_channels));
-            for (raw, real_active) in frames {
-                for range in &ranges {
-                    for (&pressure_pa, &real_active) in
-                        raw[range.clone()].iter().zip(&real_active[range.clone()])
-                    {
+            for (patch_idx, patch) in self.layout.patches.iter().enumerate() {
+                let PatchTrace::Pressure { offsets, entries } = &take.contact.patches[patch_idx] else {
+                    continue;
+                };
+                let weights = &propagation[patch_idx].weights;
+                for (frame, real_active) in take.real_active.chunks_exact(num_channels).enumerate() {
+                    let real_active = &real_active[patch.channels.clone()];
+                    let touched = &entries[PatchTrace::entry_range(offsets, frame)];
+                    if touched.is_empty() {
+                        let num_active = real_active.iter().map(|&active| u64::from(active)).sum();
+                        scores.push_at_rest(real_active.len() as u64, num_active);
+                        continue;
+                    }
+                    taxels_pa.clear();
+                    taxels_pa.resize(real_active.len(), 0.0);
+                    tactile::propagate(weights, touched, &mut taxels_pa);
+                    for (&pressure_pa, &real_active) in taxels_pa.iter().zip(real_active) {
                         scores.push(pressure_pa, real_active);
                     }
                 }
             }
         }
         scores.rank()
-    }
-
-    /// Channels of the pressure streams, as ranges.
-    fn pressure_ranges(&self) -> Vec<std::ops::Range<usize>> {
-        let streams = self.layout.streams.iter();
-        streams
-            .filter(|stream| stream.kind == SensorKind::Pressure)
-            .map(|stream| stream.channels.clone())
-            .collect()
     }
 }
