@@ -242,6 +242,8 @@ fn patch(
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     const ROBOT: &str = r#"<robot name="finger"><link name="base"/><link name="tip"/>
@@ -395,5 +397,26 @@ taxels_m = [[-0.005, 0.0], [0.005, 0.003], [0.012, 0.0]]
             1,
         );
         assert_eq!(read(&listed).unwrap().patches[0].map_positions, [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_spoilt_byte_is_an_error_or_a_sound_layout(at in 0..LAYOUT.len(), byte in 32..127_u8) {
+            let mut bytes = LAYOUT.as_bytes().to_vec();
+            bytes[at] = byte;
+            let text = String::from_utf8(bytes).unwrap();
+            if let Ok(layout) = read(&text) {
+                let mut next = 0;
+                for patch in &layout.patches {
+                    prop_assert_eq!(patch.channels.start, next);
+                    next = patch.channels.end;
+                    prop_assert_eq!(patch.taxels_in_link.len(), patch.channels.len());
+                    prop_assert_eq!(patch.map_positions.len(), patch.channels.len());
+                    prop_assert!(!patch.nodes.is_empty());
+                    prop_assert!(patch.nodes.iter().all(|n| n.pos_in_link.coords.iter().all(|x| x.is_finite())));
+                }
+                prop_assert_eq!(next, layout.num_channels());
+            }
+        }
     }
 }

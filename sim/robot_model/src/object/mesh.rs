@@ -58,15 +58,16 @@ fn obj(bytes: &[u8]) -> Result<RawMesh, String> {
 }
 
 fn stl(bytes: &[u8]) -> Result<RawMesh, String> {
-    let mesh =
-        stl_io::read_stl(&mut Cursor::new(bytes)).map_err(|err| format!("failed to read STL: {err}"))?;
-    let vertices = mesh.vertices.iter().map(|v| [0, 1, 2].map(|axis| f64::from(v[axis]))).collect();
-    let index = |i: usize| u32::try_from(i).map_err(|_| "too many vertices".to_owned());
-    let triangles = mesh
-        .faces
-        .iter()
-        .map(|face| Ok([index(face.vertices[0])?, index(face.vertices[1])?, index(face.vertices[2])?]))
-        .collect::<Result<_, String>>()?;
+    let failed = |err| format!("failed to read STL: {err}");
+    let mut file = Cursor::new(bytes);
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    // Triangle by triangle: the count in a binary header is not to be trusted with memory.
+    for facet in stl_io::create_stl_reader(&mut file).map_err(failed)? {
+        let facet = facet.map_err(failed)?;
+        let first = u32::try_from(vertices.len()).map_err(|_| "too many vertices".to_owned())?;
+        vertices.extend(facet.vertices.iter().map(|v| [0, 1, 2].map(|axis| f64::from(v[axis]))));
+        triangles.push([first, first + 1, first + 2]);
+    }
     Ok((vertices, triangles))
 }
 
@@ -137,6 +138,8 @@ f 1 5 6 4
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     /// The wedge as STL, each triangle with its own corners, as the format has it.
@@ -191,7 +194,34 @@ mod tests {
         let nan = WEDGE_OBJ.replace("v 0 20 10", "v 0 nan 10");
         assert!(read("nan.obj", nan.as_bytes(), 1.0).is_err());
         assert!(read("wedge.ply", b"", 1.0).unwrap_err().contains(".obj or .stl"));
+        let mut truncated = vec![0; 80];
+        truncated.extend(u32::MAX.to_le_bytes());
+        truncated.extend([0; 120]);
+        assert!(read("truncated.stl", &truncated, 1.0).unwrap_err().contains("failed to read STL"));
         let beyond = WEDGE_OBJ.replace("f 4 6 3", "f 4 60 3");
         assert!(read("beyond.obj", beyond.as_bytes(), 1.0).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_the_readers_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), text in "[vf0-9 ./\\n-]{0,200}") {
+            for ending in ["obj", "stl"] {
+                let _ = read(&format!("noise.{ending}"), &bytes, 1.0);
+                let _ = read(&format!("noise.{ending}"), text.as_bytes(), 1.0);
+            }
+            let mut solid = b"solid x\n".to_vec();
+            solid.extend(&bytes);
+            let _ = read("noise.stl", &solid, 1.0);
+        }
+
+        #[test]
+        fn a_spoilt_byte_never_makes_the_reader_panic(at in 0..WEDGE_OBJ.len(), byte in 32..127_u8) {
+            let mut bytes = WEDGE_OBJ.as_bytes().to_vec();
+            bytes[at] = byte;
+            if let Ok((vertices, triangles)) = read("wedge.obj", &bytes, 1.0) {
+                prop_assert!(vertices.iter().all(|v| v.coords.iter().all(|x| x.is_finite())));
+                prop_assert!(triangles.iter().flatten().all(|&index| (index as usize) < vertices.len()));
+            }
+        }
     }
 }
