@@ -47,6 +47,9 @@ pub(crate) fn install(ctx: &egui::Context, canvas: &web_sys::HtmlCanvasElement) 
     ctx.add_plugin(MirrorPlugin::new(inbox, sink));
 }
 
+/// Seconds between updates of the mirror: while a take plays, numbers change in every frame, and nobody reads so fast.
+const UPDATE_EVERY_S: f64 = 0.05;
+
 /// Text on its way into a field: the field must have egui's focus before it takes any.
 #[derive(Debug)]
 struct PendingText {
@@ -61,12 +64,14 @@ pub struct MirrorPlugin {
     inbox: MirrorInbox,
     sink: MirrorSink,
     pending_text: Option<PendingText>,
+    updated_s: f64,
 }
 
 impl MirrorPlugin {
     /// A mirror that shows nothing yet.
     pub fn new(inbox: MirrorInbox, sink: MirrorSink) -> Self {
-        Self { model: MirrorModel::default(), inbox, sink, pending_text: None }
+        let model = MirrorModel::default();
+        Self { model, inbox, sink, pending_text: None, updated_s: f64::NEG_INFINITY }
     }
 
     fn push_pending_text(&mut self, input: &mut egui::RawInput) -> bool {
@@ -127,6 +132,13 @@ impl egui::Plugin for MirrorPlugin {
 
     fn output_hook(&mut self, ctx: &egui::Context, output: &mut egui::FullOutput) {
         let Some(update) = &output.platform_output.accesskit_update else { return };
+        let now_s = ctx.input(|input| input.time);
+        let early_s = self.updated_s + UPDATE_EVERY_S - now_s;
+        if early_s > 0.0 {
+            ctx.request_repaint_after(std::time::Duration::from_secs_f64(early_s));
+            return;
+        }
+        self.updated_s = now_s;
         // A widget that is scrolled out of sight keeps its place in the tree, but nobody can point at it.
         let visible: HashMap<u64, egui::Rect> = ctx.viewport_for(egui::ViewportId::ROOT, |viewport| {
             viewport
