@@ -60,6 +60,13 @@ impl Damage {
                 "not an MCAP file; give a take that palpate wrote",
             );
         }
+        if let McapError::UnsupportedCompression(name) = &error {
+            let problem = format!(
+                "chunks are compressed with {name:?}, expected zstd or none; write the file again with the `mcap` tool: \
+                 `mcap compress --compression zstd`"
+            );
+            return RecordingError::content(path, format!("byte {offset} of {len}"), problem);
+        }
         let intact = match last_time_s {
             Some(time_s) => format!("the last intact message is at {time_s:.3} s"),
             None => "no message is intact".to_owned(),
@@ -502,4 +509,35 @@ fn marker_span(start_unix_ns: u64, data: &[u8]) -> Result<Span, String> {
         Kind::Note | Kind::Unspecified => SpanKind::Note,
     };
     Ok(Span { kind, start_s: secs_from_ns(start_ns), end_s: secs_from_ns(end_ns), label: message.label })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_compression_is_not_called_damage() {
+        let error = McapError::UnsupportedCompression("lz4".to_owned());
+        let damage = Damage { offset: 40, len: 90, error, last_time_s: None };
+        let message = damage.into_error(Path::new("a.mcap")).to_string();
+        assert!(
+            message.starts_with("a.mcap: byte 40 of 90: chunks are compressed with \"lz4\""),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn an_attachment_without_room_for_its_checksum_is_an_error() {
+        // Times, two empty strings, no content; then fewer bytes than a checksum has.
+        let mut data = vec![0; 16 + 4 + 4 + 8];
+        for missing in [4, 1] {
+            data.resize(36 - missing, 0);
+            assert!(parse(op::ATTACHMENT, &data).is_err(), "{missing} bytes short");
+        }
+        data.resize(36, 0);
+        assert!(parse(op::ATTACHMENT, &data).is_ok());
+        // A name longer than the record.
+        data[16] = 200;
+        assert!(parse(op::ATTACHMENT, &data).is_err());
+    }
 }

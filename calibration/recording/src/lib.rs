@@ -5,6 +5,18 @@
 //! ([`Session`]), and appears on disk whole or not at all ([`SessionDraft`]). [`import`] turns CSV files into a session,
 //! [`check_session`] says what a session is good for.
 //!
+//! | topic | schema | holds |
+//! |---|---|---|
+//! | `/joint_states` | `foxglove.JointStates` | measured joint positions, in the station's order |
+//! | `/joint_commands` | `foxglove.JointStates` | commanded positions, where there were any |
+//! | `/tactile/<stream>` | `palpate.TactileSample` | raw readings and activations of a stream of the layout |
+//! | `/markers` | `palpate.Marker` | baseline, repetitions, notes |
+//! | `/log` | `foxglove.Log` | lines for people |
+//!
+//! All messages are protobuf. A message's log time is the host's, its publish time the device's own where the device
+//! gives one. The station's files are attached under the names the station file uses, the station file itself as
+//! `station.toml`; what the take is about is the metadata record `palpate.take`. Chunks are compressed with zstd.
+//!
 //! What is read is checked when it is read, so that later stages can index without looking: times increase, numbers are
 //! finite, each sample has its stream's channels. Nothing here repairs data; [`Take::recover`] says what it left out.
 
