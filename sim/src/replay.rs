@@ -219,14 +219,7 @@ impl Probe {
                 if self.nodes_in_link.is_empty() {
                     smallest = f64::INFINITY;
                 } else if smallest <= NEAR_M {
-                    object.for_each_distance_below(
-                        object_from_link,
-                        &self.nodes_in_link,
-                        NEAR_M,
-                        |_, distance| {
-                            smallest = smallest.min(distance);
-                        },
-                    );
+                    smallest = object.min_distance_below_m(object_from_link, &self.nodes_in_link, NEAR_M);
                 }
                 min_distance_m.push(smallest);
             }
