@@ -98,7 +98,7 @@ fn live_offered(cx: &ScreenContext<'_>) -> bool {
 /// The chosen take at the cursor. `None` while something is missing, which is then on the screen.
 fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState) -> Option<Shot> {
     let live_wanted =
-        live_offered(cx) && !cx.store.sessions().ready().is_some_and(|sessions| !sessions.is_empty());
+        live_offered(cx) && cx.store.sessions().ready().is_none_or(|sessions| sessions.is_empty());
     if live_wanted {
         source_switch_ui(ui, cx);
     }

@@ -464,7 +464,7 @@ fn batches(instances: &[Instance]) -> Vec<Batch> {
         let translucent = instance.color[3] < 1.0;
         match batches.last_mut() {
             Some(last) if last.mesh == instance.mesh && last.translucent == translucent => {
-                last.instances.end = idx + 1
+                last.instances.end = idx + 1;
             }
             _ => batches.push(Batch { mesh: instance.mesh, translucent, instances: idx..idx + 1 }),
         }
@@ -493,7 +493,9 @@ mod tests {
 
     use super::*;
 
-    const SHADERS: [(&str, &str, &[(&str, naga::ShaderStage)]); 2] = [
+    type EntryPoints = &'static [(&'static str, naga::ShaderStage)];
+
+    const SHADERS: [(&str, &str, EntryPoints); 2] = [
         (
             "scene.wgsl",
             include_str!("scene.wgsl"),
