@@ -34,7 +34,12 @@ pub(crate) struct Unranked(Ranked);
 
 impl Unranked {
     pub(crate) fn new(floor: f64) -> Self {
-        let (active, inactive) = (Vec::new(), Vec::new());
+        Self::with_capacity(floor, [0, 0])
+    }
+
+    /// Expects that many scores above the floor, inactive and active in reality.
+    pub(crate) fn with_capacity(floor: f64, [inactive, active]: [usize; 2]) -> Self {
+        let (active, inactive) = (Vec::with_capacity(active), Vec::with_capacity(inactive));
         Self(Ranked { floor, active, inactive, active_at_rest: 0, inactive_at_rest: 0 })
     }
 

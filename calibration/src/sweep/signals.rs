@@ -14,12 +14,53 @@ use crate::PairedTake;
 pub struct FitData<'a> {
     layout: &'a TactileLayout,
     takes: Vec<&'a PairedTake>,
+    touches: Touches<'a>,
+}
+
+/// Where pressure patches are touched, whatever alpha. Most frames have no touch and are only counted.
+#[derive(Clone, Debug, Default)]
+struct Touches<'a> {
+    /// Patch, nodes under pressure, and real activations of its channels; one per touched patch-frame.
+    touched: Vec<(usize, &'a [(u32, f64)], &'a [bool])>,
+    /// Channel-frames without touch.
+    at_rest: u64,
+    /// Of these, those with the real channel active.
+    active_at_rest: u64,
+    /// Channel-frames with touch, inactive and active in reality.
+    num_touched: [usize; 2],
+}
+
+impl<'a> Touches<'a> {
+    fn new(layout: &TactileLayout, takes: &[&'a PairedTake]) -> Self {
+        let mut touches = Self::default();
+        for take in takes {
+            for (patch_idx, (patch, trace)) in layout.patches.iter().zip(&take.contact.patches).enumerate() {
+                let PatchTrace::Pressure { offsets, entries } = trace else { continue };
+                for (frame, real_active) in take.real_active.chunks_exact(layout.num_channels()).enumerate() {
+                    let real_active = &real_active[patch.channels.clone()];
+                    let nodes = &entries[PatchTrace::entry_range(offsets, frame)];
+                    let num_active = real_active.iter().filter(|&&active| active).count();
+                    if nodes.is_empty() {
+                        touches.at_rest += real_active.len() as u64;
+                        touches.active_at_rest += num_active as u64;
+                    } else {
+                        touches.num_touched[0] += real_active.len() - num_active;
+                        touches.num_touched[1] += num_active;
+                        touches.touched.push((patch_idx, nodes, real_active));
+                    }
+                }
+            }
+        }
+        touches
+    }
 }
 
 impl<'a> FitData<'a> {
     /// `takes` fit `layout` ([`crate::calibrate`] checks that).
     pub fn new(layout: &'a TactileLayout, takes: impl IntoIterator<Item = &'a PairedTake>) -> Self {
-        Self { layout, takes: takes.into_iter().collect() }
+        let takes: Vec<&PairedTake> = takes.into_iter().collect();
+        let touches = Touches::new(layout, &takes);
+        Self { layout, takes, touches }
     }
 
     /// The layout.
@@ -61,33 +102,18 @@ impl<'a> FitData<'a> {
 
     /// Propagated pressure of every pressure channel-frame. The threshold is `lambda_pre`, its floor zero.
     ///
-    /// The same sums as in [`tactile::raw_signals`], but frames without contact, which are most, are only counted.
+    /// The same sums as in [`tactile::raw_signals`], but for frames without touch.
     pub fn pressure(&self, alpha_per_m: f64) -> Ranked {
-        let num_channels = self.layout.num_channels();
         let propagation = tactile::propagation(self.layout, alpha_per_m);
-        let mut scores = Unranked::new(0.0);
+        let mut scores = Unranked::with_capacity(0.0, self.touches.num_touched);
+        scores.push_at_rest(self.touches.at_rest, self.touches.active_at_rest);
         let mut taxels_pa = Vec::new();
-        for take in &self.takes {
-            for (patch_idx, patch) in self.layout.patches.iter().enumerate() {
-                let PatchTrace::Pressure { offsets, entries } = &take.contact.patches[patch_idx] else {
-                    continue;
-                };
-                let weights = &propagation[patch_idx].weights;
-                for (frame, real_active) in take.real_active.chunks_exact(num_channels).enumerate() {
-                    let real_active = &real_active[patch.channels.clone()];
-                    let touched = &entries[PatchTrace::entry_range(offsets, frame)];
-                    if touched.is_empty() {
-                        let num_active = real_active.iter().map(|&active| u64::from(active)).sum();
-                        scores.push_at_rest(real_active.len() as u64, num_active);
-                        continue;
-                    }
-                    taxels_pa.clear();
-                    taxels_pa.resize(real_active.len(), 0.0);
-                    tactile::propagate(weights, touched, &mut taxels_pa);
-                    for (&pressure_pa, &real_active) in taxels_pa.iter().zip(real_active) {
-                        scores.push(pressure_pa, real_active);
-                    }
-                }
+        for &(patch_idx, nodes, real_active) in &self.touches.touched {
+            taxels_pa.clear();
+            taxels_pa.resize(real_active.len(), 0.0);
+            tactile::propagate(&propagation[patch_idx].weights, nodes, &mut taxels_pa);
+            for (&pressure_pa, &real_active) in taxels_pa.iter().zip(real_active) {
+                scores.push(pressure_pa, real_active);
             }
         }
         scores.rank()
