@@ -7,11 +7,12 @@
 
 mod live;
 mod motion;
+mod primitive;
 mod session;
 mod truth;
 mod world;
 
 pub use live::{LiveSample, LiveStation};
 pub use session::{EmulationError, record_session};
-pub use truth::Truth;
+pub use truth::{Elastomer, FrontEnd, JointTruth, MotionConfig, MountOffset, StreamTruth, TakeTruth, Truth};
 pub use world::TruthWorld;

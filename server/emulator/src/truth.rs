@@ -1,13 +1,536 @@
-//! The truth file.
+//! The truth file: what the emulated world is like, and what it hides.
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use palpate_recording::{RecordingError, load_station};
+use palpate_robot_model::{PoseConfig, SensorKind, Station};
 use serde::{Deserialize, Serialize};
 
+use crate::EmulationError;
+use crate::primitive::Primitive;
+
 /// What the emulated world is like, and what it hides.
+///
+/// Everything that a calibration has to find, or to live with, is written here: the elastomers, the sensors' front
+/// ends, the spread between channels, delays, mounting errors. `assets/truth/demo.toml` is a commented example.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Truth {
     /// Version of the format; 1.
     pub format: u32,
+    /// Name for people.
+    pub name: String,
     /// Station file, relative to the truth file.
     pub station: String,
+    /// Folder of the primitives, relative to the truth file.
+    pub primitives: String,
+    /// When the first take starts, with its offset from UTC. Emulated sessions never read a clock.
+    pub recorded: toml::value::Datetime,
+    /// Who is said to have recorded it.
+    #[serde(default)]
+    pub operator: String,
+    /// Draws what differs from channel to channel in this world; the seed of a recording draws only its noise.
+    pub world_seed: u64,
+    /// How the robot moves.
+    pub motion: MotionConfig,
+    /// How joint positions are measured.
+    #[serde(default)]
+    pub joints: JointTruth,
+    /// One for each stream of the layout.
+    #[serde(rename = "stream")]
+    pub streams: Vec<StreamTruth>,
+    /// Patches that do not sit where the layout says.
+    #[serde(rename = "mount_offset", default)]
+    pub mount_offsets: Vec<MountOffset>,
+    /// Pose of each object in the base frame, by object id.
+    #[serde(rename = "object")]
+    pub objects: BTreeMap<String, PoseConfig>,
+    /// The takes, in order.
+    #[serde(rename = "take")]
+    pub takes: Vec<TakeTruth>,
+}
+
+/// How the robot moves between and during touches.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotionConfig {
+    /// Position of every moving joint where a take starts and ends, rad or m, by joint name: clear of every object.
+    pub rest: BTreeMap<String, f64>,
+    /// Positions of joints that are not part of the touching limb, by joint name; `rest` where absent.
+    #[serde(default)]
+    pub away: BTreeMap<String, f64>,
+    /// Fraction of a joint's speed limit that is used between touches, 0..=1.
+    pub speed_fraction: f64,
+    /// Still time before the first touch; its first part is the take's baseline span, s.
+    pub baseline_s: f64,
+    /// Distance from the object at which the robot moves from one touch to the next, m.
+    pub safe_clearance_m: f64,
+    /// How far the orientation at a touch may differ from the one at rest, rad.
+    pub tilt_rad: f64,
+    /// Flexing joints arrive at a touch from this far above, or below, their final position, rad.
+    pub settle_rad: f64,
+}
+
+/// How joint positions are measured.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointTruth {
+    /// Standard deviation of a measured position, rad (revolute joints).
+    #[serde(default)]
+    pub noise_rad: f64,
+    /// Standard deviation of a measured position, m (prismatic joints).
+    #[serde(default)]
+    pub noise_m: f64,
+    /// Constant error of the measured position by joint name (measured less true), rad or m.
+    #[serde(default)]
+    pub offset: BTreeMap<String, f64>,
+}
+
+/// The sensors of one stream, from the elastomer to the host.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamTruth {
+    /// Id of the stream in the layout.
+    pub id: String,
+    /// From sampling to arrival at the host, s.
+    pub latency_s: f64,
+    /// Mean of the random part of that delay, s.
+    pub jitter_s: f64,
+    /// How much faster the device's clock runs than the host's, s per s.
+    #[serde(default)]
+    pub clock_skew: f64,
+    /// Standard deviation of the logarithm of a channel's gain.
+    pub sensitivity_spread: f64,
+    /// Standard deviation of a raw reading, raw units.
+    pub noise_raw: f64,
+    /// The soft layer.
+    pub elastomer: Elastomer,
+    /// What turns its deformation into raw units.
+    pub front_end: FrontEnd,
+}
+
+/// A soft layer as a sheet of elements, each a standard linear solid pulled along by its neighbours.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Elastomer {
+    /// Least distance between elements, m.
+    pub spacing_m: f64,
+    /// Thickness, m.
+    pub thickness_m: f64,
+    /// Modulus of the slow spring, Pa.
+    pub modulus_pa: f64,
+    /// Stiffness of the contact with the object, times that of the slow spring.
+    pub contact_ratio: f64,
+    /// Stiffness of the relaxing (Maxwell) branch, times that of the slow spring: what lingers after release.
+    pub relaxing_ratio: f64,
+    /// Time constant of the relaxing branch, s.
+    pub relaxing_s: f64,
+    /// Damping of an element, s: damper over slow spring.
+    pub damping_s: f64,
+    /// How far along the layer a displacement reaches, m.
+    pub coupling_m: f64,
+}
+
+/// What turns the deformation of the layer into raw units.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "snake_case", tag = "kind")]
+pub enum FrontEnd {
+    /// A pressure sensor under each taxel.
+    Barometer {
+        /// Depth of the sensors below the surface, m.
+        depth_m: f64,
+        /// Raw units per Pa.
+        raw_per_pa: f64,
+        /// Reading without touch, raw units.
+        offset_raw: f64,
+        /// Time constant of the sensor's own filter, s.
+        low_pass_s: f64,
+    },
+    /// One force-sensing resistor under the whole patch, in a voltage divider.
+    ForceResistor {
+        /// Force that the cap carries before the resistor feels any, N.
+        preload_n: f64,
+        /// Conductance per force, S/N.
+        conductance_s_per_n: f64,
+        /// The divider's fixed resistor, ohm.
+        divider_ohm: f64,
+        /// Converter reading at the supply voltage, raw units.
+        full_scale_raw: f64,
+        /// Time constant of the input filter, s.
+        low_pass_s: f64,
+    },
+}
+
+/// A patch that does not sit where the layout says.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MountOffset {
+    /// Id of the patch.
+    pub patch: String,
+    /// Shift in the link's frame, m.
+    pub translation_m: [f64; 3],
+    /// Rotation about the patch's own origin, as a rotation vector in the link's frame, rad.
+    #[serde(default)]
+    pub rotation_rad: [f64; 3],
+}
+
+/// One take.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TakeTruth {
+    /// Object id.
+    pub object: String,
+    /// Primitive id: the stem of a file in the folder of primitives.
+    pub primitive: String,
+    /// Duration, s.
+    pub duration_s: f64,
+    /// What is touched, in order: channel ids, or patch ids for a patch's middle taxel.
+    pub touch: Vec<String>,
+}
+
+/// A truth file with everything it names, read and checked.
+#[derive(Clone, Debug)]
+pub(crate) struct Emulation {
+    /// Its path, for errors.
+    pub(crate) file: String,
+    pub(crate) truth: Truth,
+    pub(crate) station: Arc<Station>,
+    /// Primitives by id.
+    pub(crate) primitives: BTreeMap<String, Primitive>,
+    /// Start of the first take, ns since 1970.
+    pub(crate) start_unix_ns: u64,
+}
+
+impl Emulation {
+    /// Reads the truth file at `path`, its station and its primitives.
+    pub(crate) fn read(path: &Path) -> Result<Self, EmulationError> {
+        let file = path.display().to_string();
+        let truth: Truth = parse(path)?;
+        let fail = |place: &str, problem: String| truth_error(&file, place, problem);
+        if truth.format != 1 {
+            return Err(fail("format", format!("is {}, expected 1", truth.format)));
+        }
+        let dir = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+        let station = load_station(&dir.join(&truth.station))?;
+        let start_unix_ns = unix_ns(&truth.recorded).ok_or_else(|| {
+            fail(
+                "recorded",
+                format!("{} needs date, time and offset, e.g. 2026-03-02T09:30:00Z", truth.recorded),
+            )
+        })?;
+        let mut primitives = BTreeMap::new();
+        for take in &truth.takes {
+            if primitives.contains_key(&take.primitive) {
+                continue;
+            }
+            let primitive_path = dir.join(&truth.primitives).join(format!("{}.toml", take.primitive));
+            let primitive: Primitive = parse(&primitive_path)?;
+            primitive.check().map_err(|(place, problem)| {
+                truth_error(&primitive_path.display().to_string(), &place, problem)
+            })?;
+            primitives.insert(take.primitive.clone(), primitive);
+        }
+        check(&truth, &station).map_err(|(place, problem)| fail(&place, problem))?;
+        Ok(Self { file, truth, station: Arc::new(station), primitives, start_unix_ns })
+    }
+
+    /// An error in the truth file.
+    pub(crate) fn error(&self, place: impl Into<String>, problem: impl Into<String>) -> EmulationError {
+        EmulationError::Truth { file: self.file.clone(), place: place.into(), problem: problem.into() }
+    }
+
+    /// Positions of a named set of joints in the station's order; `fallback` where the set has no such joint.
+    pub(crate) fn positions(&self, named: &BTreeMap<String, f64>, fallback: &[f64]) -> Vec<f64> {
+        let joints = self.station.robot.dofs();
+        joints
+            .enumerate()
+            .map(|(dof, joint)| named.get(&joint.name).copied().unwrap_or(fallback[dof]))
+            .collect()
+    }
+
+    /// Where takes start and end.
+    pub(crate) fn rest(&self) -> Vec<f64> {
+        self.positions(&self.truth.motion.rest, &vec![0.0; self.station.robot.num_dofs()])
+    }
+
+    /// The channel that `touch` names: a channel id, or a patch id for the taxel nearest to the patch's middle.
+    pub(crate) fn channel(&self, touch: &str) -> Option<usize> {
+        channel_named(&self.station, touch)
+    }
+}
+
+fn truth_error(file: &str, place: &str, problem: String) -> EmulationError {
+    EmulationError::Truth { file: file.into(), place: place.into(), problem }
+}
+
+fn parse<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, EmulationError> {
+    let text = std::fs::read_to_string(path).map_err(|source| RecordingError::Io {
+        action: "read",
+        path: path.to_path_buf(),
+        source,
+    })?;
+    toml::from_str(&text).map_err(|error| {
+        let place = error.span().map_or_else(
+            || "file".to_owned(),
+            |span| {
+                format!("line {}", text.as_bytes()[..span.start].iter().filter(|&&b| b == b'\n').count() + 1)
+            },
+        );
+        truth_error(&path.display().to_string(), &place, error.message().to_owned())
+    })
+}
+
+fn channel_named(station: &Station, touch: &str) -> Option<usize> {
+    let layout = &station.layout;
+    if let Some(channel) = layout.channels.iter().position(|channel| channel.id == touch) {
+        return Some(channel);
+    }
+    let patch = layout.patches.iter().find(|patch| patch.id == touch)?;
+    let count = patch.taxels_in_link.len() as f64;
+    let middle =
+        patch.taxels_in_link.iter().fold(nalgebra::Vector3::zeros(), |sum, pos| sum + pos.coords) / count;
+    let nearest = patch
+        .taxels_in_link
+        .iter()
+        .enumerate()
+        .min_by(|(_, a), (_, b)| (a.coords - middle).norm().total_cmp(&(b.coords - middle).norm()))?;
+    Some(patch.channels.start + nearest.0)
+}
+
+/// `(place, problem)` of the first thing that cannot be.
+fn check(truth: &Truth, station: &Station) -> Result<(), (String, String)> {
+    let known = |named: &BTreeMap<String, f64>, place: &str| {
+        for (name, value) in named {
+            let Some(joint) = station.robot.dofs().find(|joint| joint.name == *name) else {
+                return Err((place.to_owned(), format!("the station has no moving joint {name:?}")));
+            };
+            if !value.is_finite() {
+                return Err((place.to_owned(), format!("joint {name:?}: {value} must be finite")));
+            }
+            if let Some(limits) = joint.limits
+                && !(limits.lower..=limits.upper).contains(value)
+                && place != "joints.offset"
+            {
+                let range = format!("{}..{}", limits.lower, limits.upper);
+                return Err((
+                    place.to_owned(),
+                    format!("joint {name:?}: {value} is outside its limits {range}"),
+                ));
+            }
+        }
+        Ok(())
+    };
+    known(&truth.motion.rest, "motion.rest")?;
+    known(&truth.motion.away, "motion.away")?;
+    known(&truth.joints.offset, "joints.offset")?;
+    if let Some(missing) = station.robot.dofs().find(|joint| !truth.motion.rest.contains_key(&joint.name)) {
+        return Err(("motion.rest".into(), format!("joint {:?} is missing", missing.name)));
+    }
+    let motion = &truth.motion;
+    positive(
+        "motion",
+        &[
+            ("speed_fraction", motion.speed_fraction),
+            ("baseline_s", motion.baseline_s),
+            ("safe_clearance_m", motion.safe_clearance_m),
+        ],
+    )?;
+    not_negative("motion", &[("tilt_rad", motion.tilt_rad), ("settle_rad", motion.settle_rad)])?;
+    if motion.speed_fraction > 1.0 {
+        return Err((
+            "motion".into(),
+            format!("speed_fraction = {} must be at most 1", motion.speed_fraction),
+        ));
+    }
+    not_negative("joints", &[("noise_rad", truth.joints.noise_rad), ("noise_m", truth.joints.noise_m)])?;
+    for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
+        let place = format!("stream {:?}", stream.id);
+        let mut named = truth.streams.iter().filter(|truth| truth.id == stream.id);
+        let Some(stream_truth) = named.next() else {
+            return Err((place, "is in the station's layout but not here: add a [[stream]]".into()));
+        };
+        if named.next().is_some() {
+            return Err((place, "is given twice".into()));
+        }
+        check_stream(&place, stream_truth)?;
+        let config = &station.streams[stream_idx];
+        if config.raw_max <= config.raw_min {
+            return Err((
+                place,
+                format!("the station's raw range {}..{} is empty", config.raw_min, config.raw_max),
+            ));
+        }
+        let fits = matches!(
+            (stream.kind, stream_truth.front_end),
+            (SensorKind::Pressure, FrontEnd::Barometer { .. })
+                | (SensorKind::Proximity, FrontEnd::ForceResistor { .. })
+        );
+        if !fits {
+            let expected = if stream.kind == SensorKind::Pressure { "barometer" } else { "force_resistor" };
+            return Err((
+                place,
+                format!("front_end.kind must be {expected:?} for this stream of the layout"),
+            ));
+        }
+    }
+    if let Some(extra) = truth.streams.iter().find(|truth| station.layout.stream_index(&truth.id).is_none()) {
+        return Err((format!("stream {:?}", extra.id), "the station's layout has no such stream".into()));
+    }
+    for offset in &truth.mount_offsets {
+        let place = format!("mount_offset {:?}", offset.patch);
+        if !station.layout.patches.iter().any(|patch| patch.id == offset.patch) {
+            return Err((place, "the layout has no such patch".into()));
+        }
+        if offset.translation_m.iter().chain(&offset.rotation_rad).any(|v| !v.is_finite() || v.abs() > 1.0) {
+            return Err((place, "translation_m and rotation_rad must be finite and small".into()));
+        }
+    }
+    for (id, pose) in &truth.objects {
+        let place = format!("object {id:?}");
+        if !station.objects.contains_key(id) {
+            return Err((place, "the station has no such object".into()));
+        }
+        pose.to_isometry().map_err(|problem| (place, problem))?;
+    }
+    if truth.takes.is_empty() {
+        return Err(("take".into(), "there are no takes: add a [[take]]".into()));
+    }
+    for (take_idx, take) in truth.takes.iter().enumerate() {
+        let place = format!("take {}", take_idx + 1);
+        if !truth.objects.contains_key(&take.object) {
+            return Err((
+                place,
+                format!("object {:?} has no pose: add [object.{}]", take.object, take.object),
+            ));
+        }
+        if !(take.duration_s.is_finite() && take.duration_s > truth.motion.baseline_s) {
+            let problem = format!("duration_s = {} must be longer than motion.baseline_s", take.duration_s);
+            return Err((place, problem));
+        }
+        if take.touch.is_empty() {
+            return Err((place, "touch is empty: name channels or patches".into()));
+        }
+        if let Some(unknown) = take.touch.iter().find(|touch| channel_named(station, touch).is_none()) {
+            return Err((place, format!("touch: the layout has no channel or patch {unknown:?}")));
+        }
+    }
+    Ok(())
+}
+
+fn check_stream(place: &str, stream: &StreamTruth) -> Result<(), (String, String)> {
+    not_negative(
+        place,
+        &[
+            ("latency_s", stream.latency_s),
+            ("jitter_s", stream.jitter_s),
+            ("sensitivity_spread", stream.sensitivity_spread),
+            ("noise_raw", stream.noise_raw),
+            ("elastomer.relaxing_ratio", stream.elastomer.relaxing_ratio),
+            ("elastomer.coupling_m", stream.elastomer.coupling_m),
+        ],
+    )?;
+    positive(
+        place,
+        &[
+            ("elastomer.spacing_m", stream.elastomer.spacing_m),
+            ("elastomer.thickness_m", stream.elastomer.thickness_m),
+            ("elastomer.modulus_pa", stream.elastomer.modulus_pa),
+            ("elastomer.contact_ratio", stream.elastomer.contact_ratio),
+            ("elastomer.relaxing_s", stream.elastomer.relaxing_s),
+            ("elastomer.damping_s", stream.elastomer.damping_s),
+        ],
+    )?;
+    if !(stream.clock_skew.abs() < 0.1) {
+        return Err((place.into(), format!("clock_skew = {} must be within -0.1..0.1", stream.clock_skew)));
+    }
+    match stream.front_end {
+        FrontEnd::Barometer { depth_m, raw_per_pa, offset_raw, low_pass_s } => {
+            positive(
+                place,
+                &[
+                    ("front_end.depth_m", depth_m),
+                    ("front_end.raw_per_pa", raw_per_pa),
+                    ("front_end.low_pass_s", low_pass_s),
+                ],
+            )?;
+            not_negative(place, &[("front_end.offset_raw", offset_raw)])
+        }
+        FrontEnd::ForceResistor {
+            preload_n,
+            conductance_s_per_n,
+            divider_ohm,
+            full_scale_raw,
+            low_pass_s,
+        } => {
+            not_negative(place, &[("front_end.preload_n", preload_n)])?;
+            positive(
+                place,
+                &[
+                    ("front_end.conductance_s_per_n", conductance_s_per_n),
+                    ("front_end.divider_ohm", divider_ohm),
+                    ("front_end.full_scale_raw", full_scale_raw),
+                    ("front_end.low_pass_s", low_pass_s),
+                ],
+            )
+        }
+    }
+}
+
+/// Refuses the first of `values` that is not a positive number, as `(place, problem)`.
+pub(crate) fn positive(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
+    match values.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        Some((name, value)) => Err((place.into(), format!("{name} = {value} must be a positive number"))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses the first of `values` that is negative or not finite, as `(place, problem)`.
+pub(crate) fn not_negative(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
+    match values.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
+        Some((name, value)) => Err((place.into(), format!("{name} = {value} must not be negative"))),
+        None => Ok(()),
+    }
+}
+
+/// Nanoseconds since 1970 of an offset date-time; `None` for local or partial ones and for times before 1970.
+fn unix_ns(datetime: &toml::value::Datetime) -> Option<u64> {
+    let (date, time) = (datetime.date?, datetime.time?);
+    let offset_minutes = match datetime.offset? {
+        toml::value::Offset::Z => 0,
+        toml::value::Offset::Custom { minutes } => i64::from(minutes),
+    };
+    // Days since 1970-01-01 in the proleptic Gregorian calendar, counting years from March.
+    let (year, month) = (i64::from(date.year), i64::from(date.month));
+    let year = if month <= 2 { year - 1 } else { year };
+    let era = year.div_euclid(400);
+    let year_of_era = year.rem_euclid(400);
+    let day_of_year = (153 * ((month + 9) % 12) + 2) / 5 + i64::from(date.day) - 1;
+    let days =
+        era * 146_097 + year_of_era * 365 + year_of_era / 4 - year_of_era / 100 + day_of_year - 719_468;
+    let minutes = i64::from(time.hour) * 60 + i64::from(time.minute) - offset_minutes;
+    let seconds = days * 86_400 + minutes * 60 + time.second.map_or(0, i64::from);
+    let nanos = u64::from(time.nanosecond.unwrap_or(0));
+    Some(u64::try_from(seconds).ok()?.checked_mul(1_000_000_000)? + nanos)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn date_times_count_from_1970() {
+        for (text, seconds) in [
+            ("1970-01-01T00:00:00Z", 0),
+            ("2000-03-01T00:00:00Z", 951_868_800),
+            ("2024-02-29T12:00:00Z", 1_709_208_000),
+            ("2026-03-02T09:30:00+01:00", 1_772_440_200),
+        ] {
+            let datetime: toml::value::Datetime = text.parse().expect("a date-time");
+            assert_eq!(unix_ns(&datetime), Some(seconds * 1_000_000_000), "{text}");
+        }
+        let local: toml::value::Datetime = "2026-03-02T09:30:00".parse().expect("a date-time");
+        assert_eq!(unix_ns(&local), None);
+    }
 }

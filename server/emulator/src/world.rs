@@ -1,4 +1,275 @@
-//! The truth world.
+//! The truth world: soft layers, sensors and electronics around a moving robot, stepped at 1 kHz.
 
-/// The world behind the emulated sensors.
-pub struct TruthWorld {}
+mod device;
+mod elastomer;
+mod front_end;
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use palpate_robot_model::{JointKind, ObjectModel, Station};
+use palpate_sim::geometry::SignedDistance;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::EmulationError;
+use crate::truth::Emulation;
+pub(crate) use device::Arrival;
+use device::{Device, gaussian};
+use elastomer::Layer;
+use front_end::Sensors;
+
+/// Steps of the soft layers, s.
+const STEP_S: f64 = 1e-3;
+/// Steps between two evaluations of the geometry, which moves much less in that time.
+const STEPS_PER_BLOCK: i64 = 5;
+/// The devices are powered this long before a take starts.
+const PRE_ROLL_BLOCKS: i64 = 240;
+/// Joint positions are read in steps of one turn over this.
+const ENCODER_STEPS_PER_TURN: f64 = 65_536.0;
+
+/// The world behind the emulated sensors, for one take.
+///
+/// [`TruthWorld::advance`] moves it along a joint path; what its devices and encoders sent comes back in order of host
+/// time.
+pub struct TruthWorld {
+    station: Arc<Station>,
+    object: SignedDistance,
+    object_from_base: Isometry3<f64>,
+    layers: Vec<Layer>,
+    sensors: Vec<Sensors>,
+    devices: Vec<Device>,
+    /// Measured less true position, per degree of freedom.
+    joint_offsets: Vec<f64>,
+    joint_noise: Vec<f64>,
+    joint_steps: Vec<f64>,
+    joint_rng: ChaCha8Rng,
+    /// Blocks since the take's start; negative before.
+    block: i64,
+    num_joint_samples: u64,
+    frames: Vec<Isometry3<f64>>,
+    positions: Vec<f64>,
+}
+
+/// Something that reached the host.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Event {
+    /// Measured joint positions.
+    Joints {
+        /// When, ns since the take's start.
+        host_ns: i64,
+        positions: Vec<f64>,
+    },
+    /// A sample of a stream of the layout.
+    Tactile { stream: usize, sample: Arrival },
+}
+
+impl Event {
+    fn host_ns(&self) -> i64 {
+        match self {
+            Self::Joints { host_ns, .. } => *host_ns,
+            Self::Tactile { sample, .. } => sample.host_ns,
+        }
+    }
+}
+
+impl TruthWorld {
+    /// The world of `emulation` with `object` at `base_from_object`. `seed` and `take_idx` draw the noise; what differs
+    /// between channels comes from the truth's own seed.
+    pub(crate) fn new(
+        emulation: &Emulation,
+        object: &ObjectModel,
+        base_from_object: &Isometry3<f64>,
+        seed: u64,
+        take_idx: u64,
+    ) -> Result<Self, EmulationError> {
+        let station = Arc::clone(&emulation.station);
+        let truth = &emulation.truth;
+        let distance = SignedDistance::new(&object.shape)
+            .map_err(|problem| emulation.error(format!("object {:?}", object.id), problem))?;
+        let mut world_rng = ChaCha8Rng::seed_from_u64(truth.world_seed);
+        let gains: Vec<f64> = station
+            .layout
+            .channels
+            .iter()
+            .map(|channel| {
+                let id = &station.layout.streams[channel.stream].id;
+                let spread = truth
+                    .streams
+                    .iter()
+                    .find(|stream| stream.id == *id)
+                    .map_or(0.0, |s| s.sensitivity_spread);
+                (spread * gaussian(&mut world_rng)).exp()
+            })
+            .collect();
+        let mut layers = Vec::new();
+        let mut sensors = Vec::new();
+        for patch in &station.layout.patches {
+            let id = &station.layout.streams[patch.stream].id;
+            let stream = truth
+                .streams
+                .iter()
+                .find(|stream| stream.id == *id)
+                .ok_or_else(|| emulation.error(format!("stream {id:?}"), "is missing"))?;
+            let mut offset = Isometry3::identity();
+            for mount in truth.mount_offsets.iter().filter(|mount| mount.patch == patch.id) {
+                let [x, y, z] = mount.translation_m;
+                let rotation = UnitQuaternion::new(Vector3::from(mount.rotation_rad));
+                offset = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
+            }
+            let layer = Layer::new(patch, &stream.elastomer, &offset, STEP_S)
+                .map_err(|problem| emulation.error(format!("stream {id:?}"), problem))?;
+            let patch_gains = gains[patch.channels.clone()].to_vec();
+            sensors.push(Sensors::new(
+                patch,
+                &layer,
+                &stream.elastomer,
+                stream.front_end,
+                &offset,
+                patch_gains,
+            ));
+            layers.push(layer);
+        }
+        let mut noise_rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut next_rng = |part: u64| {
+            noise_rng.set_stream((take_idx << 16) + part);
+            noise_rng.clone()
+        };
+        let joint_rng = next_rng(0);
+        let power_up_s = -((PRE_ROLL_BLOCKS * STEPS_PER_BLOCK) as f64) * STEP_S;
+        let mut devices = Vec::new();
+        for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
+            let Some(stream_truth) = truth.streams.iter().find(|truth| truth.id == stream.id) else {
+                continue;
+            };
+            devices.push(Device::new(
+                station.streams[stream_idx].clone(),
+                stream_truth.clone(),
+                stream.rate_hz,
+                stream.channels.len(),
+                power_up_s,
+                next_rng(1 + stream_idx as u64),
+            ));
+        }
+        let joints: Vec<_> = station.robot.dofs().collect();
+        let revolute = |joint: &palpate_robot_model::Joint| joint.kind == JointKind::Revolute;
+        Ok(Self {
+            object: distance,
+            object_from_base: base_from_object.inverse(),
+            layers,
+            sensors,
+            devices,
+            joint_offsets: joints
+                .iter()
+                .map(|j| truth.joints.offset.get(&j.name).copied().unwrap_or(0.0))
+                .collect(),
+            joint_noise: joints
+                .iter()
+                .map(|joint| if revolute(joint) { truth.joints.noise_rad } else { truth.joints.noise_m })
+                .collect(),
+            joint_steps: joints
+                .iter()
+                .map(
+                    |joint| {
+                        if revolute(joint) { std::f64::consts::TAU / ENCODER_STEPS_PER_TURN } else { 1e-6 }
+                    },
+                )
+                .collect(),
+            joint_rng,
+            block: -PRE_ROLL_BLOCKS,
+            num_joint_samples: 0,
+            frames: Vec::new(),
+            positions: vec![0.0; joints.len()],
+            station,
+        })
+    }
+
+    /// Time since the take's start, s; negative while the devices are warming up.
+    pub fn time_s(&self) -> f64 {
+        (self.block * STEPS_PER_BLOCK) as f64 * STEP_S
+    }
+
+    /// Steps until `end_s` since the take's start, with the joints where `path` puts them (time in s, positions to be
+    /// filled in), and hands over what arrived at the host since, in order.
+    pub(crate) fn advance(
+        &mut self,
+        end_s: f64,
+        path: impl Fn(f64, &mut [f64]),
+        sink: &mut dyn FnMut(Event) -> Result<(), EmulationError>,
+    ) -> Result<(), EmulationError> {
+        let period_s = 1.0 / self.station.joint_rate_hz;
+        let mut positions = std::mem::take(&mut self.positions);
+        let mut events: Vec<Event> = Vec::new();
+        let end_block = (end_s / STEP_S / STEPS_PER_BLOCK as f64 + 1e-6).floor() as i64;
+        while self.block < end_block {
+            let block_end_s = ((self.block + 1) * STEPS_PER_BLOCK) as f64 * STEP_S;
+            path(block_end_s, &mut positions);
+            self.step_block(&positions);
+            let block_end_ns = (block_end_s * 1e9).round() as i64;
+            for (stream, device) in self.devices.iter_mut().enumerate() {
+                while let Some(sample) = device.arrived(block_end_ns) {
+                    // What was sent before the take began has been and gone.
+                    if sample.host_ns >= 0 {
+                        events.push(Event::Tactile { stream, sample });
+                    }
+                }
+            }
+            // Times come from the count, so that they do not drift.
+            let mut due_s = self.num_joint_samples as f64 * period_s;
+            while due_s < block_end_s - 1e-9 {
+                path(due_s, &mut positions);
+                events.push(Event::Joints {
+                    host_ns: (due_s * 1e9).round() as i64,
+                    positions: self.measured(&positions),
+                });
+                self.num_joint_samples += 1;
+                due_s = self.num_joint_samples as f64 * period_s;
+            }
+            events.sort_by_key(Event::host_ns);
+            for event in events.drain(..) {
+                sink(event)?;
+            }
+        }
+        self.positions = positions;
+        Ok(())
+    }
+
+    /// The firmware's reference reading of every channel, in channel order, raw units.
+    pub(crate) fn references(&self) -> Vec<f64> {
+        self.devices.iter().flat_map(Device::reference).collect()
+    }
+
+    /// Steps the layers, sensors and devices through one block that ends with the joints at `positions`.
+    fn step_block(&mut self, positions: &[f64]) {
+        self.station.robot.forward_kinematics(positions, &mut self.frames);
+        for layer in &mut self.layers {
+            layer.approach(&self.object, &(self.object_from_base * self.frames[layer.link]));
+        }
+        for step in 1..=STEPS_PER_BLOCK {
+            let fraction = step as f64 / STEPS_PER_BLOCK as f64;
+            for (layer, sensors) in self.layers.iter_mut().zip(&mut self.sensors) {
+                layer.step(STEP_S, fraction);
+                sensors.step(layer, STEP_S);
+            }
+            let now_s = (self.block * STEPS_PER_BLOCK + step) as f64 * STEP_S;
+            for (stream_idx, device) in self.devices.iter_mut().enumerate() {
+                let patches = self.station.layout.patches.iter().zip(&self.sensors);
+                let analog = patches
+                    .filter(|(patch, _)| patch.stream == stream_idx)
+                    .flat_map(|(_, sensors)| &sensors.analog_raw);
+                device.tick(now_s, analog);
+            }
+        }
+        self.block += 1;
+    }
+
+    fn measured(&mut self, positions: &[f64]) -> Vec<f64> {
+        let mut measured = Vec::with_capacity(positions.len());
+        for (dof, position) in positions.iter().enumerate() {
+            let noise = self.joint_noise[dof] * gaussian(&mut self.joint_rng);
+            let step = self.joint_steps[dof];
+            measured.push(((position + self.joint_offsets[dof] + noise) / step).round() * step);
+        }
+        measured
+    }
+}

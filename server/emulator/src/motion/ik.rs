@@ -1,0 +1,111 @@
+//! Inverse kinematics by damped least squares.
+
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use palpate_robot_model::{JointKind, Robot};
+
+/// A metre of position counts as this many radians of rotation.
+const RAD_PER_M: f64 = 10.0;
+const POSITION_TOLERANCE_M: f64 = 2e-5;
+const ROTATION_TOLERANCE_RAD: f64 = 1e-3;
+
+/// What a solution must bring about.
+pub(crate) struct Goal<'a> {
+    /// The link to be moved.
+    pub(crate) link: usize,
+    /// The point of it that matters, in the link's frame.
+    pub(crate) pos_in_link: &'a Point3<f64>,
+    /// Where the link should be, in the base frame.
+    pub(crate) base_from_link: &'a Isometry3<f64>,
+    /// Whether its orientation matters.
+    pub(crate) oriented: bool,
+}
+
+/// Degrees of freedom between the root and `link`, root first.
+pub(crate) fn chain_dofs(robot: &Robot, link: usize) -> Vec<usize> {
+    let mut dofs = Vec::new();
+    let mut link = link;
+    while link != 0 {
+        let joint = &robot.joints[link - 1];
+        dofs.extend(joint.dof);
+        link = joint.parent_link;
+    }
+    dofs.reverse();
+    dofs
+}
+
+/// Range that motions may use: the limits less a margin, unbounded without limits.
+pub(crate) fn range(robot: &Robot, dof: usize) -> (f64, f64) {
+    robot.dofs().nth(dof).and_then(|joint| joint.limits).map_or(
+        (f64::NEG_INFINITY, f64::INFINITY),
+        |limits| {
+            let margin = 0.01 * (limits.upper - limits.lower);
+            (limits.lower + margin, limits.upper - margin)
+        },
+    )
+}
+
+/// Moves `dofs` of `positions` until `goal` is met, within limits; whether it was. `frames` is scratch and afterwards
+/// holds the links' poses.
+pub(crate) fn solve(
+    robot: &Robot,
+    dofs: &[usize],
+    goal: &Goal<'_>,
+    positions: &mut [f64],
+    frames: &mut Vec<Isometry3<f64>>,
+) -> bool {
+    let joints: Vec<_> = dofs.iter().filter_map(|&dof| robot.dofs().nth(dof)).collect();
+    let chain = chain_dofs(robot, goal.link);
+    let turns = joints.iter().any(|joint| joint.kind == JointKind::Revolute);
+    let target = goal.base_from_link * goal.pos_in_link;
+    let mut columns = vec![Vector6::zeros(); dofs.len()];
+    for _ in 0..60 {
+        robot.forward_kinematics(positions, frames);
+        let link_pose = frames[goal.link];
+        let point = link_pose * goal.pos_in_link;
+        let pos_error = target - point;
+        let rot_error = if goal.oriented && turns {
+            (goal.base_from_link.rotation * link_pose.rotation.inverse()).scaled_axis()
+        } else {
+            Vector3::zeros()
+        };
+        if pos_error.norm() < POSITION_TOLERANCE_M && rot_error.norm() < ROTATION_TOLERANCE_RAD {
+            return true;
+        }
+        let error = stack(&(pos_error * RAD_PER_M), &rot_error);
+        let mut gram = Matrix6::<f64>::identity() * (1e-8 + 1e-2 * error.norm_squared().min(0.01));
+        for ((column, joint), dof) in columns.iter_mut().zip(&joints).zip(dofs) {
+            *column = Vector6::zeros();
+            if !chain.contains(dof) {
+                continue;
+            }
+            let base_from_joint = frames[joint.parent_link] * joint.parent_from_joint;
+            let axis = base_from_joint.rotation * joint.axis_in_joint.into_inner();
+            *column = match joint.kind {
+                JointKind::Revolute => {
+                    let arm = point - Point3::from(base_from_joint.translation.vector);
+                    let rotation = if goal.oriented { axis } else { Vector3::zeros() };
+                    stack(&(axis.cross(&arm) * RAD_PER_M), &rotation)
+                }
+                JointKind::Prismatic => stack(&(axis * RAD_PER_M), &Vector3::zeros()),
+                JointKind::Fixed => Vector6::zeros(),
+            };
+            gram += *column * column.transpose();
+        }
+        let Some(factor) = gram.cholesky() else { return false };
+        let weights = factor.solve(&error);
+        let mut steps: Vec<f64> = columns.iter().map(|column| column.dot(&weights)).collect();
+        let largest = steps.iter().fold(0.0_f64, |max, step| max.max(step.abs()));
+        if largest > 0.3 {
+            steps.iter_mut().for_each(|step| *step *= 0.3 / largest);
+        }
+        for (step, &dof) in steps.iter().zip(dofs) {
+            let (lower, upper) = range(robot, dof);
+            positions[dof] = (positions[dof] + step).clamp(lower, upper);
+        }
+    }
+    false
+}
+
+fn stack(top: &Vector3<f64>, bottom: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(top.x, top.y, top.z, bottom.x, bottom.y, bottom.z)
+}
