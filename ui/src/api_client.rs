@@ -85,6 +85,13 @@ pub struct HttpRequest {
     pub body: Option<(&'static str, Vec<u8>)>,
 }
 
+impl HttpRequest {
+    /// Method and path, e.g. `GET /api/v1/info`.
+    pub fn name(&self) -> String {
+        format!("{} {}", self.method, self.path)
+    }
+}
+
 impl Request {
     /// The request as HTTP.
     pub fn to_http(&self) -> HttpRequest {
@@ -176,7 +183,7 @@ pub trait Api {
 /// A server that answers from a table, for tests.
 #[derive(Clone, Debug, Default)]
 pub struct FakeApi {
-    /// Bodies by path and query; what is missing here answers with an error.
+    /// Bodies by method and path with query; what is missing here answers with an error.
     pub bodies: BTreeMap<String, Vec<u8>>,
     /// Requests that were sent, in order.
     pub sent: Vec<Request>,
@@ -189,7 +196,7 @@ pub struct FakeApi {
 impl FakeApi {
     /// Answers `request` with `body` from now on.
     pub fn answer(&mut self, request: &Request, body: Vec<u8>) {
-        self.bodies.insert(request.to_http().path, body);
+        self.bodies.insert(request.to_http().name(), body);
     }
 }
 
@@ -199,8 +206,8 @@ impl Api for FakeApi {
         if self.silent {
             return;
         }
-        let path = request.to_http().path;
-        let result = self.bodies.get(&path).cloned().ok_or_else(|| format!("nothing at {path}"));
+        let name = request.to_http().name();
+        let result = self.bodies.get(&name).cloned().ok_or_else(|| format!("nothing at {name}"));
         self.events.push_back(ApiEvent::Answer { request, result });
     }
 

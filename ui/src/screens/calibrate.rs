@@ -158,6 +158,9 @@ fn choose_ui(
     let size = egui::vec2(ui.available_width() - 8.0, 40.0);
     let button = egui::Button::new(RichText::new("Calibrate").strong().size(16.0)).min_size(size);
     let response = ui.add_enabled(ready, button);
+    // The rail has a button of that name already.
+    response
+        .widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, ready, "Start calibration"));
     if response.clicked() {
         state.waits_for_start = true;
         cx.store.start_run(CalibrationRequest {

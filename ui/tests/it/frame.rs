@@ -129,7 +129,7 @@ fn failing_server_says_why_and_can_be_asked_again() {
     let api = SharedApi::default();
     let mut harness = page(&api, &FakeWindow::at("#/timelines"));
     harness.get_by_label_contains("The list of sessions did not arrive");
-    harness.get_by_label_contains("nothing at /api/v1/sessions");
+    harness.get_by_label_contains("nothing at GET /api/v1/sessions");
     let bodies = std::mem::take(&mut full_api().0.borrow_mut().bodies);
     *api.0.borrow_mut() = FakeApi { bodies, ..Default::default() };
     harness.get_by_label("Try again").click();

@@ -1,7 +1,9 @@
-//! The page as an operator meets it, without a window: the frame, the timelines, and the mirror, on shipped stations and
+//! The page as an operator meets it, without a window: the frame, its screens, and the mirror, on shipped stations and
 //! made-up takes.
 
+mod calibrate;
 mod fixture;
 mod frame;
 mod mirror;
+mod sessions;
 mod timelines;

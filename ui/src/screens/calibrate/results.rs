@@ -43,13 +43,13 @@ fn headline(report: &CalibrationReport) -> String {
     let (before, after) = (&report.held_out.nominal, &report.held_out.calibrated);
     let mut parts = Vec::new();
     if let (Some(a), Some(b)) = (before.onset_error_ms, after.onset_error_ms) {
-        parts.push(format!("onset error {a:.0} \u{2192} {b:.0} ms"));
+        parts.push(format!("onset error from {a:.0} to {b:.0} ms"));
     }
     if let (Some(a), Some(b)) = (before.f1, after.f1) {
-        parts.push(format!("F1 {a:.2} \u{2192} {b:.2}"));
+        parts.push(format!("F1 from {a:.2} to {b:.2}"));
     }
     if let (Some(a), Some(b)) = (before.fpr, after.fpr) {
-        parts.push(format!("false positives {:.1} \u{2192} {:.1} %", a * 100.0, b * 100.0));
+        parts.push(format!("false positives from {:.1} to {:.1} %", a * 100.0, b * 100.0));
     }
     if parts.is_empty() {
         return "Calibrated, but the held-out takes hold no touch to judge by.".to_owned();

@@ -14,6 +14,9 @@ pub(super) enum Table {
     Channel,
 }
 
+/// A column: its name, and its text for a set of metrics.
+type Column = (&'static str, fn(&Metrics) -> String);
+
 /// A number with `digits` decimals after scaling, or a dash where there is none.
 pub(super) fn number(value: Option<f64>, factor: f64, digits: usize) -> String {
     value.map_or_else(|| "\u{2013}".to_owned(), |value| format!("{:.digits$}", value * factor))
@@ -53,7 +56,7 @@ pub(super) fn tables_ui(
             .map(|(name, pair)| (name.clone(), &pair.nominal, &pair.calibrated))
             .collect(),
     };
-    let columns: [(&str, fn(&Metrics) -> String); 4] = [
+    let columns: [Column; 4] = [
         ("Onset, ms", |m| number(m.onset_error_ms, 1.0, 0)),
         ("F1, %", |m| number(m.f1, 100.0, 1)),
         ("FPR, %", |m| number(m.fpr, 100.0, 2)),

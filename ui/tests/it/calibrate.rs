@@ -1,0 +1,142 @@
+//! Choose, run, see, keep: a calibration as an operator meets it.
+
+use std::collections::BTreeMap;
+
+use egui::accesskit::Role;
+use egui_kittest::kittest::Queryable as _;
+use palpate_ui::{
+    api_client::{ApiEvent, Request},
+    playback::ModelRef,
+};
+use palpate_wire::{
+    api::{
+        CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, JobState, Metrics, MetricsPair,
+        Objective, TakeMetrics, ThetaReport,
+    },
+    proto::{JobUpdate, StreamMessage, stream_message},
+};
+use prost::Message as _;
+
+use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page};
+
+fn metrics(onset_error_ms: f64, f1: f64) -> Metrics {
+    Metrics { onset_error_ms: Some(onset_error_ms), f1: Some(f1), fpr: Some(0.042), ..Metrics::default() }
+}
+
+fn run(state: JobState) -> CalibrationRun {
+    let (nominal, calibrated) = (metrics(231.4, 0.642), metrics(88.2, 0.781));
+    let theta = |lambda_con_m| ThetaReport { lambda_con_m, alpha_per_m: 120.0, lambda_pre_pa: 300.0 };
+    let pair = MetricsPair { nominal: nominal.clone(), calibrated: calibrated.clone() };
+    let take = TakeMetrics { nominal: nominal.clone(), calibrated: calibrated.clone(), held_out: true };
+    let report = CalibrationReport {
+        nominal: nominal.clone(),
+        calibrated: calibrated.clone(),
+        held_out: HeldOut { nominal, calibrated },
+        theta: theta(0.001),
+        nominal_theta: theta(0.004),
+        frames: 400,
+        channels: 15,
+        evaluations: 1234,
+        seconds: 0.05,
+        method: "exact".into(),
+        by_modality: BTreeMap::from([("pad".to_owned(), pair.clone())]),
+        by_take: BTreeMap::from([("take-02".to_owned(), take)]),
+        by_channel: BTreeMap::from([("pad.0".to_owned(), pair)]),
+        intervals_95: None,
+        objective: Objective {
+            alphas_per_m: vec![50.0, 120.0],
+            lambda_pres_pa: vec![100.0, 300.0, 900.0],
+            pressure_l1: vec![vec![9, 7, 8], vec![6, 2, 5]],
+            lambda_cons_m: vec![0.0, 0.001, 0.002],
+            proximity_l1: vec![5, 1, 4],
+        },
+        held_out_takes: vec!["take-02".into()],
+        notes: vec!["the optimum of alpha lies at the end of its range".into()],
+    };
+    CalibrationRun {
+        id: "run-7".into(),
+        request: CalibrationRequest {
+            session: "bench-1".into(),
+            method: Some("exact".into()),
+            hold_out: None,
+        },
+        state,
+        fraction: if state == JobState::Done { 1.0 } else { 0.25 },
+        stage: "replaying take-01".into(),
+        seconds_left: Some(3.0),
+        error: (state == JobState::Failed).then(|| "take-01: no real contact".to_owned()),
+        report: (state == JobState::Done).then_some(report),
+        model_toml: None,
+        saved_as: None,
+    }
+}
+
+fn answer(api: &SharedApi, request: &Request, run: &CalibrationRun) {
+    api.0.borrow_mut().answer(request, serde_json::to_vec(run).unwrap());
+}
+
+fn start_request() -> Request {
+    Request::StartRun(CalibrationRequest {
+        session: "bench-1".into(),
+        method: Some("exact".into()),
+        hold_out: None,
+    })
+}
+
+#[test]
+fn button_starts_a_run_and_the_result_leads_with_a_sentence() {
+    let api = full_api();
+    answer(&api, &start_request(), &run(JobState::Running));
+    answer(&api, &Request::Run("run-7".into()), &run(JobState::Done));
+    let window = FakeWindow::at("#/calibrate/bench-1");
+    let mut harness = page(&api, &window);
+
+    harness.get_by_role_and_label(Role::Button, "Start calibration").click();
+    harness.run_steps(4);
+    assert!(api.0.borrow().sent.contains(&start_request()), "{:?}", api.0.borrow().sent);
+    harness.get_by_label_contains("25 %, 3.0 s left");
+    harness.get_by_role_and_label(Role::Button, "Cancel");
+
+    let update =
+        JobUpdate { job: "run-7".into(), state: "done".into(), fraction: 1.0, ..JobUpdate::default() };
+    let message = StreamMessage { message: Some(stream_message::Message::Job(update)), dropped: 0 };
+    deliver(&api, [ApiEvent::SocketMessage(message.encode_to_vec())]);
+    harness.run_steps(6);
+    harness.get_by_label_contains("onset error from 231 to 88 ms, F1 from 0.64 to 0.78");
+    harness.get_by_label_contains("the optimum of alpha lies at the end of its range");
+    harness.get_by_label_contains("optimum at 1.00 mm");
+    assert!(window.current().contains("run=run-7"), "{}", window.current());
+    assert_eq!(app(&harness).playback.compared, Some(ModelRef::Run("run-7".into())));
+
+    harness.get_by_role_and_label(Role::Button, "Save model").click();
+    harness.run_steps(3);
+    let sent = api.0.borrow().sent.clone();
+    assert!(
+        sent.iter().any(|request| matches!(request, Request::SaveModel { run, .. } if run == "run-7")),
+        "{sent:?}"
+    );
+}
+
+#[test]
+fn failed_run_says_why() {
+    let api = full_api();
+    answer(&api, &Request::Run("run-7".into()), &run(JobState::Failed));
+    let harness = page(&api, &FakeWindow::at("#/calibrate/bench-1?run=run-7"));
+    harness.get_by_label_contains("The calibration failed");
+    harness.get_by_label_contains("take-01: no real contact");
+}
+
+#[test]
+fn empty_choice_of_held_out_takes_is_refused_before_anything_runs() {
+    let api = full_api();
+    let mut harness = page(&api, &FakeWindow::at("#/calibrate/bench-1"));
+    harness.get_by_label_contains("Choose for me").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("Tick at least one take");
+    harness.get_by_label_contains("take-02: tap").click();
+    harness.run_steps(3);
+    assert!(harness.query_by_label_contains("Tick at least one take").is_none());
+    harness.get_by_label_contains("take-01: tap").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("Leave at least one take");
+}
