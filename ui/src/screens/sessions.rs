@@ -155,7 +155,7 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &
 
 fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
     ui.heading("Takes");
-    egui::Grid::new("session_takes").striped(true).spacing([22.0, 4.0]).show(ui, |ui| {
+    egui::Grid::new("session_takes").striped(true).min_row_height(22.0).spacing([22.0, 4.0]).show(ui, |ui| {
         for name in ["Take", "Primitive", "Object", "Frames", "Duration", "Readings", ""] {
             ui.label(RichText::new(name).strong());
         }

@@ -72,7 +72,7 @@ fn run(state: JobState) -> CalibrationRun {
 }
 
 fn answer(api: &SharedApi, request: &Request, run: &CalibrationRun) {
-    api.0.borrow_mut().answer(request, serde_json::to_vec(run).unwrap());
+    api.0.borrow_mut().answer(request, serde_json::to_vec(run).expect("a run is plain data"));
 }
 
 fn start_request() -> Request {

@@ -32,7 +32,9 @@ fn check() -> CheckReport {
 #[test]
 fn check_results_and_coverage_are_in_words_too() {
     let api = full_api();
-    api.0.borrow_mut().answer(&Request::Check("bench-1".into()), serde_json::to_vec(&check()).unwrap());
+    api.0
+        .borrow_mut()
+        .answer(&Request::Check("bench-1".into()), serde_json::to_vec(&check()).expect("it is plain data"));
     let harness = page(&api, &FakeWindow::at("#/sessions/bench-1"));
     harness.get_by_role_and_label(Role::Button, "Session bench-1");
     harness.get_by_label_contains("pad.1: touched 2 times in the second half");

@@ -17,6 +17,12 @@ pub(super) fn results_ui(
     run: &CalibrationRun,
     report: &CalibrationReport,
 ) {
+    // What can be done with the result stays in reach, however far one scrolls.
+    egui::Panel::bottom("calibrate_keep").resizable(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        keep_ui(ui, cx, state, run, report);
+        ui.add_space(4.0);
+    });
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         ui.heading("3  See");
@@ -27,11 +33,9 @@ pub(super) fn results_ui(
             ui.colored_label(cx.palette.warning, format!("\u{26a0} {note}"));
         }
         ui.add_space(6.0);
-        metrics_ui(ui, cx, report);
-        ui.add_space(10.0);
         objective::objective_ui(ui, &cx.palette, report);
         ui.add_space(10.0);
-        keep_ui(ui, cx, state, run, report);
+        metrics_ui(ui, cx, report);
         ui.add_space(10.0);
         tables::tables_ui(ui, cx, &mut state.table, report);
         ui.add_space(12.0);
@@ -84,28 +88,31 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationRep
     ];
     let held = report.held_out_takes.join(", ");
     ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
-    egui::Grid::new("calibrate_metrics").striped(true).spacing([28.0, 6.0]).show(ui, |ui| {
-        ui.label("");
-        ui.label(RichText::new("Nominal").color(cx.palette.nominal).strong());
-        ui.label(RichText::new("95 %").color(cx.palette.text_weak));
-        ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
-        ui.label(RichText::new("95 %").color(cx.palette.text_weak));
-        ui.end_row();
-        for (name, text, intervals, factor) in rows {
-            let [before, after] = report.intervals_95.as_ref().map_or([None; 2], intervals);
-            ui.label(name);
-            ui.label(text(&report.held_out.nominal));
-            ui.label(RichText::new(range(before, factor)).color(cx.palette.text_weak));
-            ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
-            ui.label(RichText::new(range(after, factor)).color(cx.palette.text_weak));
+    egui::Grid::new("calibrate_metrics").striped(true).min_row_height(22.0).spacing([28.0, 6.0]).show(
+        ui,
+        |ui| {
+            ui.label("");
+            ui.label(RichText::new("Nominal").color(cx.palette.nominal).strong());
+            ui.label(RichText::new("95 %").color(cx.palette.text_weak));
+            ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
+            ui.label(RichText::new("95 %").color(cx.palette.text_weak));
             ui.end_row();
-        }
-        ui.label("Real contacts with a partner, %");
-        ui.label(tables::number(report.held_out.nominal.onset_coverage, 100.0, 0));
-        ui.label("");
-        ui.label(tables::number(report.held_out.calibrated.onset_coverage, 100.0, 0));
-        ui.end_row();
-    });
+            for (name, text, intervals, factor) in rows {
+                let [before, after] = report.intervals_95.as_ref().map_or([None; 2], intervals);
+                ui.label(name);
+                ui.label(text(&report.held_out.nominal));
+                ui.label(RichText::new(range(before, factor)).color(cx.palette.text_weak));
+                ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
+                ui.label(RichText::new(range(after, factor)).color(cx.palette.text_weak));
+                ui.end_row();
+            }
+            ui.label("Real contacts with a partner, %");
+            ui.label(tables::number(report.held_out.nominal.onset_coverage, 100.0, 0));
+            ui.label("");
+            ui.label(tables::number(report.held_out.calibrated.onset_coverage, 100.0, 0));
+            ui.end_row();
+        },
+    );
 }
 
 fn range(interval: Option<[f64; 2]>, factor: f64) -> String {

@@ -63,9 +63,11 @@ pub(super) fn tables_ui(
         ("Mismatch, frames", |m| m.l1.to_string()),
     ];
     egui::ScrollArea::horizontal().id_salt("calibrate_table_scroll").show(ui, |ui| {
-        egui::Grid::new(("calibrate_table", *table as u8)).striped(true).spacing([20.0, 4.0]).show(
-            ui,
-            |ui| {
+        egui::Grid::new(("calibrate_table", *table as u8))
+            .striped(true)
+            .min_row_height(22.0)
+            .spacing([20.0, 4.0])
+            .show(ui, |ui| {
                 ui.label("");
                 for (name, _) in columns {
                     ui.label(RichText::new(name).strong());
@@ -82,7 +84,6 @@ pub(super) fn tables_ui(
                     ui.label(nominal.real_contacts.to_string());
                     ui.end_row();
                 }
-            },
-        );
+            });
     });
 }

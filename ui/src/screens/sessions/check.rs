@@ -139,7 +139,7 @@ fn coverage_text(coverage: &[ChannelCoverage]) -> String {
 }
 
 fn rates_ui(ui: &mut egui::Ui, palette: &Palette, report: &CheckReport) {
-    egui::Grid::new("session_rates").striped(true).spacing([22.0, 4.0]).show(ui, |ui| {
+    egui::Grid::new("session_rates").striped(true).min_row_height(22.0).spacing([22.0, 4.0]).show(ui, |ui| {
         for name in ["Take", "Stream", "Samples", "Rate, Hz", "Nominal, Hz", "Longest gap, ms", "Gaps"] {
             ui.label(RichText::new(name).strong());
         }

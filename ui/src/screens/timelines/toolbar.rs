@@ -38,12 +38,8 @@ pub(super) fn toolbar_ui(
             ))
             .monospace(),
         );
-        ui.separator();
-        ui.label("Compare with");
         compare_ui(ui, cx);
-        ui.separator();
         channels_ui(ui, cx, state, session);
-        ui.separator();
         for (text, label, command) in [
             ("\u{2b05} [", "Previous mismatch", Command::PreviousMismatch),
             ("] \u{27a1}", "Next mismatch", Command::NextMismatch),
@@ -135,7 +131,7 @@ fn compare_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
         None => "nominal only".to_owned(),
     };
     let chosen_text = label_of(cx, &compared);
-    combo(ui, "Compare with", &chosen_text, 170.0, |ui| {
+    combo(ui, "Compare with", &format!("Compare: {chosen_text}"), 190.0, |ui| {
         option(ui, &mut compared, None, "nominal only");
         for choice in choices.iter().cloned().map(Some) {
             let text = label_of(cx, &choice);
@@ -155,10 +151,9 @@ fn channels_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Timeli
         ShownChannels::Picked => format!("{} picked", cx.playback.selected.len()),
     };
     let station = cx.store.station(session);
-    ui.label("Channels");
     let popup = egui::ComboBox::from_id_salt("channels")
-        .selected_text(text)
-        .width(110.0)
+        .selected_text(format!("Channels: {text}"))
+        .width(140.0)
         .height(420.0)
         .close_behavior(egui::PopupCloseBehavior::CloseOnClickOutside);
     let response = popup
