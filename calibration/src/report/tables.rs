@@ -122,12 +122,12 @@ pub(super) fn write_parameters(page: &mut String, report: &CalibrationReport) ->
         ),
     ];
     page.push_str(
-        "<div class=\"scroll\"><table>\n<thead><tr><th>Parameter</th><th>Meaning</th><th>Nominal</th><th>Calibrated</th></tr></thead>\n<tbody>\n",
+        "<div class=\"scroll\"><table>\n<thead><tr><th>Parameter</th><th class=\"text\">Meaning</th><th>Nominal</th><th>Calibrated</th></tr></thead>\n<tbody>\n",
     );
     for (name, meaning, before, after) in rows {
         writeln!(
             page,
-            "<tr><td>{name}</td><td>{meaning}</td><td class=\"was\">{}</td><td class=\"now\">{}</td></tr>",
+            "<tr><td>{name}</td><td class=\"text\">{meaning}</td><td class=\"was\">{}</td><td class=\"now\">{}</td></tr>",
             significant(before),
             significant(after)
         )?;
