@@ -20,14 +20,24 @@ pub struct FitData<'a> {
 /// Where pressure patches are touched, whatever alpha. Most frames have no touch and are only counted.
 #[derive(Clone, Debug, Default)]
 struct Touches<'a> {
-    /// Patch, nodes under pressure, and real activations of its channels; one per touched patch-frame.
-    touched: Vec<(usize, &'a [(u32, f64)], &'a [bool])>,
+    /// By take, patch, frame.
+    touched: Vec<Touch<'a>>,
     /// Channel-frames without touch.
     at_rest: u64,
     /// Of these, those with the real channel active.
     active_at_rest: u64,
     /// Channel-frames with touch, inactive and active in reality.
     num_touched: [usize; 2],
+}
+
+/// One patch in one frame.
+#[derive(Clone, Copy, Debug)]
+struct Touch<'a> {
+    patch_idx: usize,
+    /// Nodes under pressure, and how much.
+    nodes: &'a [(u32, f64)],
+    /// Of the patch's channels.
+    real_active: &'a [bool],
 }
 
 impl<'a> Touches<'a> {
@@ -46,7 +56,7 @@ impl<'a> Touches<'a> {
                     } else {
                         touches.num_touched[0] += real_active.len() - num_active;
                         touches.num_touched[1] += num_active;
-                        touches.touched.push((patch_idx, nodes, real_active));
+                        touches.touched.push(Touch { patch_idx, nodes, real_active });
                     }
                 }
             }
@@ -108,7 +118,7 @@ impl<'a> FitData<'a> {
         let mut scores = Unranked::with_capacity(0.0, self.touches.num_touched);
         scores.push_at_rest(self.touches.at_rest, self.touches.active_at_rest);
         let mut taxels_pa = Vec::new();
-        for &(patch_idx, nodes, real_active) in &self.touches.touched {
+        for &Touch { patch_idx, nodes, real_active } in &self.touches.touched {
             taxels_pa.clear();
             taxels_pa.resize(real_active.len(), 0.0);
             tactile::propagate(&propagation[patch_idx].weights, nodes, &mut taxels_pa);
