@@ -9,9 +9,9 @@ use super::{
 };
 use crate::{playback::Playback, theme::Palette};
 
-/// Taxels are at least this large to the pointer, however crowded the map; half of it around each.
-const LEAST_TARGET: f32 = 14.0;
-const MARGIN: f32 = 26.0;
+const MARGIN: f32 = 22.0;
+/// Crowded patches are drawn up to this much larger than to scale, so that each taxel can be seen and hit.
+const MOST_GROWTH: f64 = 2.4;
 
 /// What the map shows.
 pub(super) struct FlatMap<'a> {
@@ -66,13 +66,10 @@ pub(super) fn flat_map_ui(
     let layout = &map.station.layout;
     let painter = ui.painter_at(rect);
     painter.rect(rect, 6.0, palette.surface, Stroke::new(1.0, palette.line), StrokeKind::Inside);
-    let positions = layout.patches.iter().flat_map(|patch| patch.map_positions.iter().copied());
-    let Some(projection) = Projection::fit(positions, rect) else { return };
-    let places: Vec<Pos2> = layout
-        .patches
-        .iter()
-        .flat_map(|patch| patch.map_positions.iter().map(|&position| projection.to_screen(position)))
-        .collect();
+    let grown =
+        grown_patches(&layout.patches.iter().map(|patch| patch.map_positions.as_slice()).collect::<Vec<_>>());
+    let Some(projection) = Projection::fit(grown.iter().copied(), rect) else { return };
+    let places: Vec<Pos2> = grown.into_iter().map(|position| projection.to_screen(position)).collect();
     let radius = marker_radius(&places);
 
     for patch in &layout.patches {
@@ -90,7 +87,7 @@ pub(super) fn flat_map_ui(
     group_names(&painter, map.station, &places, radius, palette);
 
     for (channel, (&place, sample)) in places.iter().zip(map.samples).enumerate() {
-        let target = Rect::from_center_size(place, Vec2::splat((radius * 2.0).max(LEAST_TARGET)));
+        let target = Rect::from_center_size(place, Vec2::splat(radius * 2.0 + 2.0));
         let id = ui.scope_id().with(("taxel", channel));
         let response = ui.interact(target, id, Sense::click());
         if response.hovered() || response.has_focus() {
@@ -114,6 +111,47 @@ pub(super) fn flat_map_ui(
             painter.rect_stroke(target.expand(4.0), 3.0, Stroke::new(2.0, palette.real), StrokeKind::Outside);
         }
     }
+}
+
+/// Positions of all taxels, each patch grown about its middle as far as its neighbours leave room.
+fn grown_patches(patches: &[&[[f64; 2]]]) -> Vec<[f64; 2]> {
+    type Span = [[f64; 2]; 2];
+    let around = |positions: &[[f64; 2]]| -> Span {
+        positions.iter().fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], [x, y]| {
+            [[low[0].min(*x), low[1].min(*y)], [high[0].max(*x), high[1].max(*y)]]
+        })
+    };
+    let all = around(&patches.concat());
+    let padding = 0.03 * (all[1][0] - all[0][0]).max(all[1][1] - all[0][1]);
+    let apart = |a: &Span, b: &Span| {
+        (0..2).any(|axis| a[1][axis] + 2.0 * padding < b[0][axis] || b[1][axis] + 2.0 * padding < a[0][axis])
+    };
+    let mut spans: Vec<Span> = patches.iter().map(|positions| around(positions)).collect();
+    let mut grown = Vec::new();
+    for (idx, positions) in patches.iter().enumerate() {
+        let [low, high] = around(positions);
+        let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
+        let scaled = |factor: f64| -> Span {
+            [low, high].map(|corner| [0, 1].map(|axis| middle[axis] + (corner[axis] - middle[axis]) * factor))
+        };
+        let free = |factor: f64| {
+            let span = scaled(factor);
+            spans.iter().enumerate().all(|(other, other_span)| other == idx || apart(&span, other_span))
+        };
+        let steps = 14;
+        let factor = (1..=steps)
+            .map(|step| 1.0 + (MOST_GROWTH - 1.0) * f64::from(step) / f64::from(steps))
+            .take_while(|&factor| positions.len() > 1 && free(factor))
+            .last()
+            .unwrap_or(1.0);
+        spans[idx] = scaled(factor);
+        grown.extend(
+            positions
+                .iter()
+                .map(|position| [0, 1].map(|axis| middle[axis] + (position[axis] - middle[axis]) * factor)),
+        );
+    }
+    grown
 }
 
 /// What a click on a taxel does in every view: pin and select it, or only select it; again takes it back.
@@ -227,6 +265,17 @@ mod tests {
             let [x, y] = positions[0];
             prop_assert!(projection.to_screen([x, y + 1.0]).y <= projection.to_screen([x, y]).y);
         }
+    }
+
+    #[test]
+    fn crowded_patches_grow_into_free_room_only() {
+        let crowded = [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]];
+        let (near, far) = ([[4.0, 1.0]], [[60.0, 1.0]]);
+        let width = |grown: &[[f64; 2]]| grown[1][0] - grown[0][0];
+        assert!((width(&grown_patches(&[&crowded, &far])) - 2.0 * MOST_GROWTH).abs() < 1e-9);
+        let beside = grown_patches(&[&crowded, &near, &far]);
+        assert!((width(&beside) - 2.0).abs() < 1e-9);
+        assert_eq!(beside[4..], [near[0], far[0]]);
     }
 
     #[test]

@@ -41,7 +41,7 @@ use crate::{
     theme::taxel_scale,
 };
 
-const SIDE_WIDTH: f32 = 340.0;
+const SIDE_WIDTH: f32 = 360.0;
 
 /// What the screen remembers between frames.
 #[derive(Default)]
@@ -482,7 +482,7 @@ fn views_ui(ui: &mut egui::Ui, state: &mut HandState, geometry: &Geometry, momen
 /// Flat map on top, the taxel at hand below.
 fn side_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, map: &FlatMap<'_>, details: &Details<'_>) {
     let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
-    let map_height = (room.height() * 0.48).clamp(120.0, 420.0);
+    let map_height = (room.height() * 0.52).clamp(120.0, 420.0);
     let rect = egui::Rect::from_min_size(room.min, egui::vec2(room.width(), map_height));
     ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
         flat_map_ui(ui, rect, map, cx.playback, &cx.palette);

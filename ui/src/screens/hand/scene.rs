@@ -436,11 +436,11 @@ fn object_mesh(shape: &ObjectShape) -> Mesh {
     }
 }
 
-/// Tiles over a patch's surface nodes that just touch each other.
+/// Tiles over a patch's surface nodes, large enough to leave no holes on a square grid.
 fn skin_mesh(patch: &Patch) -> Mesh {
     let nodes: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
     let radius_m =
-        median_nearest(&nodes).map_or(0.001, |spacing_m| spacing_m as f32 * 0.62).clamp(0.0004, 0.006);
+        median_nearest(&nodes).map_or(0.001, |spacing_m| spacing_m as f32 * 0.78).clamp(0.0004, 0.006);
     Mesh::tiles(
         patch.nodes.iter().map(|node| {
             let normal = node.normal_in_link.into_inner().cast::<f32>();

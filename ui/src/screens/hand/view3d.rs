@@ -198,8 +198,16 @@ fn home(geometry: &Geometry, moment: &Moment<'_>, aspect: f32) -> Camera {
     let front = front.try_normalize(1e-6).unwrap_or(Vector3::x());
     let up = (up - front * up.dot(&front)).try_normalize(1e-6).unwrap_or(Vector3::z());
     let side = up.cross(&front);
-    // Three quarters from the touching side: taxels of all fingers are seen, and still some depth.
-    let toward_eye = front * 0.8 + side * 0.45 + up * 0.3;
+    // A little off the touching side, for some depth. Which way the eye leans decides what is up on the screen when it
+    // looks steeply down or up (see `Camera::framing`): the fingers should be.
+    let lean = if front.z < -0.5 {
+        up * 0.45
+    } else if front.z > 0.5 {
+        up * -0.45
+    } else {
+        side * 0.45
+    };
+    let toward_eye = front + lean + side * 0.1;
     Camera::framing(bounds, toward_eye, up, aspect)
 }
 
@@ -301,6 +309,7 @@ fn labels_ui(
     palette: &Palette,
 ) {
     let places = geometry.taxels(moment.station, moment.root_from_link);
+    let mut taken: Vec<Rect> = Vec::new();
     for patch in &moment.station.layout.patches {
         let of_patch = &places[patch.channels.clone()];
         let Some(first) = of_patch.first() else { continue };
@@ -315,6 +324,11 @@ fn labels_ui(
             let galley =
                 painter.layout_no_wrap(patch.label.clone(), FontId::proportional(13.0), palette.real);
             let ground = Align2::LEFT_BOTTOM.anchor_size(at, galley.size());
+            // A name over another cannot be read: the first one stays.
+            if taken.iter().any(|other| other.intersects(ground)) {
+                continue;
+            }
+            taken.push(ground);
             painter.rect_filled(ground.expand(2.0), 3.0, palette.surface.gamma_multiply(0.8));
             painter.galley(ground.min, galley, palette.real);
         }
@@ -365,7 +379,8 @@ fn globals(camera: &Camera, aspect: f32, palette: &Palette) -> Globals {
         sky: [sky, sky, sky * 1.04, 1.0],
         ground: [ground * 1.02, ground, ground * 0.98, 1.0],
         mark: four(linear(palette.real), 1.0),
-        grid_color: four(linear(palette.text_weak), lines),
+        // From below the ground, its lines would lie over everything.
+        grid_color: four(linear(palette.text_weak), if camera.eye().z > 0.0 { lines } else { lines * 0.3 }),
         grid: [camera.target.x, camera.target.y, (camera.distance_m * 2.2).clamp(0.6, 4.0), 0.1],
     }
 }
