@@ -1,0 +1,116 @@
+// An operator opens every screen, calibrates by clicking, and sees the metrics improve.
+// Usage: node studio.mjs URL SCREENSHOT_DIR
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { openBrowser } from "./browser.mjs";
+
+const [url, shots] = process.argv.slice(2);
+const { context, page, errors } = await openBrowser();
+const button = (name) => page.getByRole("button", { name, exact: true });
+const shot = (name) => page.screenshot({ path: join(shots, `${name}.png`) });
+
+async function step(name, run) {
+  try {
+    await run();
+    console.log(`ok   ${name}`);
+  } catch (error) {
+    await shot("failure");
+    console.error(`FAIL ${name}\n${error.stack}\n${errors.join("\n")}`);
+    await context.close();
+    process.exit(1);
+  }
+}
+
+/** The address bar follows what is on the screen. */
+const hash = () => page.evaluate(() => location.hash);
+
+await step("the page starts and names its screens", async () => {
+  await page.goto(url);
+  for (const screen of ["Hand", "Timelines", "Calibrate", "Sessions"]) {
+    await button(screen).waitFor();
+  }
+});
+
+await step("Sessions shows the ready session, checked and covered", async () => {
+  await button("Sessions").click();
+  await button("Session demo").click();
+  await page.getByRole("img", { name: /44 of 44 channels touched at least 4 times in each half/ }).waitFor();
+  assert.match(await hash(), /^#\/sessions\/demo/);
+  await shot("sessions");
+});
+
+await step("Hand replays a take", async () => {
+  await button("Watch on the hand").click();
+  await button("Play").waitFor();
+  await page.waitForTimeout(1000);
+  await shot("hand");
+  await button("Play").click();
+  await page.waitForFunction(() => Number(new URLSearchParams(location.hash.split("?")[1]).get("t")) >= 0);
+  await page.waitForTimeout(1500);
+  await page.keyboard.press("Escape");
+  await button("Pause").click();
+  await page.waitForTimeout(1000);
+  const seconds = Number(new URLSearchParams((await hash()).split("?")[1]).get("t"));
+  assert.ok(seconds > 0.2, `the cursor stands at ${seconds} s after playing`);
+});
+
+await step("Timelines shows real and nominal events", async () => {
+  await button("Timelines").click();
+  await page.getByRole("img", { name: "FSR, any" }).waitFor();
+  await page.getByRole("img", { name: "TwinTac, any" }).waitFor();
+  const before = await hash();
+  await page.keyboard.press("]");
+  await page.waitForFunction((old) => location.hash !== old, before);
+  await shot("timelines-nominal");
+});
+
+await step("Calibrate improves onset error, F1 and false positives on held-out takes", async () => {
+  await button("Calibrate").click();
+  await button("Start calibration").click();
+  const headline = page.getByText(/^Calibrated: onset error from/);
+  await headline.waitFor();
+  const text = (await headline.textContent()) || (await headline.getAttribute("aria-label"));
+  const numbers = [...text.matchAll(/from ([\d.]+) to ([\d.]+)/g)].map((match) => match.slice(1, 3).map(Number));
+  assert.equal(numbers.length, 3, text);
+  const [onset, f1, fpr] = numbers;
+  assert.ok(onset[1] < onset[0], text);
+  assert.ok(f1[1] > f1[0], text);
+  assert.ok(fpr[1] < fpr[0], text);
+  await page.waitForTimeout(500);
+  await shot("calibrate");
+});
+
+await step("the model is saved and stays", async () => {
+  await button("Save model").click();
+  await page.getByText(/Saved as /).waitFor();
+  const models = await (await page.request.get(`${url}/api/v1/models`)).json();
+  assert.equal(models.length, 1);
+  await shot("calibrate-saved");
+});
+
+await step("Timelines shows the calibrated events below", async () => {
+  await button("Compare on Timelines").click();
+  await page.getByRole("img", { name: "FSR, any" }).waitFor();
+  await page.waitForTimeout(1500);
+  await shot("timelines-calibrated");
+});
+
+await step("back leads back, shortcuts are listed", async () => {
+  await page.goBack();
+  await button("Start calibration").waitFor();
+  await page.keyboard.press("?");
+  await page.getByText("Next mismatch").waitFor();
+  await shot("shortcuts");
+  await page.keyboard.press("Escape");
+});
+
+await step("the live station is on the hand", async () => {
+  await button("Hand").click();
+  await button("Live").click();
+  await page.getByText(/LIVE/).first().waitFor();
+  await page.waitForTimeout(1500);
+  await shot("hand-live");
+});
+
+assert.deepEqual(errors, [], "the page logged errors");
+await context.close();
