@@ -156,8 +156,9 @@ fn choose_ui(
     let problem = detail.ready().and_then(|detail| problem_with_choice(state, detail));
     let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
     let size = egui::vec2(ui.available_width() - 8.0, 40.0);
-    let button = egui::Button::new(RichText::new("Calibrate").strong().size(16.0)).min_size(size);
-    let response = ui.add_enabled(ready, button);
+    let text = RichText::new("Calibrate").strong().size(16.0).color(cx.palette.surface);
+    let button = egui::Button::new(text).fill(cx.palette.calibrated);
+    let response = ui.add_enabled_ui(ready, |ui| ui.add_sized(size, button)).inner;
     // The rail has a button of that name already.
     response
         .widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, ready, "Start calibration"));

@@ -171,7 +171,9 @@ fn ten_minutes_of_every_channel_at_sixty_frames_a_second() {
     let num_frames = 6000;
     // A contact every second frame: nothing is harder to draw.
     let active = |shift: usize| {
-        bits::pack((0..num_frames).flat_map(|f| (0..num_channels).map(move |c| (f + c + shift) % 2 == 0)))
+        bits::pack(
+            (0..num_frames).flat_map(|f| (0..num_channels).map(move |c| (f + c + shift).is_multiple_of(2))),
+        )
     };
     let mut trace = crate::fixture::take_trace(&station);
     trace = TakeTrace {

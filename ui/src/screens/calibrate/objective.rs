@@ -7,12 +7,12 @@ use crate::theme::{Palette, taxel_scale};
 
 const LEFT: f32 = 58.0;
 const BOTTOM: f32 = 40.0;
-const TOP: f32 = 26.0;
+const TOP: f32 = 44.0;
 const RIGHT: f32 = 14.0;
 
 pub(super) fn objective_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport) {
     let width = ((ui.available_width() - 24.0) / 2.0).clamp(260.0, 620.0);
-    let size = vec2(width, 270.0);
+    let size = vec2(width, 264.0);
     ui.horizontal_wrapped(|ui| {
         heat_map_ui(ui, palette, report, size);
         curve_ui(ui, palette, report, size);
@@ -28,7 +28,7 @@ fn frame(
     let (rect, response) = ui.allocate_exact_size(size, Sense::hover());
     let painter = ui.painter_at(rect);
     painter.text(
-        rect.left_top() + vec2(LEFT, 2.0),
+        rect.left_top() + vec2(2.0, 0.0),
         Align2::LEFT_TOP,
         title,
         FontId::proportional(14.0),
@@ -196,7 +196,7 @@ fn y_axis(painter: &egui::Painter, palette: &Palette, inner: Rect, title: &str, 
         let at = pos2(inner.left() - 5.0, egui::lerp(inner.bottom()..=inner.top(), *share));
         painter.text(at, Align2::RIGHT_CENTER, text, font.clone(), palette.text_weak);
     }
-    let at = pos2(inner.left() - LEFT + 2.0, inner.top() - 22.0);
+    let at = pos2(inner.left() - LEFT + 2.0, inner.top() - 21.0);
     painter.text(at, Align2::LEFT_TOP, title, font, palette.real);
 }
 

@@ -4,11 +4,7 @@ use egui::RichText;
 use palpate_wire::api::{CalibrationReport, CalibrationRun, Intervals, Metrics};
 
 use super::{CalibrateState, objective, tables};
-use crate::{
-    route::Screen,
-    screens::{ScreenContext, duration_text},
-    store::Loadable,
-};
+use crate::{route::Screen, screens::ScreenContext, store::Loadable};
 
 pub(super) fn results_ui(
     ui: &mut egui::Ui,
@@ -131,12 +127,11 @@ fn keep_ui(
     ui.heading("4  Keep");
     let theta = &report.theta;
     ui.label(format!(
-        "\u{3bb}con {:.2} mm, \u{3b1} {:.0} /m, \u{3bb}pre {:.0} Pa; {} evaluations in {}",
+        "\u{3bb}con {:.2} mm, \u{3b1} {:.0} /m, \u{3bb}pre {:.1} kPa; searched in {:.0} ms",
         theta.lambda_con_m * 1e3,
         theta.alpha_per_m,
-        theta.lambda_pre_pa,
-        report.evaluations,
-        duration_text(report.seconds),
+        theta.lambda_pre_pa / 1e3,
+        report.seconds * 1e3,
     ));
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Model name");
