@@ -323,6 +323,7 @@ fn write(element: &HtmlElement, node: &MirrorNode, zoom: f32) -> Result<(), JsVa
     style.set_property("transform", &format!("translate({x}px, {y}px)"))?;
     style.set_property("width", &format!("{width}px"))?;
     style.set_property("height", &format!("{height}px"))?;
+    style.set_property("z-index", &node.layer.to_string())?;
     let on = node.interactive && node.rect.is_some();
     element.set_class_name(if on { "on" } else { "" });
     Ok(())

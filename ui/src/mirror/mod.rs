@@ -15,7 +15,7 @@ use std::{
 };
 
 use egui::accesskit::{Action, ActionData, ActionRequest, NodeId, TreeId};
-use model::{Change, MirrorModel};
+use model::{Change, MirrorModel, Place};
 
 /// Something done to an element of the mirror, by the id of its node.
 #[derive(Clone, Debug, PartialEq)]
@@ -140,16 +140,17 @@ impl egui::Plugin for MirrorPlugin {
         }
         self.updated_s = now_s;
         // A widget that is scrolled out of sight keeps its place in the tree, but nobody can point at it.
-        let visible: HashMap<u64, egui::Rect> = ctx.viewport_for(egui::ViewportId::ROOT, |viewport| {
-            viewport
-                .this_pass
-                .widgets
-                .layers()
-                .flat_map(|(_, widgets)| widgets)
-                .map(|widget| (widget.id.value(), widget.interact_rect))
+        let places: HashMap<u64, Place> = ctx.viewport_for(egui::ViewportId::ROOT, |viewport| {
+            let layers = viewport.this_pass.widgets.layers();
+            layers
+                .flat_map(|(layer_id, widgets)| widgets.iter().map(|widget| (layer_id.order, widget)))
+                .map(|(order, widget)| {
+                    let place = Place { rect: widget.interact_rect, layer: order as u8 };
+                    (widget.id.value(), place)
+                })
                 .collect()
         });
-        let changes = self.model.update(update, |node| visible.get(&node).copied());
+        let changes = self.model.update(update, |node| places.get(&node).copied());
         (self.sink)(&changes, self.model.focus());
     }
 }

@@ -43,6 +43,15 @@ pub struct NumberState {
     pub step: Option<f64>,
 }
 
+/// Where a widget can be seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// The part of it that is not clipped away, points.
+    pub rect: egui::Rect,
+    /// How high it lies.
+    pub layer: u8,
+}
+
 /// One element of the mirror.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MirrorNode {
@@ -59,6 +68,8 @@ pub struct MirrorNode {
     /// Where it can be pointed at, in points from the canvas' corner: x, y, width, height. `None` if nowhere: then it
     /// is there for screen readers only.
     pub rect: Option<[f32; 4]>,
+    /// How high it lies: what pops up lies above what was there before.
+    pub layer: u8,
     /// Check boxes, radio buttons, switches, toggle buttons.
     pub checked: Option<Checked>,
     /// Options and tabs.
@@ -114,14 +125,10 @@ impl MirrorModel {
         self.focus
     }
 
-    /// Takes over a whole tree (egui sends no partial ones) and tells what changed. `visible_rect` gives the part of a
-    /// widget that is not clipped away, if it is known.
-    pub fn update(
-        &mut self,
-        update: &TreeUpdate,
-        visible_rect: impl Fn(u64) -> Option<egui::Rect>,
-    ) -> Vec<Change> {
-        let nodes = flatten(update, &visible_rect);
+    /// Takes over a whole tree (egui sends no partial ones) and tells what changed. `place_of` tells where a widget
+    /// can be seen, if that is known.
+    pub fn update(&mut self, update: &TreeUpdate, place_of: impl Fn(u64) -> Option<Place>) -> Vec<Change> {
+        let nodes = flatten(update, &place_of);
         let changes = diff(&self.nodes, &nodes);
         self.focus = Some(update.focus.0).filter(|focus| nodes.iter().any(|node| node.id == *focus));
         self.nodes = nodes;
@@ -168,7 +175,7 @@ pub fn diff(old: &[MirrorNode], new: &[MirrorNode]) -> Vec<Change> {
     changes
 }
 
-fn flatten(update: &TreeUpdate, visible_rect: &impl Fn(u64) -> Option<egui::Rect>) -> Vec<MirrorNode> {
+fn flatten(update: &TreeUpdate, place_of: &impl Fn(u64) -> Option<Place>) -> Vec<MirrorNode> {
     let by_id: HashMap<NodeId, &Node> = update.nodes.iter().map(|(id, node)| (*id, node)).collect();
     let Some(tree) = &update.tree else { return Vec::new() };
     let mut nodes = Vec::new();
@@ -183,7 +190,7 @@ fn flatten(update: &TreeUpdate, visible_rect: &impl Fn(u64) -> Option<egui::Rect
         if node.is_hidden() {
             continue;
         }
-        if let Some(mirrored) = mirror_node(id, node, &by_id, visible_rect) {
+        if let Some(mirrored) = mirror_node(id, node, &by_id, place_of) {
             nodes.push(mirrored);
         }
         if !matches!(node.role(), Role::Label | Role::TextInput | Role::MultilineTextInput) {
@@ -197,7 +204,7 @@ fn mirror_node(
     id: NodeId,
     node: &Node,
     by_id: &HashMap<NodeId, &Node>,
-    visible_rect: &impl Fn(u64) -> Option<egui::Rect>,
+    place_of: &impl Fn(u64) -> Option<Place>,
 ) -> Option<MirrorNode> {
     let (element, role) = element_of(node.role())?;
     let name = accessible_name(node, by_id);
@@ -209,6 +216,7 @@ fn mirror_node(
     if !interactive && name.is_empty() && text.is_empty() {
         return None;
     }
+    let place = place_of(id.0);
     let toggled = node.toggled().map(|toggled| match toggled {
         Toggled::False => Checked::No,
         Toggled::True => Checked::Yes,
@@ -227,7 +235,8 @@ fn mirror_node(
         role,
         name,
         text,
-        rect: rect_of(id, node, visible_rect),
+        rect: rect_of(node, place),
+        layer: place.map_or(0, |place| place.layer),
         checked: toggled.filter(|_| !is_choice),
         selected: node.is_selected().or_else(|| toggled.map(|on| on == Checked::Yes)).filter(|_| is_choice),
         expanded: node.is_expanded(),
@@ -250,13 +259,13 @@ fn accessible_name(node: &Node, by_id: &HashMap<NodeId, &Node>) -> String {
     if labels.is_empty() { node.placeholder().unwrap_or_default().to_owned() } else { labels.join(" ") }
 }
 
-fn rect_of(id: NodeId, node: &Node, visible_rect: &impl Fn(u64) -> Option<egui::Rect>) -> Option<[f32; 4]> {
+fn rect_of(node: &Node, place: Option<Place>) -> Option<[f32; 4]> {
     let bounds = node.bounds()?;
     let bounds = egui::Rect::from_min_max(
         egui::pos2(bounds.x0 as f32, bounds.y0 as f32),
         egui::pos2(bounds.x1 as f32, bounds.y1 as f32),
     );
-    let rect = visible_rect(id.0).map_or(bounds, |visible| visible.intersect(bounds));
+    let rect = place.map_or(bounds, |place| place.rect.intersect(bounds));
     // Quarters of a point: finer steps would only make work for the browser.
     let round = |value: f32| (value * 4.0).round() / 4.0;
     let all = [rect.min.x, rect.min.y, rect.width(), rect.height()].map(round);
@@ -378,11 +387,12 @@ mod tests {
     fn what_is_scrolled_away_cannot_be_pointed_at() {
         let update = tree(vec![(2, named(Role::Button, "far down"))], 1);
         let mut model = MirrorModel::default();
-        model.update(&update, |_| Some(egui::Rect::NOTHING));
+        model.update(&update, |_| Some(Place { rect: egui::Rect::NOTHING, layer: 0 }));
         assert_eq!(model.nodes()[0].rect, None);
         let half = egui::Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(100.0, 36.0));
-        model.update(&update, |_| Some(half));
+        model.update(&update, |_| Some(Place { rect: half, layer: 2 }));
         assert_eq!(model.nodes()[0].rect, Some([10.0, 20.0, 40.0, 16.0]));
+        assert_eq!(model.nodes()[0].layer, 2);
     }
 
     #[test]

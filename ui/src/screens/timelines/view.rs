@@ -60,13 +60,17 @@ impl TimeView {
     }
 }
 
-/// Times for the marks of an axis: the finest of 1, 2 or 5 times a power of ten that leaves at least `min_px` between
-/// marks, as (first mark, step), s.
+/// Steps of an axis from a second on, s: those of a clock.
+const CLOCK_STEPS_S: [f64; 12] = [1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0];
+
+/// Times for the marks of an axis: the finest step of a clock, or below a second of 1, 2 or 5 times a power of ten, that
+/// leaves at least `min_px` between marks, as (first mark, step), s.
 pub fn ticks(view: &TimeView, width_px: f32, min_px: f32) -> (f64, f64) {
     let at_least_s = view.span_s() * f64::from(min_px) / f64::from(width_px.max(1.0));
     let power = 10_f64.powf(at_least_s.log10().floor());
-    let step_s = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power);
-    let step_s = step_s.into_iter().find(|step_s| *step_s >= at_least_s).unwrap_or(10.0 * power);
+    let decimal = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power);
+    let steps_s = if at_least_s > 0.5 { &CLOCK_STEPS_S[..] } else { &decimal[..] };
+    let step_s = steps_s.iter().copied().find(|step_s| *step_s >= at_least_s).unwrap_or(10.0 * power);
     ((view.from_s / step_s).ceil() * step_s, step_s)
 }
 
