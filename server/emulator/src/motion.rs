@@ -310,3 +310,110 @@ impl Planner<'_> {
         self.emulation.error(format!("take {}", self.take_idx + 1), problem)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use nalgebra::Isometry3;
+
+    use super::*;
+    use crate::session::scenes;
+    use contact::NORMAL_TOLERANCE_RAD;
+
+    fn emulation(name: &str) -> Emulation {
+        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/truth");
+        Emulation::read(&assets.join(name)).expect("the shipped truth reads")
+    }
+
+    /// At each contact the taxel lies on the surface, facing it, and only its own links are near.
+    #[test]
+    fn contacts_meet_the_surface_squarely_within_limits() {
+        for (truth, object, channels) in [
+            ("demo.toml", "sphere_50mm", ["index_tip.4", "thumb_tip.5", "palm_ring", "thumb_distal"]),
+            (
+                "demo.toml",
+                "cylinder_25x100mm",
+                ["ring_tip.0", "middle_tip.6", "index_medial", "ring_proximal"],
+            ),
+            ("bench.toml", "sphere_50mm", ["cap.4", "cap.0", "film_2", "film_5"]),
+        ] {
+            let emulation = emulation(truth);
+            let scenes = scenes(&emulation).expect("scenes");
+            let scene = &scenes[object];
+            let (robot, layout) = (&emulation.station.robot, &emulation.station.layout);
+            let rest = emulation.rest();
+            let motion = &emulation.truth.motion;
+            for name in channels {
+                let channel = emulation.channel(name).expect("a channel");
+                let postures = Postures {
+                    rest: &rest,
+                    away: &emulation.positions(&motion.away, &rest),
+                    tilt_rad: motion.tilt_rad,
+                    retreat_m: motion.safe_clearance_m,
+                    depth_m: 0.002,
+                };
+                let mut rng = ChaCha8Rng::seed_from_u64(1);
+                let contacts = find_contacts(scene, channel, &postures, &mut rng);
+                assert!(!contacts.is_empty(), "{truth}: no contact of {name}");
+                for contact in contacts {
+                    let mut frames: Vec<Isometry3<f64>> = Vec::new();
+                    robot.forward_kinematics(&contact.positions, &mut frames);
+                    let patch = &layout.patches[contact.patch];
+                    let taxel = layout.channels[channel].taxel;
+                    let taxel_pos = frames[patch.link] * patch.taxels_in_link[taxel];
+                    let distance_m = scene.object.distance_m(&(scene.base_from_object.inverse() * taxel_pos));
+                    assert!(distance_m.abs() < 0.2e-3, "{name}: {distance_m} m off the surface");
+                    let facing =
+                        frames[patch.link].rotation * patch.taxel_normals_in_link[taxel].into_inner();
+                    let angle = facing.angle(&-contact.normal.into_inner());
+                    assert!(angle <= NORMAL_TOLERANCE_RAD + 1e-3, "{name}: normals {angle} rad apart");
+                    let clearance = scene.clearance(&frames, Some(patch.link));
+                    assert!(clearance.others_m > 0.002, "{name}: {clearance:?}");
+                    for (joint, position) in robot.dofs().zip(&contact.positions) {
+                        let limits = joint.limits.expect("every joint has limits");
+                        assert!((limits.lower..=limits.upper).contains(position), "{name}: {}", joint.name);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whole takes stay within limits of position and speed, and nothing but the pressed patch enters the object.
+    #[test]
+    fn takes_keep_limits_and_never_sweep_through_the_object() {
+        for (truth, take_idx) in [("demo.toml", 0), ("demo.toml", 1), ("demo.toml", 3), ("bench.toml", 0)] {
+            let emulation = emulation(truth);
+            let take = &emulation.truth.takes[take_idx];
+            let scenes = scenes(&emulation).expect("scenes");
+            let scene = &scenes[&take.object];
+            let plan = plan_take(&emulation, scene, take_idx).expect("the take can be planned");
+            assert!((plan.path.duration_s() - take.duration_s).abs() < 1e-6);
+            let robot = &emulation.station.robot;
+            let mut now = vec![0.0; robot.num_dofs()];
+            let mut before = emulation.rest();
+            let mut frames = Vec::new();
+            let dt_s = 0.02;
+            for step in 0..(take.duration_s / dt_s) as usize {
+                plan.path.at(step as f64 * dt_s, &mut now);
+                for ((joint, now), before) in robot.dofs().zip(&now).zip(&before) {
+                    let limits = joint.limits.expect("every joint has limits");
+                    assert!((limits.lower..=limits.upper).contains(now), "{}: {now}", joint.name);
+                    let speed = (now - before).abs() / dt_s;
+                    assert!(speed <= limits.velocity, "{truth} take {take_idx}: {} at {speed}", joint.name);
+                }
+                robot.forward_kinematics(&now, &mut frames);
+                let time_s = step as f64 * dt_s;
+                let touching = plan.spans.iter().any(|span| {
+                    span.kind == SpanKind::Repetition && (span.start_s..=span.end_s).contains(&time_s)
+                });
+                // A touching link enters by the depth of the press, and by as much as its collision shape is coarser
+                // than its patch.
+                let least_m = if touching { -0.0095 } else { 0.0 };
+                let nearest_m = scene.clearance(&frames, None).others_m;
+                assert!(nearest_m > least_m, "{truth} take {take_idx} at {time_s} s: {nearest_m} m");
+                before.clone_from(&now);
+            }
+        }
+    }
+}

@@ -122,12 +122,13 @@ impl Recorder<'_> {
         self.check_cancel()?;
         let truth = &self.emulation.truth;
         let take = &truth.takes[self.take_idx];
-        let motion = plan_take(self.emulation, self.scene, self.take_idx)?;
-        self.check_cancel()?;
         let object = &self.emulation.station.objects[&take.object];
         let base_from_object = self.scene.base_from_object;
+        // The world first: it refuses impossible elastomers at once, while planning takes a moment.
         let mut world =
             TruthWorld::new(self.emulation, object, &base_from_object, seed, self.take_idx as u64)?;
+        let motion = plan_take(self.emulation, self.scene, self.take_idx)?;
+        self.check_cancel()?;
         let meta = TakeMeta {
             object: take.object.clone(),
             base_from_object,
@@ -150,7 +151,7 @@ impl Recorder<'_> {
             world.advance(now_s, |time_s, positions| motion.path.at(time_s, positions), &mut |event| {
                 match event {
                     Event::Joints { host_ns, positions } => {
-                        writer.joints(host_ns.unsigned_abs(), &positions)?
+                        writer.joints(host_ns.unsigned_abs(), &positions)?;
                     }
                     Event::Tactile { stream, sample } => {
                         let device_time_ns = sample.device_ns;

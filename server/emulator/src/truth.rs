@@ -442,7 +442,7 @@ fn check_stream(place: &str, stream: &StreamTruth) -> Result<(), (String, String
             ("elastomer.damping_s", stream.elastomer.damping_s),
         ],
     )?;
-    if !(stream.clock_skew.abs() < 0.1) {
+    if !(-0.1..=0.1).contains(&stream.clock_skew) {
         return Err((place.into(), format!("clock_skew = {} must be within -0.1..0.1", stream.clock_skew)));
     }
     match stream.front_end {

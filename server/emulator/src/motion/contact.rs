@@ -100,15 +100,14 @@ fn try_contact(
         positions[dof] = postures.rest[dof];
     }
     let limb = limb_dofs(scene, patch.link);
-    for dof in 0..positions.len() {
+    for (dof, position) in positions.iter_mut().enumerate() {
         if carriers.contains(&dof) {
             continue;
         }
         let (lower, upper) = ik::range(robot, dof);
         let span = if upper.is_finite() && lower.is_finite() { upper - lower } else { 1.0 };
-        let (middle, spread) =
-            if limb.contains(&dof) { (postures.rest[dof], 0.4) } else { (positions[dof], 0.1) };
-        positions[dof] = (middle + spread * span * bell(rng)).clamp(lower, upper);
+        let (middle, spread) = if limb.contains(&dof) { (postures.rest[dof], 0.4) } else { (*position, 0.1) };
+        *position = (middle + spread * span * bell(rng)).clamp(lower, upper);
     }
     let mut frames = Vec::new();
     robot.forward_kinematics(&positions, &mut frames);

@@ -168,3 +168,94 @@ impl Layer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use palpate_robot_model::ObjectShape;
+
+    use super::*;
+
+    const CONFIG: Elastomer = Elastomer {
+        spacing_m: 0.002,
+        thickness_m: 0.005,
+        modulus_pa: 1e5,
+        contact_ratio: 8.0,
+        relaxing_ratio: 0.9,
+        relaxing_s: 0.2,
+        damping_s: 0.03,
+        coupling_m: 0.002,
+    };
+    const DT_S: f64 = 1e-3;
+
+    /// A flat pad of 2 cm about the link's origin, facing +z.
+    fn pad() -> Patch {
+        let at = |idx: i32| f64::from(idx) * 0.002;
+        let normal = Vector3::z_axis();
+        let nodes = (-5..=5).flat_map(|x| (-5..=5).map(move |y| Point3::new(at(x), at(y), 0.0)));
+        Patch {
+            id: "pad".into(),
+            label: String::new(),
+            group: String::new(),
+            stream: 0,
+            link: 0,
+            link_from_patch: Isometry3::identity(),
+            nodes: nodes
+                .map(|pos_in_link| palpate_robot_model::SurfaceNode { pos_in_link, normal_in_link: normal })
+                .collect(),
+            taxels_in_link: vec![Point3::origin()],
+            taxel_normals_in_link: vec![normal],
+            channels: 0..1,
+            stiffness_pa_per_m: 1.0,
+            map_positions: vec![[0.0; 2]],
+        }
+    }
+
+    /// Presses a ball `depth_m` into the pad for `press_s`, takes it away, and gives the middle's displacement per step.
+    fn press(config: &Elastomer, depth_m: f64, press_s: f64, after_s: f64) -> Vec<f64> {
+        let ball = SignedDistance::new(&ObjectShape::Sphere { radius_m: 0.02 }).expect("a ball");
+        let mut layer = Layer::new(&pad(), config, &Isometry3::identity(), DT_S).expect("stable");
+        let middle = layer.pos_in_link.iter().position(|pos| pos.coords.norm() < 1e-9).expect("a middle");
+        let steps = |seconds: f64| (seconds / DT_S) as usize;
+        (0..steps(press_s) + steps(after_s))
+            .map(|step| {
+                let height_m = if step < steps(press_s) { 0.02 - depth_m } else { 0.1 };
+                layer.approach(&ball, &Isometry3::translation(0.0, 0.0, -height_m));
+                layer.step(DT_S, 1.0);
+                layer.displacement_m[middle]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn deeper_presses_give_more_and_never_more_than_the_depth() {
+        let peaks: Vec<f64> = [0.0005, 0.001, 0.002]
+            .iter()
+            .map(|&depth_m| {
+                let peak = press(&CONFIG, depth_m, 1.0, 0.0).into_iter().fold(0.0, f64::max);
+                assert!(peak < depth_m, "{peak} at {depth_m}");
+                peak
+            })
+            .collect();
+        assert!(peaks[0] < peaks[1] && peaks[1] < peaks[2] && peaks[0] > 1e-4, "{peaks:?}");
+    }
+
+    #[test]
+    fn released_layer_lingers_then_rests_and_longer_with_a_stronger_relaxing_branch() {
+        let lag = |relaxing_ratio: f64| {
+            let trace = press(&Elastomer { relaxing_ratio, ..CONFIG }, 0.001, 1.0, 6.0);
+            assert_eq!(trace.last(), Some(&0.0), "comes to rest");
+            let peak = trace[999];
+            trace[1000..].iter().position(|x| *x < 0.2 * peak).expect("falls")
+        };
+        assert!(lag(0.9) > lag(0.2) + 50, "{} against {} ms", lag(0.9), lag(0.2));
+    }
+
+    #[test]
+    fn untouched_layer_sleeps_and_stiff_steps_are_refused() {
+        assert!(press(&CONFIG, -0.001, 0.5, 0.0).iter().all(|x| *x == 0.0));
+        let stiff = Elastomer { damping_s: 1e-4, ..CONFIG };
+        let error =
+            Layer::new(&pad(), &stiff, &Isometry3::identity(), DT_S).map(|_| ()).expect_err("unstable");
+        assert!(error.contains("raise damping_s"), "{error}");
+    }
+}
