@@ -96,6 +96,8 @@ pub(super) fn details_ui(
         }
     });
     ui.label(RichText::new(place).color(palette.text_weak));
+    // Lines of text, not of controls.
+    ui.spacing_mut().interact_size.y = 18.0;
     for signal in Signal::ALL {
         if let Some(line) = details.line(signal, channel) {
             ui.horizontal_wrapped(|ui| {
@@ -141,7 +143,7 @@ fn trace_ui(
     contacts: &[Vec<Contact>; 3],
     palette: &Palette,
 ) {
-    let (rect, response) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 130.0), Sense::hover());
+    let (rect, response) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 118.0), Sense::hover());
     let id = &details.station.layout.channels[channel].id;
     let name = format!("Trace of {id}, {TRACE_HALF_S:.0} s before and after the cursor");
     response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, name.clone()));

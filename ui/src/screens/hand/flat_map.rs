@@ -9,7 +9,8 @@ use super::{
 };
 use crate::{playback::Playback, theme::Palette};
 
-const MARGIN: f32 = 22.0;
+/// Room at the sides, and above and below, where the names of groups stand.
+const MARGIN: Vec2 = Vec2::new(20.0, 34.0);
 /// Crowded patches are drawn up to this much larger than to scale, so that each taxel can be seen and hit.
 const MOST_GROWTH: f64 = 2.4;
 
@@ -41,7 +42,7 @@ impl Projection {
             let (low, high) = bounds.unwrap_or(([x, y], [x, y]));
             Some(([low[0].min(x), low[1].min(y)], [high[0].max(x), high[1].max(y)]))
         })?;
-        let room = rect.shrink(MARGIN);
+        let room = rect.shrink2(MARGIN);
         let share = |room: f32, size: f64| if size > 1e-9 { room / size as f32 } else { f32::INFINITY };
         let scale = share(room.width(), high[0] - low[0]).min(share(room.height(), high[1] - low[1]));
         let scale = if scale.is_finite() { scale.max(0.0) } else { 1.0 };

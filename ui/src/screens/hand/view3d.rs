@@ -269,6 +269,7 @@ pub(super) fn view3d_ui(
         };
         painter.add(egui_wgpu::Callback::new_paint_callback(rect, paint));
     }
+    marks_ui(&painter, rect, geometry, moment, &camera, state.shown, palette);
     if state.labels {
         labels_ui(&painter, rect, geometry, moment, &camera, aspect, palette);
     }
@@ -297,6 +298,32 @@ pub(super) fn view3d_ui(
 fn to_ndc(pos: Pos2, rect: Rect) -> [f32; 2] {
     let share = (pos - rect.min) / rect.size();
     [share.x * 2.0 - 1.0, 1.0 - share.y * 2.0]
+}
+
+/// Rings around what is picked, as on the flat map, where nothing is before it.
+fn marks_ui(
+    painter: &egui::Painter,
+    rect: Rect,
+    geometry: &Geometry,
+    moment: &Moment<'_>,
+    camera: &Camera,
+    shown: Shown,
+    palette: &Palette,
+) {
+    let aspect = rect.width() / rect.height().max(1.0);
+    for (channel, place) in geometry.taxels(moment.station, moment.root_from_link).iter().enumerate() {
+        if !moment.looks.get(channel).is_some_and(|look| look.marked) {
+            continue;
+        }
+        let Some(ndc) = camera.project(&place.position, aspect) else { continue };
+        let seen = geometry.pick(moment.station, moment.root_from_link, &camera.ray(ndc, aspect), 0.0, shown);
+        if seen == Some(channel) {
+            let at = rect.min + Vec2::new((ndc[0] + 1.0) / 2.0, (1.0 - ndc[1]) / 2.0) * rect.size();
+            let radius = place.radius_m / camera.height_at(&place.position) * rect.height() * 1.8 + 3.0;
+            painter.circle_stroke(at, radius, egui::Stroke::new(5.0, palette.surface));
+            painter.circle_stroke(at, radius, egui::Stroke::new(2.5, palette.calibrated));
+        }
+    }
 }
 
 fn labels_ui(
