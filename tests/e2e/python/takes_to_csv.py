@@ -4,7 +4,6 @@ Usage: takes_to_csv.py SESSION_DIR OUT_DIR
 """
 
 import csv
-import json
 import sys
 import tomllib
 from pathlib import Path
@@ -15,14 +14,6 @@ from mcap_protobuf.decoder import DecoderFactory
 
 def seconds(timestamp):
     return timestamp.seconds + timestamp.nanos * 1e-9
-
-
-def toml_value(text):
-    """Metadata values are JSON where they are not plain words; TOML writes the same numbers and lists."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
 
 
 def export(take_path, out_dir):
@@ -68,8 +59,8 @@ def main():
         path = session_dir / take["file"]
         folder = out_dir / path.stem
         meta, spans = export(path, folder)
-        position = [float(meta[f"object_{axis}_m"]) for axis in "xyz"]
-        quaternion = [float(meta[f"object_q{axis}"]) for axis in "wxyz"]
+        position = [float(number) for number in meta["object_position_m"].split()]
+        quaternion = [float(number) for number in meta["object_quaternion_wxyz"].split()]
         lines = [
             f'object = "{meta["object"]}"',
             f"object_pose = {{ position_m = {position}, quaternion_wxyz = {quaternion} }}",
