@@ -169,6 +169,19 @@ impl Store {
         ask(&mut self.models, &mut self.outbox, || Request::Models)
     }
 
+    /// How a simulation is called: a saved model by its name.
+    pub fn model_label(&mut self, model: &ModelRef) -> String {
+        match model {
+            ModelRef::Nominal => "nominal".to_owned(),
+            ModelRef::Run(id) => format!("run {id}"),
+            ModelRef::Saved(id) => {
+                let models = self.models();
+                let known = models.ready().and_then(|models| models.iter().find(|known| known.id == *id));
+                known.map_or_else(|| id.clone(), |known| known.name.clone())
+            }
+        }
+    }
+
     /// Calibration runs, newest first, with live progress but without reports.
     pub fn runs(&mut self) -> Loadable<Arc<Vec<CalibrationRun>>> {
         ask(&mut self.runs, &mut self.outbox, || Request::Runs)

@@ -81,11 +81,10 @@ impl StudioApp {
                     ui.label(take);
                     ui.separator();
                 }
-                let model = self
-                    .playback
-                    .compared
-                    .as_ref()
-                    .map_or_else(|| "nominal only".to_owned(), ToString::to_string);
+                let model = match self.playback.compared.clone() {
+                    Some(model) => self.store.model_label(&model),
+                    None => "nominal only".to_owned(),
+                };
                 ui.label(RichText::new("Model").color(palette.text_weak));
                 ui.label(model);
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {

@@ -131,7 +131,7 @@ impl MirrorDom {
             )?;
         }
         {
-            let deliver = deliver.clone();
+            let (deliver, canvas) = (deliver.clone(), canvas.clone());
             listen(
                 "input",
                 Box::new(move |event| {
@@ -145,6 +145,8 @@ impl MirrorDom {
                         deliver(MirrorEvent::SetText(id, input.value()));
                     } else if let Ok(value) = input.value().parse() {
                         deliver(MirrorEvent::SetNumber(id, value));
+                        // A slider needs no caret: keys mean the page again.
+                        focus_canvas(&canvas);
                     }
                 }),
             )?;

@@ -180,7 +180,7 @@ fn simulations(
 ) -> (Vec<Simulation>, Vec<Arc<ReplayTrace>>) {
     let mut chosen = vec![(ModelRef::Nominal, "nominal".to_owned(), cx.palette.nominal)];
     if let Some(model) = cx.playback.compared.clone().filter(|model| *model != ModelRef::Nominal) {
-        let label = toolbar::model_label(cx, &model);
+        let label = cx.store.model_label(&model);
         chosen.push((model, label, cx.palette.calibrated));
     }
     let mut replays = Vec::new();

@@ -235,7 +235,7 @@ fn ruler_ui(
     ui.painter().with_clip_rect(names).text(
         names.left_center(),
         Align2::LEFT_CENTER,
-        format!("{time_s:.3} s, frame {frame} of {}", picture.take.num_frames()),
+        format!("{time_s:.3} s, frame {frame}/{}", picture.take.num_frames()),
         FontId::monospace(13.0),
         cx.palette.real,
     );

@@ -97,19 +97,6 @@ fn take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &str, take_id
     }
 }
 
-/// How a simulation is called.
-pub(super) fn model_label(cx: &mut ScreenContext<'_>, model: &ModelRef) -> String {
-    match model {
-        ModelRef::Nominal => "nominal".to_owned(),
-        ModelRef::Run(id) => format!("run {id}"),
-        ModelRef::Saved(id) => {
-            let models = cx.store.models();
-            let known = models.ready().and_then(|models| models.iter().find(|model| model.id == *id));
-            known.map_or_else(|| id.clone(), |model| model.name.clone())
-        }
-    }
-}
-
 fn compare_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     let mut choices: Vec<ModelRef> = Vec::new();
     if let Some(models) = cx.store.models().ready() {
@@ -127,7 +114,7 @@ fn compare_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     }
     let mut compared = cx.playback.compared.clone();
     let label_of = |cx: &mut ScreenContext<'_>, model: &Option<ModelRef>| match model {
-        Some(model) => model_label(cx, model),
+        Some(model) => cx.store.model_label(model),
         None => "nominal only".to_owned(),
     };
     let chosen_text = label_of(cx, &compared);
