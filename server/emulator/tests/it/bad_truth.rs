@@ -72,8 +72,8 @@ fn takes_are_checked_before_anything_moves() {
 
 #[test]
 fn numbers_out_of_range_are_named() {
-    let message = error(TAKE, &[("latency_s = 0.12", "latency_s = -0.12")]);
-    assert_says(&message, &["stream \"twintac\"", "latency_s = -0.12 must not be negative"]);
+    let message = error(TAKE, &[("latency_s = 0.14", "latency_s = -0.14")]);
+    assert_says(&message, &["stream \"twintac\"", "latency_s = -0.14 must not be negative"]);
     let message = error(TAKE, &[("damping_s = 0.03", "damping_s = 0.0001")]);
     assert_says(&message, &["stream \"twintac\"", "elastomer", "raise damping_s"]);
     let message = error(TAKE, &[("recorded = 2026-03-02T09:30:00Z", "recorded = 2026-03-02")]);

@@ -89,7 +89,7 @@ fn repetitions_are_marked_repeat_each_other_and_touch() {
 fn latency_delays_every_event_by_just_that_much() {
     let dir = TempDir::new().unwrap();
     let near = variant(&dir, "near.toml", ONE_TAP, &[]);
-    let far = variant(&dir, "far.toml", ONE_TAP, &[("latency_s = 0.16", "latency_s = 0.21")]);
+    let far = variant(&dir, "far.toml", ONE_TAP, &[("latency_s = 0.17", "latency_s = 0.22")]);
     let onsets = |truth, name| {
         let session = record(truth, &dir.path().join(name), 3).unwrap();
         let take = session.take(0).unwrap();
