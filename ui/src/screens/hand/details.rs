@@ -70,7 +70,7 @@ pub(super) fn tooltip_ui(ui: &mut egui::Ui, details: &Details<'_>, channel: usiz
     if let Some((_, time_s)) = details.take
         && let Some(last) = before(&details.contacts(signal, channel), time_s).last()
     {
-        ui.label(contact_text(last, time_s));
+        ui.label(format!("Last touched {}", contact_text(last, time_s)));
     }
 }
 

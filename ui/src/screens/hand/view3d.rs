@@ -171,7 +171,7 @@ impl ViewState {
         }
         if response.contains_pointer() {
             let (scroll, pinch) = ui.input(|input| (input.smooth_scroll_delta().y, input.zoom_delta()));
-            camera.zoom((scroll * 0.004).exp() * pinch);
+            camera.zoom((scroll * 0.0016).exp() * pinch);
         }
         if response.has_focus() {
             ui.input(|input| {
@@ -289,9 +289,6 @@ pub(super) fn view3d_ui(
             state.shown,
         )
     });
-    if response.clicked() {
-        response.request_focus();
-    }
     ViewResponse { hovered: picked, clicked: picked.filter(|_| response.clicked()), response: Some(response) }
 }
 
