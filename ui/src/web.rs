@@ -14,7 +14,7 @@ const SKELETON_TEXT_ID: &str = "skeleton-text";
 
 /// Starts the page on the canvas of `index.html`.
 #[wasm_bindgen(start)]
-pub fn start() {
+fn start() {
     wasm_bindgen_futures::spawn_local(async {
         if let Err(error) = run().await {
             window::set_text(

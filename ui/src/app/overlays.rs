@@ -53,7 +53,9 @@ impl Overlays {
             ui.set_width(420.0);
             ui.heading("Keyboard shortcuts");
             ui.add_space(6.0);
-            let list = egui::Grid::new("shortcut list").num_columns(2).spacing([24.0, 6.0]).striped(true);
+            // Rows to read, not to hit: all of them must fit into 800 points.
+            ui.spacing_mut().interact_size.y = 20.0;
+            let list = egui::Grid::new("shortcut list").num_columns(2).spacing([24.0, 5.0]).striped(true);
             list.show(ui, |ui| {
                 for command in Command::ALL {
                     ui.label(RichText::new(command.shortcut_text()).monospace().strong());
@@ -67,7 +69,7 @@ impl Overlays {
                 }
             });
             ui.add_space(6.0);
-            ui.button("Close shortcuts").clicked()
+            ui.add(egui::Button::new("Close shortcuts").min_size(egui::vec2(0.0, 32.0))).clicked()
         });
         if modal.should_close() || modal.inner {
             self.shortcuts_open = false;

@@ -46,7 +46,8 @@ fn question_mark_lists_shortcuts_and_escape_closes() {
     let mut harness = page(&full_api(), &FakeWindow::at("#/sessions"));
     harness.event(egui::Event::Text("?".into()));
     harness.run_steps(3);
-    harness.get_by_label("Close shortcuts");
+    let close = harness.get_by_label("Close shortcuts").rect();
+    assert!(close.bottom() <= 800.0 && close.height() >= 32.0, "{close:?} must be on the screen");
     harness.get_by_label("Next mismatch");
     harness.key_press(Key::Escape);
     harness.run_steps(3);
