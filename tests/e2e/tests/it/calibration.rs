@@ -45,9 +45,17 @@ fn calibrated_beats_nominal_on_held_out_takes() {
     assert!(calibrated("onset_error_ms") < nominal("onset_error_ms"), "{}", report["held_out"]);
     assert!(calibrated("f1") > nominal("f1"), "{}", report["held_out"]);
     assert!(calibrated("fpr") < nominal("fpr"), "{}", report["held_out"]);
-    // The nominal gap is of the paper's size (426 ms, F1 64 %).
-    assert!((0.5..0.8).contains(&number(&report, "/nominal/f1")), "{}", report["nominal"]);
-    assert!((100.0..800.0).contains(&number(&report, "/nominal/onset_error_ms")), "{}", report["nominal"]);
+    // The nominal gap is of the size that hardware shows, and thresholds alone do not close it.
+    let bands = [
+        ("/nominal/f1", 0.58..0.72),
+        ("/nominal/onset_error_ms", 230.0..460.0),
+        ("/nominal/fpr", 0.015..0.06),
+        ("/held_out/calibrated/f1", 0.6..0.85),
+        ("/held_out/calibrated/onset_error_ms", 80.0..230.0),
+    ];
+    for (pointer, band) in bands {
+        assert!(band.contains(&number(&report, pointer)), "{pointer} left {band:?}: {report}");
+    }
     let html = std::fs::read_to_string(out.path().join("report/report.html")).unwrap();
     assert!(html.contains("<svg") && !html.contains("src=\"http"), "the report must stand alone");
     std::fs::copy(out.path().join("report/report.html"), tools.artifacts.join("calibration-report.html"))
