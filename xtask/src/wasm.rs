@@ -41,18 +41,22 @@ enum Toolchain {
     Debian,
 }
 
+/// Rustup's wasm target where there is one or can be one, else Debian's toolchain; `PALPATE_WASM_TOOLCHAIN=debian` asks
+/// for the latter right away.
 fn toolchain() -> anyhow::Result<Toolchain> {
-    if rustup_has_target() {
+    let wants_debian = std::env::var_os("PALPATE_WASM_TOOLCHAIN").is_some_and(|name| name == "debian");
+    if !wants_debian && rustup_has_target() {
         return Ok(Toolchain::Rustup);
     }
-    if shell::exists("rustup")
+    if !wants_debian
+        && shell::exists("rustup")
         && shell::run(Command::new("rustup").args(["target", "add", TARGET]).current_dir(paths::root()))
             .is_ok()
         && rustup_has_target()
     {
         return Ok(Toolchain::Rustup);
     }
-    eprintln!("rustup could not fetch {TARGET}; using Debian's toolchain with the standard library's source");
+    eprintln!("compiling {TARGET} with Debian's toolchain and the standard library's source");
     if !debian_has_source() {
         shell::install_debian_packages(
             &["rustc-web", "cargo-web", "libstd-rust-web-dev", "rust-web-src"],
@@ -60,7 +64,9 @@ fn toolchain() -> anyhow::Result<Toolchain> {
         )?;
     }
     if !debian_has_source() {
-        bail!("no way to compile for {TARGET}: run `rustup target add {TARGET}` with internet access");
+        bail!(
+            "no way to compile for {TARGET}: run `rustup target add {TARGET}` where rustup reaches its server"
+        );
     }
     Ok(Toolchain::Debian)
 }
