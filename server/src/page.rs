@@ -109,7 +109,7 @@ mod tests {
         ("ui-0123456789abcdef.wasm.gz", b"gzip"),
     ];
 
-    fn header<'a>(response: &'a Response, name: header::HeaderName) -> &'a str {
+    fn header(response: &Response, name: header::HeaderName) -> &str {
         response.headers().get(name).map_or("", |value| value.to_str().unwrap())
     }
 

@@ -303,6 +303,8 @@ impl Progress for RunProgress<'_> {
     fn report(&self, fraction: f64, stage: &str) {
         let fraction = fraction.clamp(0.0, 1.0);
         let elapsed_s = self.start.elapsed().as_secs_f64();
+        // Held until the update is published, so that clients see updates in the order in which they were made.
+        let mut last = lock(&self.last);
         let updated = self.table.with(self.id, |entry| {
             let run = &mut entry.run;
             // Reports of several threads may overtake each other; the bar never goes back.
@@ -312,7 +314,6 @@ impl Progress for RunProgress<'_> {
             update_of(run)
         });
         let Ok(update) = updated else { return };
-        let mut last = lock(&self.last);
         let due = last
             .as_ref()
             .is_none_or(|(when, last_stage)| when.elapsed() >= UPDATE_PERIOD || last_stage != stage);

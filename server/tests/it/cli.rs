@@ -1,0 +1,190 @@
+//! The command as people and scripts use it.
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::TcpStream,
+    process::{Command, Stdio},
+};
+
+use palpate_recording::Take;
+use serde_json::Value;
+
+use crate::support::{
+    Data, NUM_CHANNELS, NUM_FRAMES, NUM_TAKES, STATION, arg, palpate, palpate_ok, write_recording,
+};
+
+#[test]
+fn help_lists_every_command() {
+    insta::assert_snapshot!(palpate_ok(&["--help"]));
+}
+
+#[test]
+fn every_command_has_help() {
+    for command in [
+        &["emulate"][..],
+        &["import"],
+        &["session", "check"],
+        &["replay"],
+        &["calibrate"],
+        &["serve"],
+        &["bench", "sweep"],
+        &["bench", "replay"],
+    ] {
+        let help = palpate_ok(&[command, &["--help"]].concat());
+        assert!(help.contains("--json"), "{command:?}: {help}");
+    }
+}
+
+#[test]
+fn unknown_arguments_are_refused() {
+    for args in [&["fly"][..], &["calibrate"], &["calibrate", "--session", "x", "--method", "guess"], &[]] {
+        assert_eq!(palpate(args).status.code(), Some(2), "{args:?}");
+    }
+}
+
+#[test]
+fn recording_is_imported_checked_calibrated_and_replayed() {
+    let data = Data::empty();
+    let csv = data.csv();
+    write_recording(data.csv());
+    let session = data.path("session");
+    let json =
+        palpate_ok(&["import", "--csv", arg(csv), "--out", arg(&session), "--station", STATION, "--json"]);
+    let imported: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(imported["summary"]["frames"], NUM_TAKES * NUM_FRAMES);
+
+    let check: Value =
+        serde_json::from_str(&palpate_ok(&["session", "check", arg(&session), "--json"])).unwrap();
+    assert_eq!(check["ok"], true);
+    assert_eq!(check["coverage"].as_array().unwrap().len(), NUM_CHANNELS);
+    assert_eq!(check["takes"][0]["streams"][1]["stream"], "gel");
+    for key in ["session", "ok", "frames", "duration_s", "takes", "coverage", "problems"] {
+        assert!(check.get(key).is_some(), "{key} is missing");
+    }
+    let text = palpate_ok(&["session", "check", arg(&session)]);
+    assert!(text.contains("take-01") && text.trim_end().ends_with("usable"), "{text}");
+
+    let (model, report_dir) = (data.path("model.toml"), data.path("report"));
+    let json = palpate_ok(&[
+        "calibrate",
+        "--session",
+        arg(&session),
+        "--hold-out",
+        "take-03,take-04",
+        "--out",
+        arg(&model),
+        "--report",
+        arg(&report_dir),
+        "--json",
+    ]);
+    let report: Value = serde_json::from_str(&json).unwrap();
+    assert_contract(&report);
+    assert_eq!(report["frames"], NUM_TAKES * NUM_FRAMES);
+    assert_eq!(report["channels"], NUM_CHANNELS);
+    assert!(report["calibrated"]["l1"].as_u64() < report["nominal"]["l1"].as_u64(), "{report}");
+    let stored: Value = serde_json::from_slice(&fs::read(report_dir.join("report.json")).unwrap()).unwrap();
+    assert_eq!(stored, report);
+    assert_eq!(fs::read(report_dir.join("model.toml")).unwrap(), fs::read(&model).unwrap());
+    assert!(fs::read_to_string(report_dir.join("report.html")).unwrap().contains("<svg"));
+
+    let out = data.path("replayed.mcap");
+    let take = session.join("take-01.mcap");
+    let json =
+        palpate_ok(&["replay", "--take", arg(&take), "--model", arg(&model), "--out", arg(&out), "--json"]);
+    let replayed: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&replayed["frames"], &replayed["channels"]), (&NUM_FRAMES.into(), &NUM_CHANNELS.into()));
+    let (recorded, simulated) = (Take::read(&take).unwrap(), Take::read(&out).unwrap());
+    assert_eq!(simulated.joints, recorded.joints);
+    assert_eq!(simulated.spans, recorded.spans);
+    assert_eq!(simulated.start_unix_ns, recorded.start_unix_ns);
+    assert_eq!(simulated.streams[0].times_s, recorded.joints.times_s);
+    let mismatches = simulated
+        .active_at_frames()
+        .iter()
+        .zip(recorded.active_at_frames())
+        .filter(|(a, b)| **a != *b)
+        .count();
+    let expected = report["by_take"]["take-01"]["calibrated"]["l1"].as_u64().unwrap();
+    assert_eq!(mismatches as u64, expected, "the replayed take is the one that the report counted");
+}
+
+/// The field names that scripts read.
+fn assert_contract(report: &Value) {
+    let metrics = ["onset_error_ms", "offset_error_ms", "f1", "fpr", "l1"];
+    for place in ["/nominal", "/calibrated", "/held_out/nominal", "/held_out/calibrated"] {
+        for metric in metrics {
+            assert!(report.pointer(&format!("{place}/{metric}")).is_some(), "{place}/{metric} is missing");
+        }
+    }
+    for theta in ["lambda_con_m", "alpha_per_m", "lambda_pre_pa"] {
+        assert!(report["theta"][theta].is_f64(), "theta.{theta} is missing");
+    }
+    for key in ["frames", "channels", "evaluations", "seconds"] {
+        assert!(report[key].is_number(), "{key} is missing");
+    }
+    assert!(report["by_modality"]["gel"]["calibrated"]["f1"].is_number());
+    assert!(report["by_modality"]["film"]["nominal"].get("fpr").is_some());
+    assert_eq!(report["by_take"].as_object().unwrap().len(), NUM_TAKES);
+    assert_eq!(report["by_take"]["take-03"]["held_out"], true);
+}
+
+#[test]
+fn damaged_session_fails_the_check_with_a_report() {
+    let data = Data::with_session();
+    let session_dir = data.session();
+    data.truncate_take();
+    let output = palpate(&["session", "check", arg(session_dir), "--json"]);
+    assert_eq!(output.status.code(), Some(2));
+    let check: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(check["ok"], false);
+    assert_eq!(check["problems"][0]["severity"], "error");
+}
+
+#[test]
+fn reader_that_has_heard_enough_is_no_error() {
+    let data = Data::with_session();
+    let session_dir = data.session();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_palpate"))
+        .args(["session", "check", arg(session_dir), "--json"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && stderr.is_empty(), "{}: {stderr}", output.status);
+}
+
+#[test]
+fn serve_prints_its_address_and_ends_when_asked() {
+    let data = Data::with_session();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_palpate"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--data", arg(data.root())])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = line.trim().strip_prefix("listening on http://").unwrap_or_else(|| panic!("{line:?}"));
+    let mut socket = TcpStream::connect(address).unwrap();
+    socket.write_all(b"GET /api/v1/sessions HTTP/1.1\r\nhost: studio\r\nconnection: close\r\n\r\n").unwrap();
+    let mut response = String::new();
+    socket.read_to_string(&mut response).unwrap();
+    assert!(response.starts_with("HTTP/1.1 200") && response.contains("\"taps\""), "{response}");
+
+    let asked = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(asked.success());
+    assert!(child.wait().unwrap().success(), "a stop that was asked for is no failure");
+}
+
+#[test]
+fn port_in_use_is_named() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let data = Data::empty();
+    let error = crate::support::palpate_refuses(&["serve", "--listen", &address, "--data", arg(data.root())]);
+    assert!(error.contains(&address), "{error}");
+}

@@ -1,0 +1,10 @@
+//! The server without a socket where possible, and the command as people start it.
+#![expect(clippy::unwrap_used, reason = "helpers of tests stop at what they do not expect, as tests do")]
+
+mod api;
+mod bad_input;
+mod calibrations;
+mod cli;
+mod stream;
+mod support;
+mod uploads;
