@@ -28,6 +28,14 @@ pub trait Platform {
     fn replace_hash(&mut self, hash: &str);
     /// The operator's time of day, e.g. `14:03:12`.
     fn time_of_day(&self) -> String;
+    /// A time as RFC 3339 has it, in the operator's time zone, e.g. `2026-03-02 10:30:00`; `None` if it cannot be read.
+    fn local_time(&self, rfc3339: &str) -> Option<String>;
+    /// The theme that was chosen in an earlier visit.
+    fn saved_theme(&self) -> Option<egui::Theme>;
+    /// Keeps the theme for the next visit.
+    fn save_theme(&mut self, theme: egui::Theme);
+    /// Says what is open where the window says it.
+    fn set_title(&mut self, title: &str);
     /// Opens the file dialog.
     fn pick_file(&mut self);
     /// Files that were chosen in the file dialog, or dropped on the page, since the last call.
@@ -45,6 +53,7 @@ pub struct StudioApp {
     route: Route,
     last_hash: String,
     last_address_s: f64,
+    title: String,
     next_connect_s: f64,
     surface_format: Option<wgpu::TextureFormat>,
     overlays: overlays::Overlays,
@@ -62,6 +71,9 @@ impl StudioApp {
         surface_format: Option<wgpu::TextureFormat>,
     ) -> Self {
         theme::install(ctx);
+        if let Some(theme) = platform.saved_theme() {
+            ctx.set_theme(theme);
+        }
         let mut app = Self {
             store: Store::default(),
             playback: Playback::default(),
@@ -70,6 +82,7 @@ impl StudioApp {
             route: Route::default(),
             last_hash: String::new(),
             last_address_s: 0.0,
+            title: String::new(),
             next_connect_s: 0.0,
             surface_format,
             overlays: overlays::Overlays::default(),
@@ -120,6 +133,7 @@ impl StudioApp {
             self.go(route);
         }
         self.write_address_bar(now_s);
+        self.write_title();
         for request in self.store.take_outbox() {
             self.api.send(request);
         }
@@ -129,6 +143,7 @@ impl StudioApp {
         let route = self.route.clone();
         let mut picked_files = self.platform.picked_files();
         let mut pick_file = false;
+        let platform = &self.platform;
         let mut cx = ScreenContext {
             store: &mut self.store,
             playback: &mut self.playback,
@@ -137,6 +152,7 @@ impl StudioApp {
             go_to,
             surface_format: self.surface_format,
             now_s,
+            local_time: &|text| platform.local_time(text),
             picked_files: &mut picked_files,
             pick_file: &mut pick_file,
         };
@@ -175,10 +191,8 @@ impl StudioApp {
     fn apply_route(&mut self, route: Route) {
         if let (Some(session), Some(take)) = (&route.session, &route.take) {
             self.playback.open(session, take);
-        } else if let Some(session) = &route.session
-            && self.playback.session.as_ref() != Some(session)
-        {
-            self.playback = Playback { session: Some(session.clone()), ..Playback::default() };
+        } else if let Some(session) = &route.session {
+            self.playback.open_session(session);
         }
         if let Some(time_s) = route.time_s {
             self.playback.seek(time_s);
@@ -230,6 +244,17 @@ impl StudioApp {
         self.route = route;
     }
 
+    fn write_title(&mut self) {
+        let shown = [self.playback.session.as_deref(), self.playback.take.as_deref()];
+        let shown: Vec<&str> = shown.into_iter().flatten().collect();
+        let place = if shown.is_empty() { String::new() } else { format!(" \u{b7} {}", shown.join(" ")) };
+        let title = format!("{}{place} \u{2013} Palpate", self.route.screen.label());
+        if title != self.title {
+            self.platform.set_title(&title);
+            self.title = title;
+        }
+    }
+
     fn run_command(&mut self, ctx: &egui::Context, command: Command, go_to: &mut Option<Route>) {
         match command {
             Command::Open(screen) => *go_to = Some(self.route_of(screen)),
@@ -238,7 +263,7 @@ impl StudioApp {
             Command::NextTake => self.step_take(1),
             Command::PreviousFrame => self.step_frame(-1),
             Command::NextFrame => self.step_frame(1),
-            Command::ToggleTheme => bars::toggle_theme(ctx),
+            Command::ToggleTheme => self.toggle_theme(ctx),
             Command::Shortcuts => self.overlays.toggle_shortcuts(),
             Command::Palette => self.overlays.open_palette(),
             Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
@@ -253,6 +278,10 @@ impl StudioApp {
             take: match screen {
                 Screen::Hand | Screen::Timelines => self.playback.take.clone(),
                 Screen::Calibrate | Screen::Sessions => None,
+            },
+            run: match (screen, &self.playback.compared) {
+                (Screen::Calibrate, Some(ModelRef::Run(run))) => Some(run.clone()),
+                _ => None,
             },
             ..Route::to(screen)
         }
@@ -274,15 +303,8 @@ impl StudioApp {
             return;
         };
         let take = self.store.take(&session, &take);
-        let Some(take) = take.ready() else { return };
-        let times_s = &take.trace.frame_times_s;
-        let next = take
-            .frame_at(self.playback.time_s)
-            .and_then(|frame_idx| frame_idx.checked_add_signed(step))
-            .and_then(|frame_idx| times_s.get(frame_idx));
-        if let Some(&time_s) = next {
-            self.playback.playing = false;
-            self.playback.seek(time_s);
+        if let Some(take) = take.ready() {
+            self.playback.step_frames(take, step);
         }
     }
 }

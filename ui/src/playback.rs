@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeSet, fmt};
 
+use crate::take_data::TakeData;
+
 /// A simulation to compare the recording with.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum ModelRef {
@@ -51,6 +53,18 @@ pub enum HandSource {
     Live,
 }
 
+/// Which channels have a lane in the timelines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum ShownChannels {
+    /// Those touched in the take, in reality or in a simulation.
+    #[default]
+    Touched,
+    /// All.
+    All,
+    /// Those picked by hand.
+    Picked,
+}
+
 /// The shared cursor and selection.
 #[derive(Clone, Debug)]
 pub struct Playback {
@@ -72,6 +86,8 @@ pub struct Playback {
     pub hand_source: HandSource,
     /// Channels picked by the operator, shown in the timelines and marked on the hand.
     pub selected: BTreeSet<usize>,
+    /// Which channels have a lane in the timelines.
+    pub shown: ShownChannels,
     /// Channel under the pointer, in whichever view; cleared at the start of each frame.
     pub hovered: Option<usize>,
     /// Channel whose details stay in the side panel.
@@ -92,6 +108,7 @@ impl Default for Playback {
             compared: None,
             hand_source: HandSource::default(),
             selected: BTreeSet::new(),
+            shown: ShownChannels::default(),
             hovered: None,
             pinned: None,
             hovered_before: None,
@@ -101,7 +118,7 @@ impl Default for Playback {
 
 impl Playback {
     /// Speeds on offer.
-    pub const SPEEDS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
+    pub const SPEEDS: [f64; 6] = [0.1, 0.25, 0.5, 1.0, 2.0, 4.0];
 
     /// Starts a frame: moves the cursor by `dt_secs` if playing and turns the page of `hovered`.
     pub fn begin_frame(&mut self, dt_secs: f64) {
@@ -117,21 +134,39 @@ impl Playback {
         }
     }
 
-    /// Looks at another take (or the same one), from its start.
-    pub fn open(&mut self, session: &str, take: &str) {
-        let same = self.session.as_deref() == Some(session) && self.take.as_deref() == Some(take);
-        if same {
+    /// Looks at another session (or the same one). Picked channels and the compared simulation stay behind: they may mean
+    /// nothing on another station.
+    pub fn open_session(&mut self, session: &str) {
+        if self.session.as_deref() == Some(session) {
             return;
         }
-        if self.session.as_deref() != Some(session) {
-            self.selected.clear();
-            self.pinned = None;
+        *self = Self {
+            session: Some(session.to_owned()),
+            speed: self.speed,
+            hand_source: self.hand_source,
+            ..Self::default()
+        };
+    }
+
+    /// Looks at another take (or the same one), from its start.
+    pub fn open(&mut self, session: &str, take: &str) {
+        self.open_session(session);
+        if self.take.as_deref() == Some(take) {
+            return;
         }
-        self.session = Some(session.to_owned());
         self.take = Some(take.to_owned());
         self.time_s = 0.0;
         self.duration_s = 0.0;
         self.playing = false;
+    }
+
+    /// Pauses, and moves the cursor by so many joint frames of the take it is in.
+    pub fn step_frames(&mut self, take: &TakeData, by: isize) {
+        self.playing = false;
+        if let Some(frame) = take.frame_at(self.time_s) {
+            let frame = frame.saturating_add_signed(by).min(take.num_frames().saturating_sub(1));
+            self.seek(take.trace.frame_times_s[frame]);
+        }
     }
 
     /// Moves the cursor, within the take.
@@ -158,7 +193,39 @@ impl Playback {
 
 #[cfg(test)]
 mod tests {
+    use palpate_wire::proto::TakeTrace;
+
     use super::*;
+
+    #[test]
+    fn steps_go_from_frame_to_frame_and_stop_at_the_ends() {
+        let trace = TakeTrace {
+            frame_times_s: vec![0.0, 0.1, 0.25],
+            joint_positions: vec![0.0; 3],
+            ..Default::default()
+        };
+        let take = TakeData::new(trace).expect("a take");
+        let mut playback = Playback { duration_s: 0.25, time_s: 0.12, playing: true, ..Default::default() };
+        playback.step_frames(&take, 1);
+        assert_eq!((playback.time_s, playback.playing), (0.25, false));
+        playback.step_frames(&take, 1);
+        assert_eq!(playback.time_s, 0.25);
+        playback.step_frames(&take, -5);
+        assert_eq!(playback.time_s, 0.0);
+    }
+
+    #[test]
+    fn another_session_leaves_picks_and_models_behind() {
+        let mut playback = Playback { speed: 0.5, ..Default::default() };
+        playback.open("a", "take-01");
+        playback.selected.insert(3);
+        playback.compared = Some(ModelRef::Run("run-1".into()));
+        playback.open("a", "take-02");
+        assert!(playback.compared.is_some() && playback.selected.contains(&3));
+        playback.open("b", "take-01");
+        assert!(playback.compared.is_none() && playback.selected.is_empty());
+        assert_eq!((playback.session.as_deref(), playback.speed), (Some("b"), 0.5));
+    }
 
     #[test]
     fn playing_stops_at_the_end_and_starts_over() {

@@ -1,6 +1,7 @@
 //! One function per screen, and what they share: the context they get, and their empty, loading and error states.
 
 pub mod calibrate;
+pub mod controls;
 pub mod hand;
 pub mod sessions;
 pub mod timelines;
@@ -28,6 +29,8 @@ pub struct ScreenContext<'a> {
     pub surface_format: Option<wgpu::TextureFormat>,
     /// The page's clock, s since it opened.
     pub now_s: f64,
+    /// A time as RFC 3339 has it, in the operator's time zone with seconds; `None` if it cannot be read.
+    pub local_time: &'a dyn Fn(&str) -> Option<String>,
     /// Files that the operator chose in the file dialog or dropped on the page.
     pub picked_files: &'a mut Vec<PickedFile>,
     /// Set it to open the file dialog after this frame.
@@ -156,6 +159,11 @@ fn centered<R>(ui: &mut egui::Ui, add_contents: impl FnOnce(&mut egui::Ui) -> R)
         add_contents(ui)
     })
     .inner
+}
+
+/// An id in the words it is made of: `press_hold` gives `press hold`.
+pub fn words(id: &str) -> String {
+    id.replace(['_', '-'], " ")
 }
 
 /// A duration as people say it: `12.4 s`, `5 min 26 s`, `1 h 02 min`.

@@ -169,15 +169,15 @@ impl Store {
         ask(&mut self.models, &mut self.outbox, || Request::Models)
     }
 
-    /// How a simulation is called: a saved model by its name.
-    pub fn model_label(&mut self, model: &ModelRef) -> String {
+    /// How the simulation in blue is called: what a run found by the run, a saved model by its name.
+    pub fn compared_label(&mut self, model: Option<&ModelRef>) -> String {
         match model {
-            ModelRef::Nominal => "nominal".to_owned(),
-            ModelRef::Run(id) => format!("run {id}"),
-            ModelRef::Saved(id) => {
+            None | Some(ModelRef::Nominal) => "nominal only".to_owned(),
+            Some(ModelRef::Run(id)) => format!("calibrated ({id})"),
+            Some(ModelRef::Saved(id)) => {
                 let models = self.models();
                 let known = models.ready().and_then(|models| models.iter().find(|known| known.id == *id));
-                known.map_or_else(|| id.clone(), |known| known.name.clone())
+                format!("calibrated ({})", known.map_or(id, |known| &known.name))
             }
         }
     }

@@ -106,22 +106,16 @@ pub fn taxel_scale(share: f32) -> Color32 {
     Color32::from_rgb(channel(0), channel(1), channel(2))
 }
 
-/// The legend of [`taxel_scale`]: a bar with what its ends mean. `full_scale` belongs to share 1.
-pub fn taxel_legend_ui(ui: &mut egui::Ui, full_scale: f64, unit: &str) {
-    ui.horizontal(|ui| {
-        ui.label("0");
-        let (rect, response) = ui.allocate_exact_size(egui::vec2(120.0, 14.0), egui::Sense::hover());
-        let num_steps = 40;
-        for step in 0..num_steps {
-            let x0 = egui::lerp(rect.x_range(), step as f32 / num_steps as f32);
-            let x1 = egui::lerp(rect.x_range(), (step + 1) as f32 / num_steps as f32);
-            let cell = egui::Rect::from_x_y_ranges(x0..=x1, rect.y_range());
-            ui.painter().rect_filled(cell, 0.0, taxel_scale((step as f32 + 0.5) / num_steps as f32));
-        }
-        let name = format!("Reading scale: violet 0 to yellow {full_scale:.0} {unit}");
-        response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, name.clone()));
-        ui.label(format!("{full_scale:.0} {unit}"));
-    });
+/// A bar with the colours of [`taxel_scale`], 0 on the left.
+pub fn taxel_scale_ui(ui: &mut egui::Ui, width: f32) -> egui::Response {
+    let (rect, response) = ui.allocate_exact_size(egui::vec2(width, 14.0), egui::Sense::hover());
+    let num_steps = 48;
+    let x_of = |step: i32| egui::lerp(rect.x_range(), step as f32 / num_steps as f32);
+    for step in 0..num_steps {
+        let cell = egui::Rect::from_x_y_ranges(x_of(step)..=x_of(step + 1), rect.y_range());
+        ui.painter().rect_filled(cell, 0.0, taxel_scale((step as f32 + 0.5) / num_steps as f32));
+    }
+    response
 }
 
 /// Sets fonts, sizes and colours of both themes.

@@ -10,16 +10,17 @@ use crate::{
     theme::Palette,
 };
 
-/// From light to dark and back.
-pub(super) fn toggle_theme(ctx: &egui::Context) {
-    let other = match ctx.theme() {
-        egui::Theme::Dark => egui::Theme::Light,
-        egui::Theme::Light => egui::Theme::Dark,
-    };
-    ctx.set_theme(other);
-}
-
 impl StudioApp {
+    /// From light to dark and back, for the next visit too.
+    pub(super) fn toggle_theme(&mut self, ctx: &egui::Context) {
+        let other = match ctx.theme() {
+            egui::Theme::Dark => egui::Theme::Light,
+            egui::Theme::Light => egui::Theme::Dark,
+        };
+        ctx.set_theme(other);
+        self.platform.save_theme(other);
+    }
+
     pub(super) fn rail_ui(&mut self, ui: &mut egui::Ui, go_to: &mut Option<Route>) {
         let palette = Palette::of(ui.ctx().theme());
         egui::Panel::left("rail").resizable(false).exact_size(132.0).show(ui, |ui| {
@@ -63,7 +64,7 @@ impl StudioApp {
                 }
                 let name = if palette.dark { "Light theme" } else { "Dark theme" };
                 if ui.add_sized([ui.available_width(), 32.0], egui::Button::new(name)).clicked() {
-                    toggle_theme(ui.ctx());
+                    self.toggle_theme(ui.ctx());
                 }
             });
         });
@@ -76,15 +77,13 @@ impl StudioApp {
                 self.station_ui(ui, &palette);
                 ui.separator();
                 if let Some(session) = &self.playback.session {
-                    let take = self.playback.take.as_deref().unwrap_or("no take chosen");
                     ui.label(RichText::new(session).strong());
-                    ui.label(take);
+                    if let Some(take) = &self.playback.take {
+                        ui.label(take);
+                    }
                     ui.separator();
                 }
-                let model = match self.playback.compared.clone() {
-                    Some(model) => self.store.model_label(&model),
-                    None => "nominal only".to_owned(),
-                };
+                let model = self.store.compared_label(self.playback.compared.as_ref());
                 ui.label(RichText::new("Model").color(palette.text_weak));
                 ui.label(model);
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {

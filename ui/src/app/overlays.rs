@@ -50,23 +50,25 @@ impl Overlays {
     fn shortcuts_ui(&mut self, ctx: &egui::Context) {
         let palette = Palette::of(ctx.theme());
         let modal = egui::Modal::new(egui::Id::unique("shortcuts")).show(ctx, |ui| {
-            ui.set_width(420.0);
+            ui.set_width(800.0);
             ui.heading("Keyboard shortcuts");
             ui.add_space(6.0);
-            // Rows to read, not to hit: all of them must fit into 800 points.
-            ui.spacing_mut().interact_size.y = 20.0;
-            let list = egui::Grid::new("shortcut list").num_columns(2).spacing([24.0, 5.0]).striped(true);
-            list.show(ui, |ui| {
-                for command in Command::ALL {
-                    ui.label(RichText::new(command.shortcut_text()).monospace().strong());
-                    ui.label(command.label());
-                    ui.end_row();
-                }
-                for (keys, what) in GESTURES {
-                    ui.label(RichText::new(keys).color(palette.text_weak));
-                    ui.label(what);
-                    ui.end_row();
-                }
+            ui.horizontal_top(|ui| {
+                // Rows to read, not to hit: all of them must fit into 800 points.
+                ui.spacing_mut().interact_size.y = 20.0;
+                ui.vertical(|ui| {
+                    let commands =
+                        Command::ALL.map(|command| (command.shortcut_text(), command.label().to_owned()));
+                    list_ui(ui, &palette, "Everywhere", commands.into_iter().chain(pairs(&EVERYWHERE)));
+                });
+                ui.add_space(28.0);
+                ui.vertical(|ui| {
+                    list_ui(ui, &palette, "Hand", pairs(&ON_HAND));
+                    ui.add_space(8.0);
+                    list_ui(ui, &palette, "Timelines", pairs(&ON_TIMELINES));
+                    ui.add_space(8.0);
+                    list_ui(ui, &palette, "Calibrate and Sessions", pairs(&ON_OTHERS));
+                });
             });
             ui.add_space(6.0);
             ui.add(egui::Button::new("Close shortcuts").min_size(egui::vec2(0.0, 32.0))).clicked()
@@ -135,11 +137,44 @@ impl Overlays {
     }
 }
 
-/// What the mouse does on the timelines and on the hand.
-const GESTURES: [(&str, &str); 5] = [
-    ("Wheel", "Zoom at the pointer"),
-    ("Drag", "Move the view"),
-    ("Click", "Put the cursor there"),
-    ("Double click", "Show the whole take, or reset the view"),
-    ("Esc", "Close what is open"),
+/// A titled list of keys and what they do.
+fn list_ui(ui: &mut egui::Ui, palette: &Palette, title: &str, rows: impl Iterator<Item = (String, String)>) {
+    ui.label(RichText::new(title).color(palette.text_weak));
+    egui::Grid::new(title).num_columns(2).min_col_width(96.0).spacing([20.0, 4.0]).show(ui, |ui| {
+        for (keys, what) in rows {
+            ui.label(RichText::new(keys).monospace().strong());
+            ui.label(what);
+            ui.end_row();
+        }
+    });
+}
+
+fn pairs<'a>(rows: &'a [(&str, &str)]) -> impl Iterator<Item = (String, String)> + use<'a> {
+    rows.iter().map(|(keys, what)| ((*keys).to_owned(), (*what).to_owned()))
+}
+
+const EVERYWHERE: [(&str, &str); 2] = [("Tab", "Next control"), ("Esc", "Close what is open")];
+
+const ON_HAND: [(&str, &str); 8] = [
+    ("R, double click", "Reset the view"),
+    ("1 to 9", "Named views, in the order of their buttons"),
+    ("Drag", "Turn the view"),
+    ("Shift+drag", "Move it; the right button does too"),
+    ("Wheel", "Zoom"),
+    ("Arrows, + and -", "Turn and zoom once the view has the focus"),
+    ("Click a taxel", "Keep it in the side panel; again lets it go"),
+    ("Ctrl+click", "Pick several taxels for the timelines"),
 ];
+
+const ON_TIMELINES: [(&str, &str); 7] = [
+    ("Wheel", "Zoom at the pointer; over the names, scroll"),
+    ("Shift+wheel, drag", "Move in time"),
+    ("Click", "Put the cursor there"),
+    ("Drag the ruler", "Move the cursor"),
+    ("Double click", "Show the whole take"),
+    ("Click a name", "Keep the channel in the side panel of Hand"),
+    ("[ and ]", "Jump among the channels shown"),
+];
+
+const ON_OTHERS: [(&str, &str); 2] =
+    [("Click a row", "Open the take or channel on Timelines"), ("Drop a zip", "Import it as a session")];

@@ -9,7 +9,7 @@ use std::{collections::BTreeSet, sync::Arc};
 use egui::RichText;
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState, SessionDetail};
 
-use super::{ScreenContext, duration_text, empty_ui, failed_ui, loading_ui};
+use super::{ScreenContext, duration_text, empty_ui, failed_ui, loading_ui, words};
 use crate::{
     playback::ModelRef,
     route::{Route, Screen},
@@ -48,7 +48,9 @@ pub fn calibrate_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut C
     }
     let chosen = cx.playback.session.clone().filter(|id| sessions.iter().any(|session| session.id == *id));
     let first = || sessions.iter().find(|session| session.error.is_none()).map(|session| session.id.clone());
-    cx.playback.session = chosen.or_else(first);
+    if let Some(session) = chosen.or_else(first) {
+        cx.playback.open_session(&session);
+    }
     follow_started_run(cx, state);
 
     egui::Panel::left("calibrate_choice").resizable(false).exact_size(292.0).show(ui, |ui| {
@@ -124,8 +126,8 @@ fn choose_ui(
             .labelled_by(label.id);
     });
     if cx.playback.session.as_ref() != Some(&session) {
-        cx.playback.session = Some(session.clone());
-        cx.playback.take = None;
+        cx.playback.open_session(&session);
+        *cx.go_to = Some(Route::to(Screen::Calibrate).with_session(session.clone()));
     }
     if state.session.as_ref() != Some(&session) {
         state.session = Some(session.clone());
@@ -189,7 +191,7 @@ fn hold_out_ui(ui: &mut egui::Ui, state: &mut CalibrateState, detail: &SessionDe
     let Some(held_out) = &mut state.hold_out else { return };
     for take in &detail.takes {
         let mut held = held_out.contains(&take.id);
-        let text = format!("{}: {}, {}", take.id, take.primitive, take.object);
+        let text = format!("{}: {}, {}", take.id, words(&take.primitive), take.object);
         let response = ui.checkbox(&mut held, egui::AtomExt::atom_shrink(text, true));
         if response.changed() {
             if held {
@@ -249,7 +251,8 @@ fn earlier_runs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     for run in mine {
         let chosen = cx.route.run.as_ref() == Some(&run.id);
         let method = run.request.method.as_deref().unwrap_or("exact");
-        let text = format!("{}  {method}, {}", run.id, state_text(run.state));
+        let saved = run.saved_as.as_ref().map_or(String::new(), |model| format!(", saved as {model}"));
+        let text = format!("{}  {method}, {}{saved}", run.id, state_text(run.state));
         let width = ui.available_width() - 8.0;
         let button = egui::Button::selectable(chosen, text).min_size(egui::vec2(width, 32.0)).right_text("");
         if ui.add(button).clicked() && !chosen {

@@ -6,7 +6,7 @@ mod import;
 use egui::RichText;
 use palpate_wire::api::{SessionDetail, SessionSummary};
 
-use super::{ScreenContext, duration_text, failed_ui, loading_ui};
+use super::{ScreenContext, duration_text, failed_ui, loading_ui, words};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -90,10 +90,7 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &SessionSumm
         egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, name)
     });
     if response.clicked() {
-        if cx.playback.session.as_ref() != Some(&session.id) {
-            cx.playback.session = Some(session.id.clone());
-            cx.playback.take = None;
-        }
+        cx.playback.open_session(&session.id);
         *cx.go_to = Some(Route::to(Screen::Sessions).with_session(session.id.clone()));
     }
 }
@@ -110,7 +107,8 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
         ui.add_space(4.0);
         ui.heading(id);
         let summary = &detail.summary;
-        let recorded = if summary.recorded.is_empty() { "date unknown" } else { &summary.recorded };
+        let recorded = (cx.local_time)(&summary.recorded)
+            .map_or_else(|| "recording time unknown".to_owned(), |time| format!("recorded {time}"));
         ui.label(format!(
             "Station {}, {} takes, {} frames, {}, {recorded}",
             summary.station,
@@ -118,7 +116,7 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
             summary.frames,
             duration_text(summary.duration_s),
         ));
-        actions_ui(ui, cx, id, &detail);
+        actions_ui(ui, cx, id);
         ui.add_space(8.0);
         check::check_ui(ui, cx, id);
         ui.add_space(10.0);
@@ -127,7 +125,7 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
     });
 }
 
-fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
+fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
     ui.horizontal_wrapped(|ui| {
         for (name, screen) in [
             ("Watch on the hand", Screen::Hand),
@@ -135,10 +133,7 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &
             ("Calibrate on it", Screen::Calibrate),
         ] {
             if ui.button(name).clicked() {
-                if cx.playback.session.as_deref() != Some(id) {
-                    cx.playback.session = Some(id.to_owned());
-                    cx.playback.take = detail.takes.first().map(|take| take.id.clone());
-                }
+                cx.playback.open_session(id);
                 cx.go_to_screen(screen);
             }
         }
@@ -166,7 +161,7 @@ fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &Se
                 cx.playback.open(id, &take.id);
                 cx.go_to_screen(Screen::Timelines);
             }
-            ui.label(&take.primitive);
+            ui.label(words(&take.primitive));
             ui.label(&take.object);
             ui.label(take.frames.to_string());
             ui.label(duration_text(take.duration_s));

@@ -21,6 +21,13 @@ pub(super) fn remove(id: &str) {
     }
 }
 
+/// Where the browser keeps the chosen theme; `index.html` reads it too.
+const THEME_KEY: &str = "palpate-theme";
+
+fn local_storage() -> Option<web_sys::Storage> {
+    web_sys::window()?.local_storage().ok().flatten()
+}
+
 /// The browser's address bar, clock and file dialog.
 pub(super) struct BrowserWindow {
     file_dialog: FileDialog,
@@ -53,6 +60,46 @@ impl Platform for BrowserWindow {
     fn time_of_day(&self) -> String {
         let now = js_sys::Date::new_0();
         format!("{:02}:{:02}:{:02}", now.get_hours(), now.get_minutes(), now.get_seconds())
+    }
+
+    fn local_time(&self, rfc3339: &str) -> Option<String> {
+        let date = js_sys::Date::new(&JsValue::from_str(rfc3339));
+        (!date.get_time().is_nan()).then(|| {
+            format!(
+                "{:04}-{:02}-{:02} {:02}:{:02}:{:02}",
+                date.get_full_year(),
+                date.get_month() + 1,
+                date.get_date(),
+                date.get_hours(),
+                date.get_minutes(),
+                date.get_seconds()
+            )
+        })
+    }
+
+    fn saved_theme(&self) -> Option<egui::Theme> {
+        match local_storage()?.get_item(THEME_KEY).ok()??.as_str() {
+            "dark" => Some(egui::Theme::Dark),
+            "light" => Some(egui::Theme::Light),
+            _ => None,
+        }
+    }
+
+    fn save_theme(&mut self, theme: egui::Theme) {
+        let word = match theme {
+            egui::Theme::Dark => "dark",
+            egui::Theme::Light => "light",
+        };
+        if let Some(storage) = local_storage() {
+            // A browser that keeps nothing still has the theme until the page is closed.
+            let _ = storage.set_item(THEME_KEY, word);
+        }
+    }
+
+    fn set_title(&mut self, title: &str) {
+        if let Some(document) = document() {
+            document.set_title(title);
+        }
     }
 
     fn pick_file(&mut self) {

@@ -55,11 +55,13 @@ pub(crate) struct FakeWindow(pub(crate) Rc<RefCell<History>>);
 #[derive(Default)]
 pub(crate) struct History {
     pub(crate) entries: Vec<String>,
+    pub(crate) theme: Option<egui::Theme>,
+    pub(crate) title: String,
 }
 
 impl FakeWindow {
     pub(crate) fn at(hash: &str) -> Self {
-        Self(Rc::new(RefCell::new(History { entries: vec![hash.to_owned()] })))
+        Self(Rc::new(RefCell::new(History { entries: vec![hash.to_owned()], ..History::default() })))
     }
 
     pub(crate) fn back(&self) {
@@ -92,6 +94,22 @@ impl Platform for FakeWindow {
 
     fn time_of_day(&self) -> String {
         "14:03:12".to_owned()
+    }
+
+    fn local_time(&self, rfc3339: &str) -> Option<String> {
+        rfc3339.strip_suffix('Z').map(|utc| utc.replace('T', " "))
+    }
+
+    fn saved_theme(&self) -> Option<egui::Theme> {
+        self.0.borrow().theme
+    }
+
+    fn save_theme(&mut self, theme: egui::Theme) {
+        self.0.borrow_mut().theme = Some(theme);
+    }
+
+    fn set_title(&mut self, title: &str) {
+        self.0.borrow_mut().title = title.to_owned();
     }
 
     fn pick_file(&mut self) {}

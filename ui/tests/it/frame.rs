@@ -25,6 +25,19 @@ fn rail_leads_to_every_screen_and_back() {
 }
 
 #[test]
+fn theme_survives_a_visit_and_the_title_says_what_is_open() {
+    let window = FakeWindow::at("#/timelines/bench-1?take=take-02");
+    let mut harness = page(&full_api(), &window);
+    assert_eq!(window.0.borrow().title, "Timelines \u{b7} bench-1 take-02 \u{2013} Palpate");
+    let before = harness.ctx.theme();
+    harness.key_press(Key::T);
+    harness.run_steps(3);
+    assert_ne!(harness.ctx.theme(), before);
+    let again = page(&full_api(), &window);
+    assert_ne!(again.ctx.theme(), before);
+}
+
+#[test]
 fn link_opens_take_and_time_and_the_address_follows() {
     let window = FakeWindow::at("#/timelines/bench-1?take=take-02&t=4.2");
     let mut harness = page(&full_api(), &window);

@@ -12,7 +12,7 @@ const RIGHT: f32 = 14.0;
 
 pub(super) fn objective_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport) {
     let width = ((ui.available_width() - 24.0) / 2.0).clamp(260.0, 620.0);
-    let size = vec2(width, 264.0);
+    let size = vec2(width, 236.0);
     ui.horizontal_wrapped(|ui| {
         heat_map_ui(ui, palette, report, size);
         curve_ui(ui, palette, report, size);
@@ -79,11 +79,15 @@ fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size:
         pos2(inner.left() + column * cell_size.x, inner.bottom() - row * cell_size.y)
     };
     let nominal = &report.nominal_theta;
-    mark(&painter, at(nominal.alpha_per_m, nominal.lambda_pre_pa), palette.nominal, "nominal", inner);
+    let nominal_at = at(nominal.alpha_per_m, nominal.lambda_pre_pa);
     let theta = &report.theta;
-    mark(&painter, at(theta.alpha_per_m, theta.lambda_pre_pa), palette.calibrated, "optimum", inner);
+    let optimum_at = at(theta.alpha_per_m, theta.lambda_pre_pa);
+    // Names stand away from each other, however near the marks are.
+    let optimum_above = optimum_at.y <= nominal_at.y;
+    mark(&painter, nominal_at, palette.nominal, "nominal", inner, !optimum_above);
+    mark(&painter, optimum_at, palette.calibrated, "optimum", inner, optimum_above);
 
-    x_axis(&painter, palette, inner, "\u{3bb}pre, Pa", &axis_ends(lambdas, 1.0));
+    x_axis(&painter, palette, inner, "\u{3bb}pre, kPa", &axis_ends(lambdas, 1e-3));
     y_axis(&painter, palette, inner, "\u{3b1}, 1/m", &axis_ends(alphas, 1.0));
     if let Some(pointer) = response.hover_pos().filter(|pointer| inner.contains(*pointer)) {
         let column = (((pointer.x - inner.left()) / cell_size.x) as usize).min(num_columns - 1);
@@ -96,8 +100,9 @@ fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size:
         );
         let l1 = objective.pressure_l1.get(row).and_then(|values| values.get(column)).copied().unwrap_or(0);
         response.on_hover_text_at_pointer(format!(
-            "\u{3b1} {:.0} /m, \u{3bb}pre {:.0} Pa: {l1} channel-frames differ",
-            alphas[row], lambdas[column]
+            "\u{3b1} {} /m, \u{3bb}pre {} kPa: {l1} channel-frames differ",
+            number(alphas[row]),
+            number(lambdas[column] * 1e-3)
         ));
     }
 }
@@ -151,14 +156,17 @@ fn curve_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: eg
     }
 }
 
-fn mark(painter: &egui::Painter, at: Pos2, colour: Color32, text: &str, inner: Rect) {
+fn mark(painter: &egui::Painter, at: Pos2, colour: Color32, text: &str, inner: Rect, above: bool) {
     let at = inner.clamp(at);
     painter.circle(at, 6.0, Color32::WHITE, Stroke::new(3.0, colour));
-    let (align, offset) =
-        if at.x > inner.center().x { (Align2::RIGHT_CENTER, -10.0) } else { (Align2::LEFT_CENTER, 10.0) };
-    let text_pos = at + vec2(offset, 0.0);
     let galley = painter.layout_no_wrap(text.to_owned(), FontId::proportional(13.0), Color32::WHITE);
-    let text_rect = align.anchor_size(text_pos, galley.size());
+    let (align, offset_y) = if above { (Align2::CENTER_BOTTOM, -11.0) } else { (Align2::CENTER_TOP, 11.0) };
+    let text_rect = align.anchor_size(at + vec2(0.0, offset_y), galley.size());
+    // At the edge of the map the name moves inward.
+    let room = inner.shrink(4.0);
+    let inward =
+        (room.min - text_rect.min).max(vec2(0.0, 0.0)) + (room.max - text_rect.max).min(vec2(0.0, 0.0));
+    let text_rect = text_rect.translate(inward);
     painter.rect_filled(text_rect.expand(3.0), 3.0, Color32::from_black_alpha(170));
     painter.galley(text_rect.min, galley, Color32::WHITE);
 }
@@ -168,16 +176,19 @@ fn axis_ends(values: &[f64], factor: f64) -> Vec<(f32, String)> {
     let len = values.len().max(1) as f32;
     [0, values.len() / 2, values.len().saturating_sub(1)]
         .into_iter()
-        .filter_map(|idx| {
-            let value = values.get(idx)? * factor;
-            let text = if value.abs() >= 10.0 || value == 0.0 {
-                format!("{value:.0}")
-            } else {
-                format!("{value:.2}")
-            };
-            Some(((idx as f32 + 0.5) / len, text))
-        })
+        .filter_map(|idx| Some(((idx as f32 + 0.5) / len, number(values.get(idx)? * factor))))
         .collect()
+}
+
+/// About three digits: `0.36`, `42.2`, `409`, with a true minus.
+pub(super) fn number(value: f64) -> String {
+    let text = match value.abs() {
+        0.0 => "0".to_owned(),
+        size if size >= 100.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        _ => format!("{value:.2}"),
+    };
+    text.replace('-', "\u{2212}")
 }
 
 fn x_axis(painter: &egui::Painter, palette: &Palette, inner: Rect, title: &str, ticks: &[(f32, String)]) {

@@ -33,7 +33,7 @@ pub(super) fn results_ui(
         ui.add_space(10.0);
         metrics_ui(ui, cx, report);
         ui.add_space(10.0);
-        tables::tables_ui(ui, cx, &mut state.table, report);
+        tables::tables_ui(ui, cx, &mut state.table, &run.request.session, report);
         ui.add_space(12.0);
     });
 }
@@ -57,30 +57,45 @@ fn headline(report: &CalibrationReport) -> String {
     format!("Calibrated: {} on takes it has not seen.", parts.join(", "))
 }
 
-/// A metric in the words of people: its name, and its text for a set of metrics.
-type Row = (&'static str, fn(&Metrics) -> String, fn(&Intervals) -> [Option<[f64; 2]>; 2], f64);
+/// A metric as people read it.
+struct Row {
+    name: &'static str,
+    value: fn(&Metrics) -> Option<f64>,
+    intervals: fn(&Intervals) -> [Option<[f64; 2]>; 2],
+    factor: f64,
+    digits: usize,
+}
 
 fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationReport) {
-    let rows: [Row; 4] = [
-        (
-            "Onset error, ms",
-            |m| tables::number(m.onset_error_ms, 1.0, 0),
-            |i| [i.nominal.onset_error_ms, i.calibrated.onset_error_ms],
-            1.0,
-        ),
-        (
-            "Offset error, ms",
-            |m| tables::number(m.offset_error_ms, 1.0, 0),
-            |i| [i.nominal.offset_error_ms, i.calibrated.offset_error_ms],
-            1.0,
-        ),
-        ("F1, %", |m| tables::number(m.f1, 100.0, 1), |i| [i.nominal.f1, i.calibrated.f1], 100.0),
-        (
-            "False positive rate, %",
-            |m| tables::number(m.fpr, 100.0, 2),
-            |i| [i.nominal.fpr, i.calibrated.fpr],
-            100.0,
-        ),
+    let rows = [
+        Row {
+            name: "Onset error, ms",
+            value: |m| m.onset_error_ms,
+            intervals: |i| [i.nominal.onset_error_ms, i.calibrated.onset_error_ms],
+            factor: 1.0,
+            digits: 0,
+        },
+        Row {
+            name: "Offset error, ms",
+            value: |m| m.offset_error_ms,
+            intervals: |i| [i.nominal.offset_error_ms, i.calibrated.offset_error_ms],
+            factor: 1.0,
+            digits: 0,
+        },
+        Row {
+            name: "Activation F1",
+            value: |m| m.f1,
+            intervals: |i| [i.nominal.f1, i.calibrated.f1],
+            factor: 1.0,
+            digits: 3,
+        },
+        Row {
+            name: "False positive rate, %",
+            value: |m| m.fpr,
+            intervals: |i| [i.nominal.fpr, i.calibrated.fpr],
+            factor: 100.0,
+            digits: 2,
+        },
     ];
     let held = report.held_out_takes.join(", ");
     ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
@@ -89,17 +104,18 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationRep
         |ui| {
             ui.label("");
             ui.label(RichText::new("Nominal").color(cx.palette.nominal).strong());
-            ui.label(RichText::new("95 %").color(cx.palette.text_weak));
+            ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
             ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
-            ui.label(RichText::new("95 %").color(cx.palette.text_weak));
+            ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
             ui.end_row();
-            for (name, text, intervals, factor) in rows {
+            for Row { name, value, intervals, factor, digits } in rows {
                 let [before, after] = report.intervals_95.as_ref().map_or([None; 2], intervals);
+                let text = |metrics: &Metrics| tables::number(value(metrics), factor, digits);
                 ui.label(name);
                 ui.label(text(&report.held_out.nominal));
-                ui.label(RichText::new(range(before, factor)).color(cx.palette.text_weak));
+                ui.label(RichText::new(range(before, factor, digits)).color(cx.palette.text_weak));
                 ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
-                ui.label(RichText::new(range(after, factor)).color(cx.palette.text_weak));
+                ui.label(RichText::new(range(after, factor, digits)).color(cx.palette.text_weak));
                 ui.end_row();
             }
             ui.label("Real contacts with a partner, %");
@@ -111,9 +127,8 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationRep
     );
 }
 
-fn range(interval: Option<[f64; 2]>, factor: f64) -> String {
+fn range(interval: Option<[f64; 2]>, factor: f64, digits: usize) -> String {
     let Some([low, high]) = interval else { return String::new() };
-    let digits = if (high - low).abs() * factor >= 10.0 { 0 } else { 1 };
     format!("{:.digits$} to {:.digits$}", low * factor, high * factor)
 }
 
@@ -124,15 +139,17 @@ fn keep_ui(
     run: &CalibrationRun,
     report: &CalibrationReport,
 ) {
-    ui.heading("4  Keep");
     let theta = &report.theta;
-    ui.label(format!(
-        "\u{3bb}con {:.2} mm, \u{3b1} {:.0} /m, \u{3bb}pre {:.1} kPa; searched in {:.0} ms",
-        theta.lambda_con_m * 1e3,
-        theta.alpha_per_m,
-        theta.lambda_pre_pa / 1e3,
-        report.seconds * 1e3,
-    ));
+    ui.horizontal_wrapped(|ui| {
+        ui.heading("4  Keep");
+        ui.label(format!(
+            "\u{3bb}con {} mm, \u{3b1} {} /m, \u{3bb}pre {} kPa; searched in {:.0} ms",
+            objective::number(theta.lambda_con_m * 1e3),
+            objective::number(theta.alpha_per_m),
+            objective::number(theta.lambda_pre_pa / 1e3),
+            report.seconds * 1e3,
+        ));
+    });
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Model name");
         let field = egui::TextEdit::singleline(&mut state.model_name).desired_width(200.0);
@@ -166,8 +183,8 @@ mod tests {
 
     #[test]
     fn intervals_read_with_sensible_digits() {
-        assert_eq!(range(Some([0.612, 0.703]), 100.0), "61.2 to 70.3");
-        assert_eq!(range(Some([180.4, 251.0]), 1.0), "180 to 251");
-        assert_eq!(range(None, 1.0), "");
+        assert_eq!(range(Some([0.012, 0.04]), 100.0, 2), "1.20 to 4.00");
+        assert_eq!(range(Some([180.4, 251.0]), 1.0, 0), "180 to 251");
+        assert_eq!(range(None, 1.0, 0), "");
     }
 }

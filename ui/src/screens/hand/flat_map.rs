@@ -73,19 +73,17 @@ pub(super) fn flat_map_ui(
     let places: Vec<Pos2> = grown.into_iter().map(|position| projection.to_screen(position)).collect();
     let radius = marker_radius(&places);
 
-    for patch in &layout.patches {
-        let around = places[patch.channels.clone()]
-            .iter()
-            .fold(Rect::NOTHING, |rect, &place| rect.union(Rect::from_center_size(place, Vec2::ZERO)));
+    let outlines = patch_outlines(map.station, &places, radius);
+    for outline in &outlines {
         painter.rect(
-            around.expand(radius * 1.6),
+            *outline,
             radius * 0.8,
             palette.background,
             Stroke::new(1.0, palette.line),
             StrokeKind::Outside,
         );
     }
-    group_names(&painter, map.station, &places, radius, palette);
+    group_names(&painter, map.station, &outlines, palette);
 
     for (channel, (&place, sample)) in places.iter().zip(map.samples).enumerate() {
         let target = Rect::from_center_size(place, Vec2::splat(radius * 2.0 + 2.0));
@@ -214,20 +212,45 @@ fn taxel_shape(
     }
 }
 
-/// Names of the groups, above the highest of their taxels.
-fn group_names(painter: &egui::Painter, station: &Station, places: &[Pos2], radius: f32, palette: &Palette) {
+/// A box around each patch; boxes keep apart from each other where their taxels do.
+fn patch_outlines(station: &Station, places: &[Pos2], radius: f32) -> Vec<Rect> {
+    let around: Vec<Rect> = station
+        .layout
+        .patches
+        .iter()
+        .map(|patch| {
+            let of_patch = places[patch.channels.clone()].iter();
+            of_patch.fold(Rect::NOTHING, |rect, &place| rect.union(Rect::from_center_size(place, Vec2::ZERO)))
+        })
+        .collect();
+    let nearest = around
+        .iter()
+        .enumerate()
+        .flat_map(|(idx, a)| around[idx + 1..].iter().map(move |b| gap(a, b)))
+        .filter(|gap| *gap > 0.5)
+        .fold(f32::INFINITY, f32::min);
+    let margin = (radius * 1.6).min((nearest / 2.0 - 1.0).max(radius * 0.5));
+    around.into_iter().map(|rect| rect.expand(margin)).collect()
+}
+
+/// How far apart two boxes are along the axis that parts them most; at most 0 if they overlap.
+fn gap(a: &Rect, b: &Rect) -> f32 {
+    let x = (b.left() - a.right()).max(a.left() - b.right());
+    let y = (b.top() - a.bottom()).max(a.top() - b.bottom());
+    x.max(y)
+}
+
+/// Names of the groups, above the highest of their patches.
+fn group_names(painter: &egui::Painter, station: &Station, outlines: &[Rect], palette: &Palette) {
     let mut groups: Vec<(&str, Rect)> = Vec::new();
-    for patch in &station.layout.patches {
-        let around = places[patch.channels.clone()]
-            .iter()
-            .fold(Rect::NOTHING, |rect, &place| rect.union(Rect::from_center_size(place, Vec2::ZERO)));
+    for (patch, &around) in station.layout.patches.iter().zip(outlines) {
         match groups.iter_mut().find(|(group, _)| *group == patch.group) {
             Some((_, rect)) => *rect = rect.union(around),
             None => groups.push((&patch.group, around)),
         }
     }
     for (group, around) in groups {
-        let at = Pos2::new(around.center().x, around.top() - radius * 1.6 - 2.0);
+        let at = Pos2::new(around.center().x, around.top() - 2.0);
         painter.text(
             at,
             Align2::CENTER_BOTTOM,

@@ -32,13 +32,13 @@ use self::{
     signal::{Coloring, FULL_SCALE_THRESHOLDS, Sample, Signal},
     view3d::{Moment, ViewState, view3d_ui},
 };
-use super::{ScreenContext, empty_ui, ensure_take_ui, failed_ui, loading_ui};
+use super::{ScreenContext, controls::compared_ui, empty_ui, ensure_take_ui, failed_ui, loading_ui, words};
 use crate::{
     playback::{HandSource, ModelRef},
     route::Screen,
     store::{Connection, Loadable},
     take_data::TakeData,
-    theme::taxel_scale,
+    theme::taxel_scale_ui,
 };
 
 const SIDE_WIDTH: f32 = 360.0;
@@ -71,6 +71,8 @@ struct Banner {
     about: String,
     /// Why a simulation that was asked for is not shown.
     missing: Option<String>,
+    /// The compared simulation was asked for, and none is chosen.
+    nothing_to_compare: bool,
 }
 
 /// The screen.
@@ -188,6 +190,7 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
             color: cx.palette.text_weak,
             about: about_take(&station, &take_id, summary.as_ref()),
             missing,
+            nothing_to_compare: state.signal == Signal::Calibrated && compared_model.is_none(),
         },
         take: Some((take, time_s)),
         replays: [nominal, compared],
@@ -198,7 +201,7 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
 fn about_take(station: &Station, take_id: &str, summary: Option<&TakeSummary>) -> String {
     let Some(summary) = summary else { return take_id.to_owned() };
     let object = station.objects.get(&summary.object).map_or(summary.object.as_str(), |object| &object.label);
-    [take_id, &summary.primitive, object]
+    [take_id, &words(&summary.primitive), object]
         .into_iter()
         .filter(|word| !word.is_empty())
         .collect::<Vec<_>>()
@@ -257,12 +260,14 @@ fn live_banner(cx: &ScreenContext<'_>, frame: &LiveFrame) -> Banner {
             color: cx.palette.mismatch,
             about: "the connection is lost; this is the last frame that arrived".to_owned(),
             missing: None,
+            nothing_to_compare: false,
         },
         _ => Banner {
             source: if emulated { "LIVE (EMULATED)" } else { "LIVE" }.to_owned(),
             color: if emulated { cx.palette.warning } else { cx.palette.mismatch },
             about: frame.activity.clone(),
             missing: None,
+            nothing_to_compare: false,
         },
     }
 }
@@ -348,6 +353,11 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
             return;
         }
         let seen = view3d_ui(ui, rect, &mut state.view, &geometry, &moment, &palette, cx.surface_format);
+        let reset =
+            seen.hovered.is_none() && seen.response.as_ref().is_some_and(egui::Response::double_clicked);
+        if reset {
+            state.view.reset(&geometry, &moment);
+        }
         if let Some(channel) = seen.hovered {
             cx.playback.hovered = Some(channel);
             if let Some(response) = seen.response {
@@ -386,7 +396,10 @@ fn controls_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandSt
                 }
             }
             if state.signal == Signal::Calibrated {
-                model_picker_ui(ui, cx);
+                compared_ui(ui, cx);
+                if shot.banner.nothing_to_compare && ui.button("Calibrate first").clicked() {
+                    cx.go_to_screen(Screen::Calibrate);
+                }
             }
         }
         ui.separator();
@@ -409,47 +422,6 @@ fn signal_hint(signal: Signal) -> &'static str {
         Signal::Nominal => "What the nominal simulation of the same motion says",
         Signal::Calibrated => "What the compared simulation says, usually a calibrated one",
     }
-}
-
-/// Which simulation is the blue one.
-fn model_picker_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    let mut offered: Vec<(ModelRef, String)> = Vec::new();
-    if let Loadable::Ready(models) = cx.store.models() {
-        offered.extend(models.iter().map(|model| (ModelRef::Saved(model.id.clone()), model.name.clone())));
-    }
-    if let Loadable::Ready(runs) = cx.store.runs() {
-        offered.extend(runs.iter().filter(|run| run.report.is_some()).map(|run| {
-            (ModelRef::Run(run.id.clone()), format!("Run {} on {}", run.id, run.request.session))
-        }));
-    }
-    if offered.is_empty() {
-        if ui
-            .button("Calibrate first")
-            .on_hover_text("No calibrated model yet: calibrate this session to get one")
-            .clicked()
-        {
-            cx.go_to_screen(Screen::Calibrate);
-        }
-        return;
-    }
-    let current = cx.playback.compared.as_ref().map_or_else(
-        || "Choose a model".to_owned(),
-        |model| {
-            offered
-                .iter()
-                .find(|(known, _)| known == model)
-                .map_or_else(|| model.to_string(), |(_, name)| name.clone())
-        },
-    );
-    let combo =
-        egui::ComboBox::from_id_salt("hand model").width(150.0).selected_text(&current).show_ui(ui, |ui| {
-            for (model, name) in offered {
-                ui.selectable_value(&mut cx.playback.compared, Some(model), name);
-            }
-        });
-    combo.response.widget_info(|| {
-        egui::WidgetInfo::labeled(Role::ComboBox, true, format!("Compared model: {current}"))
-    });
 }
 
 /// Named views and what is shown.
@@ -526,14 +498,8 @@ fn legend_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, palette: &crate::theme::Palet
         Coloring::Reading => {
             ui.horizontal(|ui| {
                 ui.label("0");
-                let (rect, response) = ui.allocate_exact_size(egui::vec2(170.0, 14.0), egui::Sense::hover());
-                let steps = 48;
-                for step in 0..steps {
-                    let share = |step: i32| step as f32 / steps as f32;
-                    let x = egui::lerp(rect.x_range(), share(step))..=egui::lerp(rect.x_range(), share(step + 1)) + 0.5;
-                    let cell = egui::Rect::from_x_y_ranges(x, rect.y_range());
-                    ui.painter().rect_filled(cell, 0.0, taxel_scale(share(step) + 0.5 / steps as f32));
-                }
+                let response = taxel_scale_ui(ui, 170.0);
+                let rect = response.rect;
                 let tick = egui::lerp(rect.x_range(), 1.0 / FULL_SCALE_THRESHOLDS);
                 ui.painter().vline(tick, rect.expand(3.0).y_range(), egui::Stroke::new(2.0, palette.real));
                 let name = format!("Scale: violet is no touch, the mark is the threshold, yellow is {FULL_SCALE_THRESHOLDS} thresholds or more");

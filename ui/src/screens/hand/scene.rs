@@ -286,6 +286,35 @@ impl Geometry {
         (!hidden).then_some(channel)
     }
 
+    /// Share of the taxels that nothing which carries the hand hides from `eye`; 1 without taxels.
+    pub(super) fn share_in_sight(
+        &self,
+        station: &Station,
+        root_from_link: &[Isometry3<f64>],
+        eye: &Point3<f32>,
+        shown: Shown,
+    ) -> f32 {
+        let places = self.taxels(station, root_from_link);
+        let carriers: Vec<(usize, Isometry3<f32>)> = self
+            .link_meshes
+            .iter()
+            .zip(&self.in_hand)
+            .zip(root_from_link)
+            .filter(|((_, in_hand), _)| shown.arm && !**in_hand)
+            .filter_map(|((mesh, _), pose)| Some(((*mesh)?, pose.cast())))
+            .collect();
+        let in_sight = places.iter().filter(|place| {
+            let Some((direction, distance)) = Unit::try_new_and_get(place.position - eye, 1e-6) else {
+                return true;
+            };
+            let ray = Ray { origin: *eye, direction };
+            !carriers.iter().any(|(mesh, pose)| {
+                self.hits(*mesh, pose, &ray).is_some_and(|hit| hit < distance - OCCLUSION_SLACK_M)
+            })
+        });
+        if places.is_empty() { 1.0 } else { in_sight.count() as f32 / places.len() as f32 }
+    }
+
     /// A ball around what `subject` shows, and the directions to look from and to have up on the screen.
     pub(super) fn framing(
         &self,
@@ -297,10 +326,17 @@ impl Geometry {
         let places = self.taxels(station, root_from_link);
         let root_pose = root_from_link.get(self.hand_root).copied().unwrap_or_else(Isometry3::identity);
         let front = self.front(station, &places);
-        let hand = self.hand_bounds(root_from_link).unwrap_or(Bounds {
-            center: Point3::from(root_pose.translation.vector.cast::<f32>()),
-            radius_m: 0.1,
-        });
+        let touching = Bounds::around(places.iter().map(|place| place.position).collect::<Vec<_>>());
+        let hand = match (self.hand_bounds(root_from_link), touching) {
+            // A pad at the end of a long rod: the rod would make the pad tiny.
+            (Some(hand), Some(touching)) if hand.radius_m > 3.0 * touching.radius_m => {
+                Bounds { radius_m: 3.0 * touching.radius_m, ..touching }
+            }
+            (Some(hand), _) => hand,
+            (None, _) => {
+                Bounds { center: Point3::from(root_pose.translation.vector.cast::<f32>()), radius_m: 0.1 }
+            }
+        };
         // Fingers point up: from the root of the hand toward its taxels.
         let up = mean(places.iter().map(|place| place.position.coords))
             .map_or(Vector3::x(), |middle| middle - root_pose.translation.vector.cast::<f32>());

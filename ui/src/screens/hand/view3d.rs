@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use palpate_robot_model::Station;
 
 use super::{
-    camera::Camera,
+    camera::{Bounds, Camera},
     renderer::{Globals, ScenePaint},
     scene::{Geometry, SceneColors, Shown, Subject, TaxelLook, View},
 };
@@ -101,12 +101,12 @@ impl ViewState {
     pub(super) fn look_at(&mut self, geometry: &Geometry, moment: &Moment<'_>, view: &View) {
         let (bounds, toward_eye, up) =
             geometry.framing(moment.station, moment.root_from_link, moment.object, &view.subject);
-        self.fly_to(Camera::framing(bounds, toward_eye, up, self.last_aspect));
+        self.fly_to(clear_camera(geometry, moment, bounds, [toward_eye, up], self.last_aspect, self.shown));
     }
 
     /// Flies to where the view began.
     pub(super) fn reset(&mut self, geometry: &Geometry, moment: &Moment<'_>) {
-        self.fly_to(home(geometry, moment, self.last_aspect));
+        self.fly_to(home(geometry, moment, self.last_aspect, self.shown));
     }
 
     fn fly_to(&mut self, to: Camera) {
@@ -125,7 +125,7 @@ impl ViewState {
         aspect: f32,
     ) -> Camera {
         self.last_aspect = aspect;
-        let mut camera = self.camera.unwrap_or_else(|| home(geometry, moment, aspect));
+        let mut camera = self.camera.unwrap_or_else(|| home(geometry, moment, aspect, self.shown));
         if let Some(flight) = &mut self.flight {
             flight.share = (flight.share + ctx.input(|input| input.stable_dt) / FLIGHT_S).min(1.0);
             // Starts and lands softly (smoothstep).
@@ -192,7 +192,7 @@ impl ViewState {
 }
 
 /// The view that the screen opens with: hand and object from before and a little above, the fingers in sight.
-fn home(geometry: &Geometry, moment: &Moment<'_>, aspect: f32) -> Camera {
+pub(super) fn home(geometry: &Geometry, moment: &Moment<'_>, aspect: f32, shown: Shown) -> Camera {
     let (bounds, front, up) =
         geometry.framing(moment.station, moment.root_from_link, moment.object, &Subject::Front);
     let front = front.try_normalize(1e-6).unwrap_or(Vector3::x());
@@ -208,7 +208,43 @@ fn home(geometry: &Geometry, moment: &Moment<'_>, aspect: f32) -> Camera {
         side * 0.45
     };
     let toward_eye = front + lean + side * 0.1;
-    Camera::framing(bounds, toward_eye, up, aspect)
+    clear_camera(geometry, moment, bounds, [toward_eye, up], aspect, shown)
+}
+
+/// A camera that sees `bounds` from the side `toward_eye`, or as near to that side as what carries the hand (an arm, a
+/// table) leaves the taxels in sight.
+pub(super) fn clear_camera(
+    geometry: &Geometry,
+    moment: &Moment<'_>,
+    bounds: Bounds,
+    [toward_eye, up]: [Vector3<f32>; 2],
+    aspect: f32,
+    shown: Shown,
+) -> Camera {
+    const ENOUGH_IN_SIGHT: f32 = 0.8;
+    const TILTS_RAD: [f32; 4] = [0.0, 0.6, 1.2, 1.8];
+    const TURNS_RAD: [f32; 8] = [0.0, 0.8, -0.8, 1.6, -1.6, 2.4, -2.4, std::f32::consts::PI];
+    let direct = toward_eye.try_normalize(1e-6).unwrap_or(Vector3::x());
+    // Turns are counted from the operator's side of the station, -y.
+    let across = |axis: Vector3<f32>| (axis - direct * axis.dot(&direct)).try_normalize(0.1);
+    let first = across(-Vector3::y()).or_else(|| across(Vector3::x())).unwrap_or(Vector3::z());
+    let second = direct.cross(&first);
+    let mut best: Option<(f32, Camera)> = None;
+    for tilt_rad in TILTS_RAD {
+        for turn_rad in TURNS_RAD {
+            let aside = first * turn_rad.cos() + second * turn_rad.sin();
+            let direction = direct * tilt_rad.cos() + aside * tilt_rad.sin();
+            let camera = Camera::framing(bounds, direction, up, aspect);
+            let share = geometry.share_in_sight(moment.station, moment.root_from_link, &camera.eye(), shown);
+            if share >= ENOUGH_IN_SIGHT {
+                return camera;
+            }
+            if best.as_ref().is_none_or(|(most, _)| share > *most) {
+                best = Some((share, camera));
+            }
+        }
+    }
+    best.map_or_else(|| Camera::framing(bounds, direct, up, aspect), |(_, camera)| camera)
 }
 
 /// Draws the scene into `rect` and lets the pointer steer and pick.

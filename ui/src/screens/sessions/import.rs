@@ -38,8 +38,7 @@ pub(super) fn take_picked_files(cx: &mut ScreenContext<'_>, state: &mut ImportSt
     {
         state.waits = false;
         let id = session.summary.id.clone();
-        cx.playback.session = Some(id.clone());
-        cx.playback.take = None;
+        cx.playback.open_session(&id);
         *cx.go_to = Some(Route::to(Screen::Sessions).with_session(id));
     }
 }

@@ -15,6 +15,8 @@ const PAIR_REACH_S: f64 = 1.0;
 /// What one simulation says in a lane, set against the real contacts.
 #[derive(Clone, Debug, Default)]
 pub struct SimRow {
+    /// All its contacts.
+    pub contacts: Vec<Event>,
     /// Contacts that are real too.
     pub both: Vec<Event>,
     /// Simulated, not real.
@@ -148,6 +150,7 @@ fn build_lane(
                 simulated_only: runs(times_s, end_s, pairs().map(|(real, sim)| sim && !real)),
                 real_only: runs(times_s, end_s, pairs().map(|(real, sim)| real && !sim)),
                 onsets: pair_onsets(&real_events, &events, PAIR_REACH_S),
+                contacts: events,
             }
         })
         .collect();

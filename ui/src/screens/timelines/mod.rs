@@ -20,28 +20,16 @@ use self::{lanes::TakeLanes, view::TimeView};
 use super::{ScreenContext, ensure_take_ui, failed_ui, loading_ui};
 use crate::{
     commands::Command,
-    playback::ModelRef,
+    playback::{ModelRef, ShownChannels},
+    route::Screen,
     store::Loadable,
     take_data::{TakeData, check_replay},
 };
-
-/// Which channels have a lane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum ShownChannels {
-    /// Those touched in this take, in reality or in a simulation.
-    #[default]
-    Touched,
-    /// All.
-    All,
-    /// Those picked by hand.
-    Picked,
-}
 
 /// What the screen keeps from frame to frame.
 #[derive(Debug, Default)]
 pub struct TimelinesState {
     commands: Vec<Command>,
-    shown: ShownChannels,
     view: Option<TimeView>,
     view_of: Option<(String, String)>,
     cache: Option<Cache>,
@@ -87,8 +75,10 @@ struct Mismatches {
 
 /// A simulation in the picture.
 struct Simulation {
-    /// Short name: `nominal`, or what it is compared with.
-    label: String,
+    /// `nominal` or `calibrated`.
+    label: &'static str,
+    /// Which one: the label, and in brackets the run or the saved model.
+    full_label: String,
     colour: Color32,
     /// Which of the lanes' rows it has; `None` while it is on its way.
     row: Option<usize>,
@@ -130,7 +120,10 @@ pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut T
         Err(error) => return failed_ui(ui, cx, "This take cannot be drawn", &error),
     };
     if take.num_frames() == 0 {
-        super::empty_ui(ui, "This take is empty", "It holds no joint frame; choose another take.", "Reload");
+        let text = "It holds no joint frame, so there is nothing to draw.";
+        if super::empty_ui(ui, "This take is empty", text, "Choose another take") {
+            cx.go_to_screen(Screen::Sessions);
+        }
         return;
     }
     for simulation in &simulations {
@@ -150,7 +143,7 @@ pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut T
         Some(view) if state.view_of.as_ref() == Some(&key) => view,
         _ => TimeView::fit(take.duration_s()),
     };
-    let channels = shown_channels(state.shown, cx, &lanes);
+    let channels = shown_channels(cx, &lanes);
     let judged = simulations.iter().rev().find_map(|simulation| simulation.row);
     let mismatches_s = judged.map(|sim| mismatches_of(state, &lanes, &channels, sim));
     for command in commands {
@@ -178,21 +171,21 @@ fn simulations(
     session: &str,
     take: &str,
 ) -> (Vec<Simulation>, Vec<Arc<ReplayTrace>>) {
-    let mut chosen = vec![(ModelRef::Nominal, "nominal".to_owned(), cx.palette.nominal)];
+    let mut chosen = vec![(ModelRef::Nominal, "nominal", "nominal".to_owned(), cx.palette.nominal)];
     if let Some(model) = cx.playback.compared.clone().filter(|model| *model != ModelRef::Nominal) {
-        let label = cx.store.model_label(&model);
-        chosen.push((model, label, cx.palette.calibrated));
+        let full_label = cx.store.compared_label(Some(&model));
+        chosen.push((model, "calibrated", full_label, cx.palette.calibrated));
     }
     let mut replays = Vec::new();
     let simulations = chosen
         .into_iter()
-        .map(|(model, label, colour)| {
+        .map(|(model, label, full_label, colour)| {
             let replay = cx.store.replay(session, take, &model);
             let row = replay.ready().map(|replay| {
                 replays.push(replay.clone());
                 replays.len() - 1
             });
-            Simulation { label, colour, row, error: replay.error().map(str::to_owned) }
+            Simulation { label, full_label, colour, row, error: replay.error().map(str::to_owned) }
         })
         .collect();
     (simulations, replays)
@@ -241,8 +234,8 @@ fn mismatches_of(
     starts_s
 }
 
-fn shown_channels(shown: ShownChannels, cx: &ScreenContext<'_>, lanes: &TakeLanes) -> Vec<usize> {
-    match shown {
+fn shown_channels(cx: &ScreenContext<'_>, lanes: &TakeLanes) -> Vec<usize> {
+    match cx.playback.shown {
         ShownChannels::Touched => lanes.touched(),
         ShownChannels::All => (0..lanes.channels.len()).collect(),
         ShownChannels::Picked => {

@@ -16,6 +16,8 @@ use crate::take_data::TakeData;
 const NAMES_WIDTH: f32 = 216.0;
 const RULER_HEIGHT: f32 = 40.0;
 const MIN_TICK_PX: f32 = 90.0;
+/// How far the wheel turns for a zoom by e, points.
+const WHEEL_PER_E: f32 = 400.0;
 
 /// What there is to draw.
 pub(super) struct Picture<'a> {
@@ -109,9 +111,9 @@ fn legend_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, picture: &Picture<'_>) {
         for simulation in picture.simulations {
             let waiting = simulation.row.is_none() && simulation.error.is_none();
             let text = if waiting {
-                format!("{}, simulating\u{2026}", simulation.label)
+                format!("{}, simulating\u{2026}", simulation.full_label)
             } else {
-                simulation.label.clone()
+                simulation.full_label.clone()
             };
             key(ui, simulation.colour, true, false, &text);
         }
@@ -136,7 +138,7 @@ fn wheel(ui: &egui::Ui, plot: Rect, view: &mut TimeView) {
         (scroll, input.zoom_delta())
     });
     let axis = Axis { view: *view, left: plot.left(), width: plot.width() };
-    let factor = f64::from(pinch) * f64::from(scroll.y / 200.0).exp();
+    let factor = f64::from(pinch) * f64::from(scroll.y / WHEEL_PER_E).exp();
     view.zoom_at(axis.time_s(pointer.x), factor);
     view.pan(-f64::from(scroll.x) / f64::from(axis.px_per_s()));
 }

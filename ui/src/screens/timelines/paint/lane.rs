@@ -18,7 +18,7 @@ const CHANNEL_BAR: f32 = 10.0;
 const TRACE_HEIGHT: f32 = 26.0;
 const MIN_HEIGHT: f32 = 32.0;
 /// Onset arrows appear when a second is at least this wide, points.
-const ARROW_PX_PER_S: f32 = 120.0;
+const ARROW_PX_PER_S: f32 = 70.0;
 
 pub(super) fn lane_ui(
     ui: &mut egui::Ui,
@@ -44,10 +44,15 @@ pub(super) fn lane_ui(
     let id = ui.scope_id().with(("lane", lane.stream, lane.channel));
     // Not a stop for the keyboard: the time cursor and the names are.
     let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
-    plot_pointer(&response, cx, axis, view);
     if response.hovered() && lane.channel.is_some() {
         cx.playback.hovered = lane.channel;
     }
+    let about = response.hover_pos().map(|pos| contacts_at(picture, lane, axis.time_s(pos.x)));
+    let response = match about {
+        Some(lines) if !lines.is_empty() => response.on_hover_text_at_pointer(lines.join("\n")),
+        _ => response,
+    };
+    plot_pointer(&response, cx, axis, view);
 
     let painter = ui.painter().with_clip_rect(rect.intersect(ui.clip_rect()));
     let highlighted = lane.channel.is_some() && cx.playback.highlighted() == lane.channel;
@@ -93,13 +98,13 @@ fn name_ui(
     bar: f32,
 ) {
     let time_s = cx.playback.time_s;
-    let on = |events: &[Event]| is_on(events, time_s);
+    let on = |events: &[Event]| event_at(events, time_s).is_some();
     let real_on = on(&lane.real);
-    let mut states = vec![("real".to_owned(), cx.palette.real, Some(real_on))];
+    let mut states = vec![("real", cx.palette.real, Some(real_on))];
     for simulation in picture.simulations {
         let sim = simulation.row.and_then(|row| lane.sims.get(row));
-        let sim_on = sim.map(|sim| on(&sim.both) || on(&sim.simulated_only));
-        states.push((simulation.label.clone(), simulation.colour, sim_on));
+        let sim_on = sim.map(|sim| on(&sim.contacts));
+        states.push((simulation.label, simulation.colour, sim_on));
     }
     let reading = lane.channel.and_then(|channel| {
         let value = picture.take.raw_at(time_s, channel, picture.station)?;
@@ -168,14 +173,40 @@ fn name_ui(
         };
         // Rows of single channels are too low for words; the order is that of the legend.
         if lane.channel.is_none() {
-            painter.text(centre - vec2(9.0, 0.0), Align2::RIGHT_CENTER, label, font.clone(), *colour);
+            painter.text(centre - vec2(9.0, 0.0), Align2::RIGHT_CENTER, *label, font.clone(), *colour);
         }
     }
 }
 
-fn is_on(events: &[Event], time_s: f64) -> bool {
+/// The contacts of `lane` that hold at `time_s`, a line each, and how much later the simulated ones begin.
+fn contacts_at(picture: &Picture<'_>, lane: &Lane, time_s: f64) -> Vec<String> {
+    let line = |label: &str, event: &Event| {
+        let length_s = event.end_s - event.start_s;
+        format!("{label}: {:.2} s to {:.2} s ({length_s:.2} s)", event.start_s, event.end_s)
+    };
+    let real = event_at(&lane.real, time_s);
+    let mut lines: Vec<String> = real.map(|event| line("real", event)).into_iter().collect();
+    for simulation in picture.simulations {
+        let Some(sim) = simulation.row.and_then(|row| lane.sims.get(row)) else { continue };
+        let Some(event) = event_at(&sim.contacts, time_s) else { continue };
+        let pair = sim.onsets.iter().find(|pair| pair.simulated_s == event.start_s);
+        let late = pair.map_or(", no real partner".to_owned(), |pair| {
+            format!(", onset {}", offset_text(pair.simulated_s - pair.real_s))
+        });
+        lines.push(line(simulation.label, event) + &late);
+    }
+    lines
+}
+
+/// How much later, in milliseconds with a sign.
+fn offset_text(late_s: f64) -> String {
+    let late_ms = late_s * 1e3;
+    if late_ms.abs() < 0.5 { "0 ms".to_owned() } else { format!("{late_ms:+.0} ms") }
+}
+
+fn event_at(events: &[Event], time_s: f64) -> Option<&Event> {
     let idx = events.partition_point(|event| event.end_s <= time_s);
-    events.get(idx).is_some_and(|event| event.start_s <= time_s)
+    events.get(idx).filter(|event| event.start_s <= time_s)
 }
 
 struct Bars<'a> {
@@ -222,8 +253,7 @@ fn arrows(painter: &egui::Painter, axis: &Axis, sim: &SimRow, y: f32, colour: Co
             painter.line_segment([pos2(to_x, y), pos2(to_x + back, y - 3.0)], stroke);
             painter.line_segment([pos2(to_x, y), pos2(to_x + back, y + 3.0)], stroke);
         }
-        let late_ms = (pair.simulated_s - pair.real_s) * 1e3;
-        let text = if late_ms.abs() < 0.5 { "0 ms".to_owned() } else { format!("{late_ms:+.0} ms") };
+        let text = offset_text(pair.simulated_s - pair.real_s);
         let galley = painter.layout_no_wrap(text, FontId::proportional(13.0), colour);
         let size = galley.size();
         let corner = pos2(from_x.min(to_x) - size.x - 4.0, y - size.y / 2.0);
