@@ -45,7 +45,8 @@ struct Table {
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
-    /// By number, oldest first.
+    /// By number, oldest first. Updates are published while this is locked, so that they leave in the order in which
+    /// things happened.
     entries: Mutex<BTreeMap<u64, Entry>>,
 }
 
@@ -99,13 +100,11 @@ impl Runs {
             };
             self.table.store.save_run(&run)?;
             entries.insert(number, Entry { run: run.clone(), cancel: Arc::default() });
+            self.table.hub.publish_job(&update_of(&run));
             run
         };
         match self.queue.try_send(run.id.clone()) {
-            Ok(()) => {
-                self.table.hub.publish_job(&update_of(&run));
-                Ok(run)
-            }
+            Ok(()) => Ok(run),
             Err(TrySendError::Full(_)) => {
                 let problem = format!("{MAX_QUEUED} runs wait already; cancel some, or wait");
                 self.table.finish(&run.id, JobState::Failed, Some(problem.clone()), None);
@@ -212,10 +211,10 @@ impl Table {
                 }
                 entry.run.state = JobState::Running;
                 entry.run.stage = "reading the session".to_owned();
+                self.hub.publish_job(&update_of(&entry.run));
                 Some((entry.run.clone(), entry.cancel.clone()))
             });
             let Ok(Some((run, cancel))) = started else { continue };
-            self.hub.publish_job(&update_of(&run));
             let progress =
                 RunProgress { table: self, id: &id, start: Instant::now(), last: Mutex::default() };
             // A fault in one run must not end the thread that all of them need.
@@ -266,6 +265,7 @@ impl Table {
                 run.report = Some(artifacts.report);
                 run.model_toml = Some(artifacts.model.to_toml());
             }
+            self.hub.publish_job(&update_of(run));
             Some(run.clone())
         });
         let Ok(Some(run)) = finished else { return };
@@ -275,7 +275,6 @@ impl Table {
         if let Some(error) = &run.error {
             tracing::warn!(run = id, error, "calibration failed");
         }
-        self.hub.publish_job(&update_of(&run));
     }
 
     fn with<T>(&self, id: &str, read: impl FnOnce(&mut Entry) -> T) -> Result<T, Error> {
@@ -305,22 +304,22 @@ impl Progress for RunProgress<'_> {
         let elapsed_s = self.start.elapsed().as_secs_f64();
         // Held until the update is published, so that clients see updates in the order in which they were made.
         let mut last = lock(&self.last);
-        let updated = self.table.with(self.id, |entry| {
+        // A run that ended while another thread reported is not there to be updated; nobody need know.
+        let _ = self.table.with(self.id, |entry| {
             let run = &mut entry.run;
             // Reports of several threads may overtake each other; the bar never goes back.
             run.fraction = run.fraction.max(fraction);
             run.stage = stage.to_owned();
             run.seconds_left = (run.fraction > 0.05).then(|| elapsed_s / run.fraction * (1.0 - run.fraction));
-            update_of(run)
+            let mut last = lock(&self.last);
+            let due = last
+                .as_ref()
+                .is_none_or(|(when, last_stage)| when.elapsed() >= UPDATE_PERIOD || last_stage != stage);
+            if due {
+                *last = Some((Instant::now(), stage.to_owned()));
+                self.table.hub.publish_job(&update_of(run));
+            }
         });
-        let Ok(update) = updated else { return };
-        let due = last
-            .as_ref()
-            .is_none_or(|(when, last_stage)| when.elapsed() >= UPDATE_PERIOD || last_stage != stage);
-        if due {
-            *last = Some((Instant::now(), stage.to_owned()));
-            self.table.hub.publish_job(&update);
-        }
     }
 }
 

@@ -217,7 +217,8 @@ async fn damaged_session_is_listed_with_what_is_wrong() {
 
 #[tokio::test]
 async fn page_or_how_to_build_it_is_at_the_root() {
-    let app = Data::empty().app();
+    let data = Data::empty();
+    let app = data.app();
     let answer = get(&app, "/").await;
     assert_eq!(answer.status, 200);
     assert!(answer.header(header::CONTENT_TYPE).starts_with("text/html"));

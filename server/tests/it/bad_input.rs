@@ -167,13 +167,13 @@ fn arguments_that_name_nothing() {
     let data = Data::with_session();
     let here = data.path(".");
     let session = data.session();
-    let args = ["calibrate", "--session", arg(&session), "--hold-out", "take-01,take-55"];
+    let args = ["calibrate", "--session", arg(session), "--hold-out", "take-01,take-55"];
     refuses(&here, &args, &["take-55", "take-04"]);
     let everything =
-        ["calibrate", "--session", arg(&session), "--hold-out", "take-01,take-02,take-03,take-04"];
+        ["calibrate", "--session", arg(session), "--hold-out", "take-01,take-02,take-03,take-04"];
     refuses(&here, &everything, &["hold"]);
     let nowhere = data.path("nowhere/model.toml");
-    let args = ["calibrate", "--session", arg(&session), "--out", arg(&nowhere)];
+    let args = ["calibrate", "--session", arg(session), "--out", arg(&nowhere)];
     refuses(&here, &args, &["nowhere"]);
     let args = ["emulate", "--truth", "nowhere.toml", "--out", arg(&nowhere)];
     refuses(&here, &args, &["nowhere.toml"]);
