@@ -302,8 +302,6 @@ impl Progress for RunProgress<'_> {
     fn report(&self, fraction: f64, stage: &str) {
         let fraction = fraction.clamp(0.0, 1.0);
         let elapsed_s = self.start.elapsed().as_secs_f64();
-        // Held until the update is published, so that clients see updates in the order in which they were made.
-        let mut last = lock(&self.last);
         // A run that ended while another thread reported is not there to be updated; nobody need know.
         let _ = self.table.with(self.id, |entry| {
             let run = &mut entry.run;
