@@ -1,6 +1,10 @@
 //! The robots, layouts, stations and truths that the binary carries, so that it works anywhere.
 
-use std::{fs, path::Path};
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use palpate_robot_model::Station;
 use tempfile::TempDir;
@@ -10,7 +14,7 @@ use crate::Error;
 /// Sorted by path relative to `assets/`.
 static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/assets.rs"));
 
-/// Recordings from elsewhere belong to this station unless somebody says otherwise.
+/// Recordings from elsewhere belong to this station where neither somebody nor their files say otherwise.
 pub const DEFAULT_STATION: &str = "xarm6-leap";
 
 /// Ids of the shipped stations.
@@ -33,6 +37,41 @@ pub fn station(id: &str) -> Result<Station, Error> {
     Ok(station)
 }
 
+/// The shipped station that the CSV recordings in `csv_dir` were made on, as far as their files tell: the one whose
+/// streams are those of the first take. [`DEFAULT_STATION`] where none or several fit; importing then says what is amiss.
+pub fn station_of_recordings(csv_dir: &Path) -> Result<Station, Error> {
+    let recorded = stream_files(csv_dir);
+    let mut fitting = Vec::new();
+    for id in station_ids() {
+        let station = station(&id)?;
+        if recorded == station.layout.streams.iter().map(|stream| stream.id.clone()).collect() {
+            fitting.push(station);
+        }
+    }
+    match (fitting.pop(), fitting.is_empty()) {
+        (Some(station), true) => Ok(station),
+        _ => station(DEFAULT_STATION),
+    }
+}
+
+/// Stems of the first take's CSV files, the joint log aside.
+fn stream_files(csv_dir: &Path) -> BTreeSet<String> {
+    let entries = |dir: &Path| -> Vec<PathBuf> {
+        let mut paths: Vec<PathBuf> =
+            fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        paths.sort();
+        paths
+    };
+    let first_take = entries(csv_dir).into_iter().find(|path| path.join("joints.csv").exists());
+    let files = first_take.map(|dir| entries(&dir)).unwrap_or_default();
+    files
+        .iter()
+        .filter(|path| path.extension().is_some_and(|extension| extension == "csv"))
+        .filter_map(|path| path.file_stem()?.to_str().map(str::to_owned))
+        .filter(|stem| stem != "joints")
+        .collect()
+}
+
 /// Writes all of it to a folder that goes when the result is dropped.
 pub fn unpack() -> Result<TempDir, Error> {
     let dir = tempfile::tempdir().map_err(Error::io("make", std::env::temp_dir()))?;
@@ -46,7 +85,7 @@ pub fn unpack() -> Result<TempDir, Error> {
 }
 
 /// A truth file by path, or a shipped one by name (`demo`); the folder must outlive its use.
-pub fn truth(path_or_name: &Path) -> Result<(std::path::PathBuf, Option<TempDir>), Error> {
+pub fn truth(path_or_name: &Path) -> Result<(PathBuf, Option<TempDir>), Error> {
     let shipped = path_or_name.to_str().map(|name| format!("truth/{name}.toml"));
     match shipped.filter(|shipped| !path_or_name.exists() && read(shipped).is_some()) {
         Some(shipped) => {

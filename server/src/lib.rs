@@ -12,7 +12,7 @@
 //! | GET | `/api/v1/station` | `StationDocument` of the live station; 404 without one |
 //! | GET | `/api/v1/stations` | ids of the stations that the binary carries |
 //! | GET | `/api/v1/sessions` | `[SessionSummary]` |
-//! | POST | `/api/v1/sessions?name=NAME[&station=ID]` | body `application/zip`: a CSV import folder or a session folder; 201 `SessionDetail`, `Location` |
+//! | POST | `/api/v1/sessions?name=NAME[&station=ID]` | body `application/zip`: a CSV import folder (without `station`: of the shipped one that has its streams) or a session folder; 201 `SessionDetail`, `Location` |
 //! | GET, DELETE | `/api/v1/sessions/{id}` | `SessionDetail`; DELETE moves it to the trash, 204 |
 //! | POST | `/api/v1/sessions/{id}/restore` | undoes the DELETE; `SessionDetail` |
 //! | GET | `/api/v1/sessions/{id}/check` | `CheckReport` |

@@ -48,7 +48,7 @@ pub(crate) fn add_session(
         }
         return store.adopt_session(name, &root);
     }
-    let station = assets::station(station_id.unwrap_or(assets::DEFAULT_STATION))?;
+    let station = station_id.map_or_else(|| assets::station_of_recordings(&root), assets::station)?;
     let imported = incoming.path().join("session");
     import_csv(&station, &root, &imported).map_err(Error::from).map_err(as_seen_by_sender)?;
     store.adopt_session(name, &imported)

@@ -20,16 +20,20 @@ pub(crate) struct ImportArgs {
     /// Folder of the session to make
     #[arg(long, value_name = "SESSION")]
     out: PathBuf,
-    /// The station they were recorded on: a station file, or the id of a shipped one
-    #[arg(long, value_name = "FILE|ID", default_value = assets::DEFAULT_STATION)]
-    station: String,
+    /// The station they were recorded on: a station file, or the id of a shipped one [default: the shipped one whose
+    /// streams the first take has]
+    #[arg(long, value_name = "FILE|ID")]
+    station: Option<String>,
     /// Print what was imported as JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(args: &ImportArgs) -> Outcome {
-    let station = station(&args.station)?;
+    let station = match &args.station {
+        Some(file_or_id) => station(file_or_id)?,
+        None => assets::station_of_recordings(&args.csv)?,
+    };
     let dir = import_csv(&station, &args.csv, &args.out)?;
     let detail = Library::default().detail(&Session::open(&dir)?)?;
     if args.json {

@@ -33,6 +33,19 @@ async fn csv_folder_becomes_a_session() {
 }
 
 #[tokio::test]
+async fn recordings_find_the_shipped_station_that_has_their_streams() {
+    let data = Data::empty();
+    write_recording(data.csv());
+    let app = data.app();
+    let answer = upload(&app, "name=unnamed", zip_folder(data.csv(), "")).await;
+    assert_eq!(answer.json::<SessionDetail>().summary.station, STATION);
+    // Streams of no shipped station: the message speaks of the default one, which says what it expected.
+    fs::remove_file(data.csv().join("take-01/film.csv")).unwrap();
+    let detail = upload(&app, "name=odd", zip_folder(data.csv(), "")).await.problem(422);
+    assert!(detail.contains("take-01"), "{detail}");
+}
+
+#[tokio::test]
 async fn session_folder_comes_back_as_it_was() {
     let data = Data::with_session();
     let app = data.app();
