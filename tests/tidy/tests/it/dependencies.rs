@@ -8,6 +8,7 @@ use crate::root;
 
 /// The level of each crate: a crate uses only crates of lower levels, also in its tests.
 const LEVELS: &[(&str, u32)] = &[
+    ("palpate_device_protocol", 0),
     ("palpate_robot_model", 0),
     ("palpate_wire", 1),
     ("palpate_recording", 2),
@@ -112,6 +113,12 @@ fn the_page_has_no_threads_sockets_or_ports_of_its_own() {
 #[test]
 fn pure_crates_reach_no_run_time() {
     let metadata = metadata(&host());
+    // This one uses so little that the walk's own check, serde, is not among it.
+    let protocol = reached(&metadata, "palpate_device_protocol");
+    assert!(protocol.contains("thiserror"), "{protocol:?}");
+    for name in ["tokio", "serialport", "serde", "rand", "nalgebra"] {
+        assert!(!protocol.contains(name), "palpate_device_protocol reaches {name}");
+    }
     for name in ["palpate_robot_model", "palpate_wire"] {
         assert_reaches_none(&metadata, name, &["tokio", "axum", "rayon", "egui", "wgpu", "rand", "mcap"]);
     }
