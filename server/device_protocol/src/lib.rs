@@ -5,6 +5,7 @@
 //! bytes; it never opens a port, reads a clock or retries. Time-outs, pacing and reconnection belong to the drivers.
 //!
 //! - [`dynamixel`]: Protocol 2.0 and the control table of the hand's servos.
+//! - [`xarm`]: the arm's private TCP protocol and its report streams.
 //!
 //! All decoders are incremental: bytes may arrive in chunks of any size, and the chunking never changes what is
 //! delivered. They share [`DecodeCounters`]: every byte ends in a delivered frame, among the dropped bytes, or is still
@@ -13,5 +14,8 @@
 mod counters;
 mod crc16;
 pub mod dynamixel;
+mod fields;
+pub mod xarm;
 
 pub use counters::DecodeCounters;
+pub use fields::LayoutError;

@@ -4,3 +4,4 @@ mod dynamixel;
 mod dynamixel_streams;
 mod fixtures;
 mod streams;
+mod xarm;
