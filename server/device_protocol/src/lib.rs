@@ -6,6 +6,8 @@
 //!
 //! - [`dynamixel`]: Protocol 2.0 and the control table of the hand's servos.
 //! - [`xarm`]: the arm's private TCP protocol and its report streams.
+//! - [`lines`]: the ASCII lines of the tactile boards.
+//! - [`framed`]: our own binary frames for new tactile firmware.
 //!
 //! All decoders are incremental: bytes may arrive in chunks of any size, and the chunking never changes what is
 //! delivered. They share [`DecodeCounters`]: every byte ends in a delivered frame, among the dropped bytes, or is still
@@ -15,6 +17,8 @@ mod counters;
 mod crc16;
 pub mod dynamixel;
 mod fields;
+pub mod framed;
+pub mod lines;
 pub mod xarm;
 
 pub use counters::DecodeCounters;

@@ -1,5 +1,6 @@
 //! The protocols against bytes captured from clients that others wrote, and against damaged streams.
 
+mod boards;
 mod dynamixel;
 mod dynamixel_streams;
 mod fixtures;
