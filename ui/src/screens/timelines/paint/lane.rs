@@ -108,7 +108,8 @@ fn name_ui(
     }
     let reading = lane.channel.and_then(|channel| {
         let value = picture.take.raw_at(time_s, channel, picture.station)?;
-        Some(format!("{value:.0} {}", picture.station.layout.streams[lane.stream].raw_unit))
+        // Adding zero turns "-0" into "0".
+        Some(format!("{:.0} {}", value.round() + 0.0, picture.station.layout.streams[lane.stream].raw_unit))
     });
 
     let sense = if lane.channel.is_some() { Sense::click() } else { Sense::hover() };
