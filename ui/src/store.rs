@@ -409,11 +409,18 @@ impl Store {
             let runs = Arc::make_mut(runs);
             match runs.iter_mut().find(|known| known.id == run.id) {
                 Some(known) => known.clone_from(&run),
-                None => runs.insert(0, run.clone()),
+                None => runs.push(run.clone()),
             }
+            // Answers overtake each other; the list stays newest first.
+            runs.sort_by_key(|run| std::cmp::Reverse(run_number(&run.id)));
         }
         self.run_details.insert(run.id.clone(), Loadable::Ready(Arc::new(run)));
     }
+}
+
+/// The number in a run's id, which grows from run to run.
+fn run_number(id: &str) -> Option<u64> {
+    id.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok()
 }
 
 fn ask<T: Clone>(
@@ -550,6 +557,22 @@ mod tests {
         store.receive(ApiEvent::SocketOpen, 12.0, "14:00:12");
         assert_eq!(store.connection, Connection::Open);
         assert!(store.take_outbox().contains(&Request::Sessions));
+    }
+
+    #[test]
+    fn runs_stay_newest_first_however_their_answers_arrive() {
+        let mut store = Store::default();
+        store.receive(answer(Request::Runs, "[]"), 0.0, "");
+        for id in ["run-9", "run-11", "run-10"] {
+            let run = format!(
+                r#"{{"id":"{id}","request":{{"session":"s"}},"state":"done","fraction":1,"stage":"done",
+                "seconds_left":null,"error":null,"report":null,"model_toml":null,"saved_as":null}}"#
+            );
+            store.receive(answer(Request::Run(id.into()), &run), 0.0, "");
+        }
+        let runs = store.runs();
+        let ids: Vec<&str> = runs.ready().expect("the list").iter().map(|run| run.id.as_str()).collect();
+        assert_eq!(ids, ["run-11", "run-10", "run-9"]);
     }
 
     #[test]

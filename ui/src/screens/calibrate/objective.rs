@@ -160,6 +160,9 @@ fn mark(painter: &egui::Painter, at: Pos2, colour: Color32, text: &str, inner: R
     let at = inner.clamp(at);
     painter.circle(at, 6.0, Color32::WHITE, Stroke::new(3.0, colour));
     let galley = painter.layout_no_wrap(text.to_owned(), FontId::proportional(13.0), Color32::WHITE);
+    // A name that has no room on its side goes to the other one: it must not cover its mark.
+    let reach = 15.0 + galley.size().y;
+    let above = if above { at.y - reach > inner.top() } else { at.y + reach > inner.bottom() };
     let (align, offset_y) = if above { (Align2::CENTER_BOTTOM, -11.0) } else { (Align2::CENTER_TOP, 11.0) };
     let text_rect = align.anchor_size(at + vec2(0.0, offset_y), galley.size());
     // At the edge of the map the name moves inward.
