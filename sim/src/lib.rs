@@ -5,6 +5,7 @@
 //! [`SensorModel`]. Nothing here reads a clock or a file; with the `batch` feature a replay uses every core and gives
 //! the same bits.
 
+pub mod effects;
 pub mod geometry;
 pub mod job;
 mod parallel;
@@ -12,4 +13,4 @@ pub mod replay;
 mod sensor_model;
 pub mod tactile;
 
-pub use sensor_model::{SensorModel, SensorModelError, Theta};
+pub use sensor_model::{Response, SensorModel, SensorModelError, Theta};

@@ -299,6 +299,9 @@ pub enum ReplayError {
         /// What was there.
         value: f64,
     },
+    /// The object has no inside, or is degenerate.
+    #[error("failed to replay: the object cannot be touched: {0}")]
+    Object(String),
     /// The object's pose is NaN or infinite.
     #[error("failed to replay: the object's pose must be finite, found position {position_m:?} m")]
     NonFiniteObjectPose {

@@ -1,5 +1,7 @@
 //! The sensor model file: theta, and where its numbers came from.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
@@ -33,6 +35,42 @@ pub struct Theta {
     /// A taxel is active if its propagated pressure is above this, Pa; not negative, so that a taxel that nothing
     /// touches is inactive.
     pub lambda_pre_pa: f64,
+}
+
+/// What a model knows of sensors beyond theta. The defaults are the paper's model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Response {
+    /// A proximity sensor begins to read this far before `lambda_con` is reached, m: the travel over which its reading
+    /// rises from nothing to its threshold.
+    #[serde(default = "Response::default_band_m")]
+    pub proximity_band_m: f64,
+    /// By stream id, the load below which a channel switches off again, over the one at which it switches on; 1
+    /// (no hysteresis) where absent.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub off_fractions: BTreeMap<String, f64>,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self { proximity_band_m: Self::default_band_m(), off_fractions: BTreeMap::new() }
+    }
+}
+
+impl Response {
+    fn default_band_m() -> f64 {
+        1e-3
+    }
+
+    /// Signed distance at which proximity sensors begin to read, m.
+    pub fn reach_m(&self, theta: &Theta) -> f64 {
+        theta.lambda_con_m + self.proximity_band_m
+    }
+
+    /// Of the stream called `stream`.
+    pub fn off_fraction(&self, stream: &str) -> f64 {
+        self.off_fractions.get(stream).copied().unwrap_or(1.0)
+    }
 }
 
 /// A sensor model that cannot be used.

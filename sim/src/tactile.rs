@@ -1,6 +1,6 @@
 //! The paper's tactile model: from a contact trace and theta to raw and binary readings of every channel.
 
-use palpate_robot_model::{SensorKind, TactileLayout};
+use palpate_robot_model::{Patch, SensorKind, TactileLayout};
 
 use crate::parallel::for_each_chunk;
 use crate::replay::{ContactTrace, PatchTrace};
@@ -30,7 +30,11 @@ pub struct Propagation {
 
 /// The weights of every patch of `layout` for one `alpha` (1/m); empty for proximity patches.
 pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation> {
-    let weights = |patch: &palpate_robot_model::Patch| match layout.streams[patch.stream].kind {
+    layout.patches.iter().map(|patch| patch_propagation(layout, patch, alpha_per_m)).collect()
+}
+
+fn patch_propagation(layout: &TactileLayout, patch: &Patch, alpha_per_m: f64) -> Propagation {
+    let weights = match layout.streams[patch.stream].kind {
         SensorKind::Proximity => Vec::new(),
         SensorKind::Pressure => patch
             .nodes
@@ -43,7 +47,7 @@ pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation>
             })
             .collect(),
     };
-    layout.patches.iter().map(|patch| Propagation { weights: weights(patch) }).collect()
+    Propagation { weights }
 }
 
 /// The continuous signals of every channel, `[frame * num_channels + channel]`, as in [`Readings::raw`].
@@ -54,13 +58,24 @@ pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation>
 /// # Panics
 /// If `trace` was made with another layout: a caller's bug.
 pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f64) -> Vec<f64> {
+    propagate_patches(layout, trace, &vec![alpha_per_m; layout.patches.len()])
+}
+
+/// [`raw_signals`] with a decay for each patch.
+pub(crate) fn propagate_patches(
+    layout: &TactileLayout,
+    trace: &ContactTrace,
+    alpha_per_m: &[f64],
+) -> Vec<f64> {
     let num_channels = layout.num_channels();
     assert_eq!(trace.patches.len(), layout.patches.len(), "one trace per patch of the layout");
     let mut raw = vec![0.0; trace.num_frames * num_channels];
     if raw.is_empty() {
         return raw;
     }
-    let propagation = propagation(layout, alpha_per_m);
+    let patches = layout.patches.iter().zip(alpha_per_m);
+    let propagation: Vec<Propagation> =
+        patches.map(|(patch, &alpha_per_m)| patch_propagation(layout, patch, alpha_per_m)).collect();
     for_each_chunk(&mut raw, CHUNK_FRAMES * num_channels, |chunk, raw| {
         for (i, frame_raw) in raw.chunks_exact_mut(num_channels).enumerate() {
             let frame = chunk * CHUNK_FRAMES + i;

@@ -1,7 +1,10 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
+mod diagnosis;
+
 use std::collections::BTreeMap;
 
+pub use diagnosis::*;
 use serde::{Deserialize, Serialize};
 
 /// `GET /api/v1/info`.

@@ -93,6 +93,36 @@ impl ObjectModel {
     }
 }
 
+impl ObjectShape {
+    /// The shape, `factor` times as large about the object's origin.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        match self {
+            &Self::Sphere { radius_m } => Self::Sphere { radius_m: radius_m * factor },
+            &Self::Cylinder { radius_m, height_m } => {
+                Self::Cylinder { radius_m: radius_m * factor, height_m: height_m * factor }
+            }
+            &Self::Box { size_m } => Self::Box { size_m: size_m.map(|edge_m| edge_m * factor) },
+            Self::ConvexParts { parts } => Self::ConvexParts {
+                parts: parts.iter().map(|points| points.iter().map(|p| p * factor).collect()).collect(),
+            },
+            Self::Mesh { vertices, triangles } => Self::Mesh {
+                vertices: vertices.iter().map(|vertex| vertex * factor).collect(),
+                triangles: triangles.clone(),
+            },
+            Self::Compound { parts } => Self::Compound {
+                parts: parts
+                    .iter()
+                    .map(|(pose, shape)| {
+                        let translation = (pose.translation.vector * factor).into();
+                        (Isometry3::from_parts(translation, pose.rotation), shape.scaled(factor))
+                    })
+                    .collect(),
+            },
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ObjectConfig {

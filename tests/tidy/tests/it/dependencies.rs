@@ -15,9 +15,10 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_sim", 2),
     ("palpate_calibration", 3),
     ("palpate_emulator", 3),
-    ("palpate_server", 4),
-    ("palpate_ui", 4),
-    ("e2e", 5),
+    ("palpate_diagnosis", 4),
+    ("palpate_server", 5),
+    ("palpate_ui", 5),
+    ("e2e", 6),
     // Tools use no crate of ours and no crate of ours uses them: they must build when nothing else does.
     ("tidy", 0),
     ("xtask", 0),

@@ -1,0 +1,53 @@
+//! A joint whose zero is not where it should be.
+
+use palpate_robot_model::{Place, Station};
+
+use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene};
+
+/// The joint stands `offset_rad` further than it reports.
+pub(super) struct JointOffset;
+
+impl EffectKind for JointOffset {
+    fn id(&self) -> &'static str {
+        "joint_offset"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Kinematics
+    }
+
+    fn explain(&self, effect: &Effect, _station: &Station) -> String {
+        format!(
+            "Joint {} stands {:+.1} mrad from where it reports.",
+            super::joint_name(&effect.place),
+            effect.parameter("offset_rad") * 1e3
+        )
+    }
+
+    fn signature(&self) -> &'static str {
+        "a shift of contact that changes sign with the side the joint touches from"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        vec![Parameter {
+            name: "offset_rad".to_owned(),
+            lower: -0.1,
+            upper: 0.1,
+            neutral: 0.0,
+            smallest: 0.004,
+            dose: 0.008,
+        }]
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        super::revolute_joints(station).map(Place::Joint).collect()
+    }
+
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+        let Some(dof) = super::dof_of(&effect.place, scene.station) else { return };
+        let num_dofs = scene.station.robot.num_dofs();
+        for frame in state.positions.chunks_exact_mut(num_dofs) {
+            frame[dof] += effect.parameter("offset_rad");
+        }
+    }
+}
