@@ -1,93 +1,126 @@
-//! Calibration runs: one at a time, each on disk, each reported to the stream.
+//! Runs: long work that clients start, watch, cancel and come back to. One at a time, each on disk, each reported to the
+//! stream. [`Runs`] is the table of one kind of them, [`RunKind`] what the kinds differ in, [`Queue`] the thread that
+//! works all of them off.
+
+mod calibrations;
+mod queue;
 
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{
-        Arc, Mutex,
-        mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
-    },
-    thread,
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
-use palpate_calibration::{CalibrationConfig, HoldOut, Method};
+pub(crate) use calibrations::Calibrations;
+use palpate_calibration::HoldOut;
 use palpate_recording::Session;
 use palpate_sim::{
     SensorModel,
     job::{Cancel, Progress},
 };
 use palpate_wire::{
-    api::{CalibrationRequest, CalibrationRun, JobState, ModelSummary},
+    api::{JobState, Run},
     proto::JobUpdate,
 };
+pub(crate) use queue::Queue;
+use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{
-    Class, Error, Hub, Store,
-    cache::lock,
-    chain, files,
-    jobs::{CalibrationArtifacts, calibrate_session},
-    library::Library,
-};
+use crate::{Class, Error, Hub, Store, cache::lock, chain, files, library::Library};
 
-/// Runs that may wait.
-const MAX_QUEUED: usize = 32;
 /// Progress is published this often at most; a change of state or stage at once.
 const UPDATE_PERIOD: Duration = Duration::from_millis(50);
 
-/// The table of runs, with the thread that works them off. A run uses every core, so they take turns.
-pub(crate) struct Runs {
-    table: Arc<Table>,
-    queue: SyncSender<String>,
+/// What a kind of run does.
+pub(crate) trait RunKind: 'static {
+    /// What is asked.
+    type Request: Clone + Serialize + DeserializeOwned + Send + 'static;
+    /// What is found.
+    type Report: Clone + Serialize + DeserializeOwned + Send + 'static;
+    /// Singular, as in messages.
+    const WHAT: &'static str;
+    /// Before the number in ids.
+    const PREFIX: &'static str;
+    /// Where to look, in messages.
+    const HINT: &'static str;
+
+    /// Refuses what cannot be done, before it is queued.
+    fn check(store: &Store, request: &Self::Request) -> Result<(), Error>;
+
+    /// Does it.
+    fn work(cx: &Work<'_>, request: &Self::Request) -> Result<Finished<Self::Report>, Error>;
 }
 
-struct Table {
+/// What a run works with.
+pub(crate) struct Work<'a> {
+    pub(crate) store: &'a Store,
+    pub(crate) library: &'a Library,
+    pub(crate) progress: &'a dyn Progress,
+    pub(crate) cancel: &'a Cancel,
+}
+
+/// What a run leaves.
+pub(crate) struct Finished<R> {
+    pub(crate) report: R,
+    pub(crate) model: SensorModel,
+    /// Other files of the run, by suffix: `html` is the report for people.
+    pub(crate) files: Vec<(&'static str, String)>,
+}
+
+/// The table of runs of one kind.
+pub(crate) struct Runs<K: RunKind> {
+    table: Arc<Table<K>>,
+    queue: Arc<Queue>,
+}
+
+struct Table<K: RunKind> {
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
     /// By number, oldest first. Updates are published while this is locked, so that they leave in the order in which
     /// things happened.
-    entries: Mutex<BTreeMap<u64, Entry>>,
+    entries: Mutex<BTreeMap<u64, Entry<K>>>,
 }
 
-struct Entry {
-    run: CalibrationRun,
+struct Entry<K: RunKind> {
+    run: Run<K::Request, K::Report>,
     cancel: Arc<Cancel>,
 }
 
-impl Runs {
-    /// Reads the runs of `store` and starts to wait for more.
-    pub(crate) fn open(store: Arc<Store>, library: Arc<Library>, hub: Arc<Hub>) -> Result<Self, Error> {
+impl<K: RunKind> Runs<K> {
+    /// Reads the runs of `store`.
+    pub(crate) fn open(
+        store: Arc<Store>,
+        library: Arc<Library>,
+        hub: Arc<Hub>,
+        queue: Arc<Queue>,
+    ) -> Result<Self, Error> {
         let mut entries = BTreeMap::new();
-        for mut run in store.runs()? {
-            let Some(number) = number_of(&run.id) else { continue };
-            if is_unfinished(run.state) {
+        for (id, mut run) in store.runs::<Run<K::Request, K::Report>>(K::PREFIX)? {
+            let Some(number) = number_of::<K>(&id).filter(|_| run.id == id) else {
+                tracing::warn!(file = id, id = run.id, "left out a run of another id");
+                continue;
+            };
+            if run.is_unfinished() {
                 run.state = JobState::Failed;
                 run.error = Some("the studio stopped before this run ended; start it again".to_owned());
                 run.seconds_left = None;
-                store.save_run(&run)?;
+                store.save_run(&run.id, &run)?;
             }
             entries.insert(number, Entry { run, cancel: Arc::default() });
         }
         let table = Arc::new(Table { store, library, hub, entries: Mutex::new(entries) });
-        let (queue, waiting) = sync_channel(MAX_QUEUED);
-        let worker = table.clone();
-        thread::Builder::new()
-            .name("calibration-runs".to_owned())
-            .spawn(move || worker.work_off(&waiting))
-            .map_err(|err| Error::Internal(format!("failed to start the calibration thread: {err}")))?;
         Ok(Self { table, queue })
     }
 
     /// Checks `request` and puts it at the end of the queue.
-    pub(crate) fn start(&self, request: CalibrationRequest) -> Result<CalibrationRun, Error> {
-        let session = self.table.store.session(&request.session)?;
-        config_of(&request, &session)?;
+    pub(crate) fn start(&self, request: K::Request) -> Result<Run<K::Request, K::Report>, Error> {
+        K::check(&self.table.store, &request)?;
         let run = {
             let mut entries = lock(&self.table.entries);
             let number = entries.last_key_value().map_or(1, |(number, _)| number + 1);
-            let run = CalibrationRun {
-                id: id_of(number),
+            let run = Run {
+                id: format!("{}{number}", K::PREFIX),
                 request,
                 state: JobState::Queued,
                 fraction: 0.0,
@@ -98,32 +131,27 @@ impl Runs {
                 model_toml: None,
                 saved_as: None,
             };
-            self.table.store.save_run(&run)?;
+            self.table.store.save_run(&run.id, &run)?;
             entries.insert(number, Entry { run: run.clone(), cancel: Arc::default() });
             self.table.hub.publish_job(&update_of(&run));
             run
         };
-        match self.queue.try_send(run.id.clone()) {
+        let (table, id) = (self.table.clone(), run.id.clone());
+        match self.queue.push(Box::new(move || table.work(&id))) {
             Ok(()) => Ok(run),
-            Err(TrySendError::Full(_)) => {
-                let problem = format!("{MAX_QUEUED} runs wait already; cancel some, or wait");
-                self.table.finish(&run.id, JobState::Failed, Some(problem.clone()), None);
-                Err(Error::Conflict(problem))
-            }
-            Err(TrySendError::Disconnected(_)) => {
-                let problem = "the calibration thread has ended; restart the studio".to_owned();
-                self.table.finish(&run.id, JobState::Failed, Some(problem.clone()), None);
-                Err(Error::Internal(problem))
+            Err(err) => {
+                self.table.finish(&run.id, JobState::Failed, Some(chain(&err)), None);
+                Err(err)
             }
         }
     }
 
     /// Every run, newest first, without what is large.
-    pub(crate) fn list(&self) -> Vec<CalibrationRun> {
+    pub(crate) fn list(&self) -> Vec<Run<K::Request, K::Report>> {
         let entries = lock(&self.table.entries);
         let runs = entries.values().rev().map(|entry| {
             let run = &entry.run;
-            CalibrationRun {
+            Run {
                 id: run.id.clone(),
                 request: run.request.clone(),
                 state: run.state,
@@ -140,12 +168,12 @@ impl Runs {
     }
 
     /// The run called `id`.
-    pub(crate) fn get(&self, id: &str) -> Result<CalibrationRun, Error> {
+    pub(crate) fn get(&self, id: &str) -> Result<Run<K::Request, K::Report>, Error> {
         self.table.with(id, |entry| entry.run.clone())
     }
 
     /// Asks run `id` to stop. One that waits stops at once, one that has ended stays as it is.
-    pub(crate) fn cancel(&self, id: &str) -> Result<CalibrationRun, Error> {
+    pub(crate) fn cancel(&self, id: &str) -> Result<Run<K::Request, K::Report>, Error> {
         let state = self.table.with(id, |entry| {
             entry.cancel.cancel();
             entry.run.state
@@ -156,41 +184,41 @@ impl Runs {
         self.get(id)
     }
 
-    /// Keeps the model that run `id` found.
-    pub(crate) fn save_model(&self, id: &str, name: &str) -> Result<ModelSummary, Error> {
-        let mut model = self.model(id)?;
-        model.name = name.trim().to_owned();
-        let summary = self.table.store.save_model(&model)?;
-        let run = self.table.with(id, |entry| {
-            entry.run.saved_as = Some(summary.id.clone());
-            entry.run.clone()
-        })?;
-        self.table.store.save_run(&run)?;
-        Ok(summary)
-    }
-
     /// The model that run `id` found.
     pub(crate) fn model(&self, id: &str) -> Result<SensorModel, Error> {
         let run = self.get(id)?;
         let Some(text) = run.model_toml else {
-            let state = state_name(run.state);
+            let (what, state) = (K::WHAT, state_name(run.state));
             return Err(Error::Conflict(format!(
-                "calibration {id:?} is {state} and has found no model; wait until it is done, or start another"
+                "{what} {id:?} is {state} and has found no model; wait until it is done, or start another"
             )));
         };
-        Ok(SensorModel::from_toml(&format!("model of calibration {id}"), &text)?)
+        Ok(SensorModel::from_toml(&format!("model of {} {id}", K::WHAT), &text)?)
     }
 
     /// The report of run `id` for people.
     pub(crate) fn html(&self, id: &str) -> Result<String, Error> {
         self.get(id)?;
-        self.table.store.run_html(id)
+        self.table.store.run_file(id, "html")?.ok_or_else(|| Error::NotFound {
+            what: "report of run",
+            id: id.to_owned(),
+            hint: "a run has a report once it is done",
+        })
+    }
+
+    /// Notes under which id the model of run `id` was saved; `None` takes the note back.
+    fn set_saved_as(&self, id: &str, model: Option<&str>) -> Result<(), Error> {
+        let run = self.table.with(id, |entry| {
+            entry.run.saved_as = model.map(str::to_owned);
+            entry.run.clone()
+        })?;
+        self.table.store.save_run(id, &run)
     }
 
     /// Where every unfinished run stands, for a client that has just come.
     pub(crate) fn unfinished_updates(&self) -> Vec<JobUpdate> {
         let entries = lock(&self.table.entries);
-        let unfinished = entries.values().filter(|entry| is_unfinished(entry.run.state));
+        let unfinished = entries.values().filter(|entry| entry.run.is_unfinished());
         unfinished.map(|entry| update_of(&entry.run)).collect()
     }
 
@@ -202,45 +230,36 @@ impl Runs {
     }
 }
 
-impl Table {
-    fn work_off(&self, waiting: &Receiver<String>) {
-        while let Ok(id) = waiting.recv() {
-            let started = self.with(&id, |entry| {
-                if entry.run.state != JobState::Queued || entry.cancel.is_cancelled() {
-                    return None;
-                }
-                entry.run.state = JobState::Running;
-                entry.run.stage = "reading the session".to_owned();
-                self.hub.publish_job(&update_of(&entry.run));
-                Some((entry.run.clone(), entry.cancel.clone()))
-            });
-            let Ok(Some((run, cancel))) = started else { continue };
-            let progress =
-                RunProgress { table: self, id: &id, start: Instant::now(), last: Mutex::default() };
-            // A fault in one run must not end the thread that all of them need.
-            let result = catch_unwind(AssertUnwindSafe(|| self.calibrate(&run, &progress, &cancel)))
-                .unwrap_or_else(|_| Err(Error::Internal("the calibration panicked; see the log".to_owned())));
-            match result {
-                Ok(artifacts) => self.finish(&id, JobState::Done, None, Some(artifacts)),
-                Err(err) if err.class() == Class::Cancelled => {
-                    self.finish(&id, JobState::Cancelled, None, None);
-                }
-                Err(err) => self.finish(&id, JobState::Failed, Some(chain(&err)), None),
+impl<K: RunKind> Table<K> {
+    /// Does run `id`, on the queue's thread, unless it was cancelled while it waited.
+    fn work(&self, id: &str) {
+        let started = self.with(id, |entry| {
+            if entry.run.state != JobState::Queued || entry.cancel.is_cancelled() {
+                return None;
             }
+            entry.run.state = JobState::Running;
+            entry.run.stage = "reading the session".to_owned();
+            self.hub.publish_job(&update_of(&entry.run));
+            Some((entry.run.request.clone(), entry.cancel.clone()))
+        });
+        let Ok(Some((request, cancel))) = started else { return };
+        let progress = RunProgress { table: self, id, start: Instant::now(), last: Mutex::default() };
+        let cx = Work { store: &self.store, library: &self.library, progress: &progress, cancel: &cancel };
+        // A fault in one run must not end the thread that all of them need.
+        let result = catch_unwind(AssertUnwindSafe(|| {
+            let finished = K::work(&cx, &request)?;
+            for (suffix, text) in &finished.files {
+                self.store.save_run_file(id, suffix, text)?;
+            }
+            Ok(finished)
+        }));
+        let result =
+            result.unwrap_or_else(|_| Err(Error::Internal(format!("the {} panicked; see the log", K::WHAT))));
+        match result {
+            Ok(finished) => self.finish(id, JobState::Done, None, Some(finished)),
+            Err(err) if err.class() == Class::Cancelled => self.finish(id, JobState::Cancelled, None, None),
+            Err(err) => self.finish(id, JobState::Failed, Some(chain(&err)), None),
         }
-    }
-
-    fn calibrate(
-        &self,
-        run: &CalibrationRun,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-    ) -> Result<CalibrationArtifacts, Error> {
-        let session = self.store.session(&run.request.session)?;
-        let config = config_of(&run.request, &session)?;
-        let artifacts = calibrate_session(&self.library, &session, &config, progress, cancel)?;
-        self.store.save_run_html(&run.id, &artifacts.html)?;
-        Ok(artifacts)
     }
 
     /// Records how run `id` ended, unless it has ended already.
@@ -249,56 +268,56 @@ impl Table {
         id: &str,
         state: JobState,
         error: Option<String>,
-        artifacts: Option<CalibrationArtifacts>,
+        finished: Option<Finished<K::Report>>,
     ) {
-        let finished = self.with(id, |entry| {
+        let ended = self.with(id, |entry| {
             let run = &mut entry.run;
-            if !is_unfinished(run.state) {
+            if !run.is_unfinished() {
                 return None;
             }
             run.state = state;
             run.stage = state_name(state).to_owned();
             run.seconds_left = None;
             run.error = error;
-            if let Some(artifacts) = artifacts {
+            if let Some(finished) = finished {
                 run.fraction = 1.0;
-                run.report = Some(artifacts.report);
-                run.model_toml = Some(artifacts.model.to_toml());
+                run.model_toml = Some(finished.model.to_toml());
+                run.report = Some(finished.report);
             }
             self.hub.publish_job(&update_of(run));
             Some(run.clone())
         });
-        let Ok(Some(run)) = finished else { return };
-        if let Err(err) = self.store.save_run(&run) {
-            tracing::error!(run = id, err = chain(&err), "a calibration run is lost at the next start");
+        let Ok(Some(run)) = ended else { return };
+        if let Err(err) = self.store.save_run(id, &run) {
+            tracing::error!(run = id, err = chain(&err), "a run is lost at the next start");
         }
         if let Some(error) = &run.error {
-            tracing::warn!(run = id, error, "calibration failed");
+            tracing::warn!(run = id, error, "{} failed", K::WHAT);
         }
     }
 
-    fn with<T>(&self, id: &str, read: impl FnOnce(&mut Entry) -> T) -> Result<T, Error> {
-        files::check_id("calibration", id)?;
+    fn with<T>(&self, id: &str, read: impl FnOnce(&mut Entry<K>) -> T) -> Result<T, Error> {
+        files::check_id(K::WHAT, id)?;
         let mut entries = lock(&self.entries);
         // The id of number 7 is run-7 and not run-07.
-        let entry = number_of(id).and_then(|number| entries.get_mut(&number));
+        let entry = number_of::<K>(id).and_then(|number| entries.get_mut(&number));
         entry.filter(|entry| entry.run.id == id).map(read).ok_or_else(|| Error::NotFound {
-            what: "calibration",
+            what: K::WHAT,
             id: id.to_owned(),
-            hint: "GET /api/v1/calibrations lists them",
+            hint: K::HINT,
         })
     }
 }
 
-struct RunProgress<'a> {
-    table: &'a Table,
+struct RunProgress<'a, K: RunKind> {
+    table: &'a Table<K>,
     id: &'a str,
     start: Instant,
     /// When and at which stage progress was last published.
     last: Mutex<Option<(Instant, String)>>,
 }
 
-impl Progress for RunProgress<'_> {
+impl<K: RunKind> Progress for RunProgress<'_, K> {
     fn report(&self, fraction: f64, stage: &str) {
         let fraction = fraction.clamp(0.0, 1.0);
         let elapsed_s = self.start.elapsed().as_secs_f64();
@@ -321,44 +340,24 @@ impl Progress for RunProgress<'_> {
     }
 }
 
-/// What `request` asks of `session`, or why it cannot be done.
-fn config_of(request: &CalibrationRequest, session: &Session) -> Result<CalibrationConfig, Error> {
-    let method = match request.method.as_deref() {
-        None | Some("exact") => Method::Exact,
-        Some("grid") => Method::Grid,
-        Some(other) => {
-            return Err(Error::Argument(format!("no method {other:?}; expected \"exact\" or \"grid\"")));
+/// Takes of `session` to hold out, or why they cannot be.
+fn hold_out(ids: Option<&[String]>, session: &Session) -> Result<HoldOut, Error> {
+    let Some(ids) = ids else { return Ok(HoldOut::Auto) };
+    for id in ids {
+        if !session.file.takes.iter().any(|take| take.id() == id) {
+            let takes: Vec<&str> = session.file.takes.iter().map(|take| take.id()).collect();
+            return Err(Error::Argument(format!(
+                "no take {id:?} to hold out in session {:?}; its takes are {}",
+                session.id,
+                takes.join(", ")
+            )));
         }
-    };
-    let hold_out = match &request.hold_out {
-        None => HoldOut::Auto,
-        Some(ids) => {
-            for id in ids {
-                if !session.file.takes.iter().any(|take| take.id() == id) {
-                    let takes: Vec<&str> = session.file.takes.iter().map(|take| take.id()).collect();
-                    return Err(Error::Argument(format!(
-                        "no take {id:?} to hold out in session {:?}; its takes are {}",
-                        session.id,
-                        takes.join(", ")
-                    )));
-                }
-            }
-            HoldOut::Takes(ids.clone())
-        }
-    };
-    Ok(CalibrationConfig { method, hold_out, ..CalibrationConfig::default() })
+    }
+    Ok(HoldOut::Takes(ids.to_vec()))
 }
 
-fn id_of(number: u64) -> String {
-    format!("run-{number}")
-}
-
-fn number_of(id: &str) -> Option<u64> {
-    id.strip_prefix("run-")?.parse().ok()
-}
-
-fn is_unfinished(state: JobState) -> bool {
-    matches!(state, JobState::Queued | JobState::Running)
+fn number_of<K: RunKind>(id: &str) -> Option<u64> {
+    id.strip_prefix(K::PREFIX)?.parse().ok()
 }
 
 fn state_name(state: JobState) -> &'static str {
@@ -371,7 +370,7 @@ fn state_name(state: JobState) -> &'static str {
     }
 }
 
-fn update_of(run: &CalibrationRun) -> JobUpdate {
+fn update_of<Q, R>(run: &Run<Q, R>) -> JobUpdate {
     JobUpdate {
         job: run.id.clone(),
         state: state_name(run.state).to_owned(),

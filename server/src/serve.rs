@@ -8,7 +8,12 @@ use std::{
 
 use tokio::{net::TcpListener, sync::watch};
 
-use crate::{Error, Hub, LiveFeed, Store, app, library::Library, page, runs::Runs};
+use crate::{
+    Error, Hub, LiveFeed, Store, app,
+    library::Library,
+    page,
+    runs::{Calibrations, Queue, Runs},
+};
 
 /// How to serve.
 #[derive(Clone, Debug)]
@@ -26,7 +31,7 @@ pub struct AppState {
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
-    runs: Runs,
+    calibrations: Runs<Calibrations>,
     live: Option<LiveFeed>,
     shutdown: watch::Sender<bool>,
 }
@@ -37,9 +42,10 @@ impl AppState {
         let store = Arc::new(Store::open(data)?);
         let library = Arc::new(Library::default());
         let hub = Arc::new(Hub::default());
-        let runs = Runs::open(store.clone(), library.clone(), hub.clone())?;
+        let queue = Queue::start()?;
+        let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
         let live = truth.map(|truth| LiveFeed::start(truth, 0, hub.clone())).transpose()?;
-        Ok(Arc::new(Self { store, library, hub, runs, live, shutdown: watch::Sender::new(false) }))
+        Ok(Arc::new(Self { store, library, hub, calibrations, live, shutdown: watch::Sender::new(false) }))
     }
 
     /// Where live frames and job updates go.
@@ -55,8 +61,8 @@ impl AppState {
         &self.library
     }
 
-    pub(crate) fn runs(&self) -> &Runs {
-        &self.runs
+    pub(crate) fn calibrations(&self) -> &Runs<Calibrations> {
+        &self.calibrations
     }
 
     pub(crate) fn live(&self) -> Option<&LiveFeed> {
@@ -71,7 +77,7 @@ impl AppState {
     /// Ends streams and runs, so that the server can end.
     pub fn begin_shutdown(&self) {
         self.shutdown.send_replace(true);
-        self.runs.cancel_all();
+        self.calibrations.cancel_all();
     }
 }
 

@@ -1,4 +1,4 @@
-//! The data folder: sessions, models, calibration runs, and a trash from which they come back.
+//! The data folder: sessions, models, runs, and a trash from which they come back.
 
 use std::{
     fs,
@@ -8,7 +8,8 @@ use std::{
 
 use palpate_recording::Session;
 use palpate_sim::SensorModel;
-use palpate_wire::api::{CalibrationRun, ModelSummary, ThetaReport};
+use palpate_wire::api::{ModelSummary, ThetaReport};
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{Error, cache::lock, files};
 
@@ -169,52 +170,46 @@ impl Store {
         fs::rename(&path, &target).map_err(Error::io("move", &path))
     }
 
-    /// Every calibration run on disk.
-    pub(crate) fn runs(&self) -> Result<Vec<CalibrationRun>, Error> {
+    /// `(id, run)` of every run on disk whose id begins with `prefix`, as far as it can be read.
+    pub(crate) fn runs<R: DeserializeOwned>(&self, prefix: &str) -> Result<Vec<(String, R)>, Error> {
         let mut runs = Vec::new();
         for (file_name, path) in self.entries("runs")? {
-            let Some(id) = file_name.strip_suffix(".json") else { continue };
+            let Some(id) = file_name.strip_suffix(".json").filter(|id| id.starts_with(prefix)) else {
+                continue;
+            };
             let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
-            match serde_json::from_str::<CalibrationRun>(&text) {
-                Ok(run) if run.id == id => runs.push(run),
-                Ok(run) => {
-                    tracing::warn!(path = %path.display(), id = run.id, "left out a run of another id");
-                }
-                Err(err) => {
-                    tracing::warn!(path = %path.display(), %err, "left out a calibration run");
-                }
+            match serde_json::from_str::<R>(&text) {
+                Ok(run) => runs.push((id.to_owned(), run)),
+                Err(err) => tracing::warn!(path = %path.display(), %err, "left out a run"),
             }
         }
         Ok(runs)
     }
 
     /// Writes `run` in place of what was known of it.
-    pub(crate) fn save_run(&self, run: &CalibrationRun) -> Result<(), Error> {
+    pub(crate) fn save_run(&self, id: &str, run: &impl Serialize) -> Result<(), Error> {
         let json = serde_json::to_vec(run).map_err(|err| Error::Internal(err.to_string()))?;
-        files::write(&self.root.join("runs").join(format!("{}.json", run.id)), &json)
+        files::write(&self.run_path(id, "json"), &json)
     }
 
-    /// Writes the report of run `id` for people.
-    pub(crate) fn save_run_html(&self, id: &str, html: &str) -> Result<(), Error> {
-        files::write(&self.run_html_path(id), html.as_bytes())
+    /// Writes another file of run `id`, called by its suffix.
+    pub(crate) fn save_run_file(&self, id: &str, suffix: &str, text: &str) -> Result<(), Error> {
+        files::write(&self.run_path(id, suffix), text.as_bytes())
     }
 
-    /// The report of run `id` for people.
-    pub(crate) fn run_html(&self, id: &str) -> Result<String, Error> {
-        files::check_id("calibration", id)?;
-        let path = self.run_html_path(id);
-        fs::read_to_string(&path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::NotFound => Error::NotFound {
-                what: "report of calibration",
-                id: id.to_owned(),
-                hint: "a calibration has a report once it is done",
-            },
-            _ => Error::Io { action: "read", path, source },
-        })
+    /// Another file of run `id`, if it has one with this suffix.
+    pub(crate) fn run_file(&self, id: &str, suffix: &str) -> Result<Option<String>, Error> {
+        files::check_id("run", id)?;
+        let path = self.run_path(id, suffix);
+        match fs::read_to_string(&path) {
+            Ok(text) => Ok(Some(text)),
+            Err(err) if err.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(source) => Err(Error::Io { action: "read", path, source }),
+        }
     }
 
-    fn run_html_path(&self, id: &str) -> PathBuf {
-        self.root.join("runs").join(format!("{id}.html"))
+    fn run_path(&self, id: &str, suffix: &str) -> PathBuf {
+        self.root.join("runs").join(format!("{id}.{suffix}"))
     }
 
     fn path(&self, kind: Kind, id: &str) -> PathBuf {
@@ -265,5 +260,7 @@ pub(crate) fn model_summary(id: &str, model: &SensorModel) -> ModelSummary {
             lambda_pre_pa: model.theta.lambda_pre_pa,
         },
         provenance: model.provenance.clone(),
+        effects: Vec::new(),
+        earlier_versions: 0,
     }
 }

@@ -21,7 +21,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSocketUpgrade) -> Response {
     upgrade.on_upgrade(move |socket| async move {
         let client = state.hub().join();
-        for update in state.runs().unfinished_updates() {
+        for update in state.calibrations().unfinished_updates() {
             client.push_job(update);
         }
         let mut shutdown = state.shutdown();

@@ -21,27 +21,27 @@ pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Body(request): Body<CalibrationRequest>,
 ) -> Answer<Response> {
-    let run = blocking(move || state.runs().start(request)).await?;
+    let run = blocking(move || state.calibrations().start(request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<CalibrationRun>> {
-    Json(state.runs().list())
+    Json(state.calibrations().list())
 }
 
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<CalibrationRun>> {
-    Ok(Json(state.runs().get(&id)?))
+    Ok(Json(state.calibrations().get(&id)?))
 }
 
 pub(super) async fn cancel(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<CalibrationRun>> {
-    blocking(move || state.runs().cancel(&id).map(Json)).await
+    blocking(move || state.calibrations().cancel(&id).map(Json)).await
 }
 
 pub(super) async fn save(
@@ -49,11 +49,11 @@ pub(super) async fn save(
     Ids(id): Ids<String>,
     Body(request): Body<SaveModelRequest>,
 ) -> Answer<Response> {
-    let saved = blocking(move || state.runs().save_model(&id, &request.name)).await?;
+    let saved = blocking(move || state.calibrations().save_model(&id, &request.name)).await?;
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((StatusCode::CREATED, location, Json(saved)).into_response())
 }
 
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
-    blocking(move || Ok(Html(state.runs().html(&id)?))).await
+    blocking(move || Ok(Html(state.calibrations().html(&id)?))).await
 }

@@ -54,7 +54,7 @@ pub(super) async fn replay(
         let take = state.library().take(&session, take_idx)?;
         let model: SensorModel = match (model.as_str(), model.strip_prefix("run:")) {
             ("nominal", _) => nominal_model(&take)?,
-            (_, Some(run)) => state.runs().model(run)?,
+            (_, Some(run)) => state.calibrations().model(run)?,
             (id, None) => state.store().model(id)?.0,
         };
         let paired = state.library().paired(&session, take_idx)?;

@@ -333,13 +333,16 @@ pub struct CalibrationRequest {
     pub hold_out: Option<Vec<String>>,
 }
 
-/// State of a calibration run: `GET /api/v1/calibrations/{job}`.
+/// State of a calibration: `GET /api/v1/calibrations/{job}`.
+pub type CalibrationRun = Run<CalibrationRequest, CalibrationReport>;
+
+/// State of a run that was asked for with a `Q` and gives an `R`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct CalibrationRun {
+pub struct Run<Q, R> {
     /// Id of the run.
     pub id: String,
     /// What was asked.
-    pub request: CalibrationRequest,
+    pub request: Q,
     /// Where it stands.
     pub state: JobState,
     /// Done so far, 0..=1.
@@ -351,11 +354,18 @@ pub struct CalibrationRun {
     /// Why it failed.
     pub error: Option<String>,
     /// The result, once done.
-    pub report: Option<CalibrationReport>,
-    /// The fitted model file, once done.
+    pub report: Option<R>,
+    /// The model file that was found, once done: of a diagnosis, with every named effect.
     pub model_toml: Option<String>,
     /// Id under which the model was saved, once it was.
     pub saved_as: Option<String>,
+}
+
+impl<Q, R> Run<Q, R> {
+    /// Whether it waits or works.
+    pub fn is_unfinished(&self) -> bool {
+        matches!(self.state, JobState::Queued | JobState::Running)
+    }
 }
 
 /// Where a job stands.
@@ -393,6 +403,12 @@ pub struct ModelSummary {
     pub theta: ThetaReport,
     /// Where the numbers came from.
     pub provenance: Vec<String>,
+    /// Effects beyond the three parameters, in the order in which they were added.
+    #[serde(default)]
+    pub effects: Vec<ModelEffect>,
+    /// Earlier versions of the file that `POST /api/v1/models/{id}/undo` goes back through.
+    #[serde(default)]
+    pub earlier_versions: usize,
 }
 
 /// RFC 9457 `application/problem+json`.

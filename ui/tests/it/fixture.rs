@@ -244,6 +244,8 @@ pub(crate) fn full_api() -> SharedApi {
         name: "Bench fit".into(),
         theta: ThetaReport { lambda_con_m: 0.001, alpha_per_m: 100.0, lambda_pre_pa: 10.0 },
         provenance: vec!["calibrated on bench-1".into()],
+        effects: Vec::new(),
+        earlier_versions: 0,
     };
     api.answer(&Request::Models, json(&vec![model]));
     api.answer(&Request::Runs, b"[]".to_vec());

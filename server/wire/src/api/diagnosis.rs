@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use palpate_robot_model::Place;
 use serde::{Deserialize, Serialize};
 
-use super::{JobState, Metrics};
+use super::{Metrics, Run};
 
 /// What the data says about the simulator as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -232,29 +232,40 @@ pub struct DiagnosisRequest {
     /// Effects to leave out of the library, by id.
     #[serde(default)]
     pub without: Vec<String>,
+    /// Sessions with nothing missing to simulate first, from which the station's bar is set anew; absent means that the
+    /// bar kept for the station is used, else the shipped one.
+    #[serde(default)]
+    pub null_sessions: Option<usize>,
 }
 
-/// State of a diagnosis run: `GET /api/v1/diagnoses/{job}`.
+/// State of a diagnosis: `GET /api/v1/diagnoses/{job}`.
+pub type DiagnosisRun = Run<DiagnosisRequest, DiagnosisReport>;
+
+/// `POST /api/v1/diagnoses/{job}/save`: keeps the calibrated model with the named effects, or some of them. Exactly one
+/// of `name` and `to` says where.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SaveDiagnosisRequest {
+    /// Which of the named effects, by their position in the report; absent means all.
+    #[serde(default)]
+    pub effects: Option<Vec<usize>>,
+    /// Name for people of a new model; its id is made from it.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// Id of the model to add them to: the one that the diagnosis started from. Its earlier version is kept, and
+    /// `POST /api/v1/models/{id}/undo` brings it back.
+    #[serde(default)]
+    pub to: Option<String>,
+}
+
+/// An effect of a saved model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct DiagnosisRun {
-    /// Id of the run.
+pub struct ModelEffect {
+    /// Id in the library.
     pub id: String,
-    /// What was asked.
-    pub request: DiagnosisRequest,
-    /// Where it stands.
-    pub state: JobState,
-    /// Done so far, 0..=1.
-    pub fraction: f64,
-    /// What is being done, for people.
-    pub stage: String,
-    /// Estimated time left, s.
-    pub seconds_left: Option<f64>,
-    /// Why it failed.
-    pub error: Option<String>,
-    /// The result, once done.
-    pub report: Option<DiagnosisReport>,
-    /// The model file with every named effect, once done.
-    pub model_toml: Option<String>,
-    /// Id under which the model was saved, once it was.
-    pub saved_as: Option<String>,
+    /// Where it acts.
+    #[serde(rename = "where")]
+    pub place: Place,
+    /// Its parameters by name (units are in the names).
+    pub parameters: BTreeMap<String, f64>,
 }
