@@ -6,19 +6,67 @@
 //! listed in [`TACTILE`]. [`Chain`] runs a take through all of them: an effect changes the state of its stage and knows
 //! nothing of the others, so that any set of them composes in the order of physics.
 
+mod baseline_drift;
 mod chain;
+mod clock_skew;
+mod dead_channel;
+mod debounce;
+mod elastic_crosstalk;
+mod electrical_crosstalk;
+mod integer_wrap;
+mod joint_backlash;
 mod joint_offset;
 mod latency;
+mod low_pass;
+mod motion_artifact;
+mod object_pose_offset;
+mod object_scale;
+mod places;
+mod preload;
+mod rate_dependence;
+mod sample_hold;
+mod self_contact;
+mod sensitivity_spread;
+mod sensor_mount_offset;
+mod stuck_channel;
+mod swapped_channels;
+mod threshold_hysteresis;
+mod viscoelastic_release;
 
 use std::collections::BTreeMap;
 
-pub use chain::{Chain, Contact, Geometry, Kinematics, Load, Sensed, Switching, TakeScene, Transport};
-use palpate_robot_model::{JointKind, Place, Station, TactileLayout};
+pub use chain::{Chain, Contact, Geometry, Hold, Kinematics, Load, Sensed, Switching, TakeScene, Transport};
+use palpate_robot_model::{Place, Station};
 use serde::{Deserialize, Serialize};
 
 /// Every effect of the tactile sensing chain, in the order of the chain. An effect is added by its module and its line
 /// here.
-pub const TACTILE: &[&dyn EffectKind] = &[&joint_offset::JointOffset, &latency::Latency];
+pub const TACTILE: &[&dyn EffectKind] = &[
+    &joint_offset::JointOffset,
+    &joint_backlash::JointBacklash,
+    &object_pose_offset::ObjectPoseOffset,
+    &object_scale::ObjectScale,
+    &sensor_mount_offset::SensorMountOffset,
+    &self_contact::SelfContact,
+    &rate_dependence::RateDependence,
+    &preload::Preload,
+    &elastic_crosstalk::ElasticCrosstalk,
+    &sensitivity_spread::SensitivitySpread,
+    &viscoelastic_release::ViscoelasticRelease,
+    &low_pass::LowPass,
+    &baseline_drift::BaselineDrift,
+    &motion_artifact::MotionArtifact,
+    &threshold_hysteresis::ThresholdHysteresis,
+    &electrical_crosstalk::ElectricalCrosstalk,
+    &swapped_channels::SwappedChannels,
+    &dead_channel::DeadChannel,
+    &stuck_channel::StuckChannel,
+    &integer_wrap::IntegerWrap,
+    &debounce::Debounce,
+    &latency::Latency,
+    &clock_skew::ClockSkew,
+    &sample_hold::SampleHold,
+];
 
 /// The effect called `id`.
 pub fn tactile(id: &str) -> Option<&'static dyn EffectKind> {
@@ -66,10 +114,28 @@ pub struct Parameter {
     /// Value at which the effect is absent. Effects that are there or not (a dead channel) have one parameter from 0
     /// (absent) to 1.
     pub neutral: f64,
-    /// Distance from `neutral` below which the effect does not matter.
+    /// Distance from `neutral` below which the effect does not matter. A parameter that only shapes an effect whose size
+    /// another one is (a time constant beside a fraction) has a distance that its bounds do not allow.
     pub smallest: f64,
     /// Distance from `neutral` of the standard dose with which effects are screened; its sign is the likelier one.
     pub dose: f64,
+}
+
+impl Parameter {
+    fn new(
+        name: &str,
+        bounds: std::ops::RangeInclusive<f64>,
+        neutral: f64,
+        smallest: f64,
+        dose: f64,
+    ) -> Self {
+        Self { name: name.to_owned(), lower: *bounds.start(), upper: *bounds.end(), neutral, smallest, dose }
+    }
+
+    /// Of an effect that is there or not.
+    fn presence() -> Vec<Self> {
+        vec![Self::new("presence", 0.0..=1.0, 0.0, 0.5, 1.0)]
+    }
 }
 
 /// Where in the sensing chain an effect acts.
@@ -115,7 +181,7 @@ pub trait EffectKind: Sync {
     fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics) {}
 
     /// Changes what the skin feels.
-    fn contact(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Contact) {}
+    fn contact(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Contact<'_>) {}
 
     /// Changes how the load of channels develops.
     fn load(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Load) {}
@@ -125,32 +191,4 @@ pub trait EffectKind: Sync {
 
     /// Changes which moment a reading at the host shows.
     fn transport(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Transport) {}
-}
-
-/// Indices of the streams that `place` names.
-fn streams_of<'a>(place: &'a Place, layout: &'a TactileLayout) -> impl Iterator<Item = usize> + 'a {
-    let named = move |id: &String| matches!(place, Place::Stream(stream) if stream == id);
-    layout.streams.iter().enumerate().filter(move |(_, stream)| named(&stream.id)).map(|(idx, _)| idx)
-}
-
-/// Name for people of the stream that `place` names.
-fn stream_label(place: &Place, station: &Station) -> String {
-    streams_of(place, &station.layout)
-        .next()
-        .map_or_else(String::new, |stream| station.layout.streams[stream].label.clone())
-}
-
-/// Name of the joint that `place` names.
-fn joint_name(place: &Place) -> &str {
-    if let Place::Joint(name) = place { name } else { "" }
-}
-
-/// Degree of freedom that `place` names.
-fn dof_of(place: &Place, station: &Station) -> Option<usize> {
-    station.robot.dofs().position(|joint| joint.name == joint_name(place))
-}
-
-/// Names of the joints that turn.
-fn revolute_joints(station: &Station) -> impl Iterator<Item = String> + '_ {
-    station.robot.dofs().filter(|joint| joint.kind == JointKind::Revolute).map(|joint| joint.name.clone())
 }

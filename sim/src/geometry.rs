@@ -4,7 +4,7 @@ mod clearance;
 mod mesh;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use palpate_robot_model::ObjectShape;
+use palpate_robot_model::{LinkShape, ObjectShape};
 use parry3d_f64::math::{Pose, Rotation, Vector};
 use parry3d_f64::shape::{SharedShape, TriMesh};
 
@@ -239,6 +239,19 @@ fn cuboid_distance(p: &Point3<f64>, half_extents: &Vector3<f64>) -> f64 {
     let beyond = p.coords.abs() - half_extents;
     let outside = beyond.map(|v| v.max(0.0)).norm();
     outside + beyond.x.max(beyond.y).max(beyond.z).min(0.0)
+}
+
+/// Signed distance of a point in the shape's frame to the shape of a link, m; negative inside.
+pub(crate) fn link_shape_distance_m(shape: &LinkShape, p: &Point3<f64>) -> f64 {
+    match *shape {
+        LinkShape::Box { size_m } => cuboid_distance(p, &(Vector3::from(size_m) * 0.5)),
+        LinkShape::Cylinder { radius_m, length_m } => cylinder_distance(p, radius_m, 0.5 * length_m),
+        LinkShape::Capsule { radius_m, length_m } => {
+            let beyond = (p.z.abs() - 0.5 * length_m).max(0.0);
+            (p.x * p.x + p.y * p.y + beyond * beyond).sqrt() - radius_m
+        }
+        LinkShape::Sphere { radius_m } => ball_distance(p, radius_m),
+    }
 }
 
 fn parry_vector(p: &Point3<f64>) -> Vector {

@@ -61,6 +61,13 @@ pub struct StreamConfig {
     pub raw_max: f64,
 }
 
+impl StreamConfig {
+    /// The threshold below which a channel switches off, over the one above which it switches on.
+    pub fn off_fraction(&self) -> f64 {
+        self.off_threshold / self.on_threshold
+    }
+}
+
 impl Station {
     /// Reads the station file `file` and everything it names through `read_file`, checking every reference between
     /// them. `read_file` turns a path into bytes, or says why it cannot. It is first called with `file` itself, which

@@ -1,9 +1,11 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
+use std::borrow::Cow;
+
 use nalgebra::Isometry3;
 use palpate_robot_model::{ObjectModel, SensorKind, Station, TactileLayout};
 
-use super::{Effect, EffectKind, tactile};
+use super::{Effect, EffectKind, TACTILE};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
 use crate::replay::{ContactTrace, PatchTrace, ReplayError, contact_trace};
@@ -42,15 +44,15 @@ pub struct Kinematics {
 
 /// How the skin is loaded.
 #[derive(Clone, Debug)]
-pub struct Contact {
+pub struct Contact<'a> {
     /// Distances and node pressures.
-    pub trace: ContactTrace,
+    pub trace: Cow<'a, ContactTrace>,
     /// Nodes and taxels, with mounting errors.
-    pub layout: TactileLayout,
+    pub layout: &'a TactileLayout,
     /// Per patch, decay of pressure along the elastomer, 1/m.
     pub alpha_per_m: Vec<f64>,
     /// True joint positions, as in [`Kinematics::positions`].
-    pub positions: Vec<f64>,
+    pub positions: &'a [f64],
 }
 
 /// Load of every channel over time, as its sensor reports it.
@@ -76,8 +78,11 @@ pub struct Switching {
     pub off_fractions: Vec<f64>,
     /// Per channel, how long a load must be above `on_loads` before the event is reported, s.
     pub min_on_s: Vec<f64>,
-    /// Per channel, activation that is there without any load, 0..=1, such as of a value that wraps around zero.
+    /// Per channel, activation that is there without any load, 0..=1, such as of a value that wraps around zero. A
+    /// channel that switches hard is on in that share of frames.
     pub idle_activation: Vec<f64>,
+    /// Per channel, the share of its activation that is passed on, 0..=1: 0 for a dead channel.
+    pub passed_shares: Vec<f64>,
     /// Per channel, width of the switching curve in units of load; 0 switches hard.
     pub widths: Vec<f64>,
 }
@@ -87,6 +92,21 @@ pub struct Switching {
 pub struct Transport {
     /// Per stream and frame, the time (on the joints' clock, s) at which the reading in effect was sampled.
     pub device_times_s: Vec<Vec<f64>>,
+    /// Per stream, how it freezes.
+    pub holds: Vec<Option<Hold>>,
+}
+
+/// A stream that freezes for a `span_s` at a time, a `fraction` of the time.
+///
+/// A chain that switches hard freezes regularly from the start of the take: after `span_s * (1 / fraction - 1)` of the
+/// present come `span_s` of its last moment. A soft chain does not know when the spans begin and gives the mean over
+/// all of them: `(1 - fraction)` of the present and `fraction` of the mean over the last `span_s`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hold {
+    /// Share of the time that is frozen, above 0, below 1.
+    pub fraction: f64,
+    /// Length of a frozen span, s.
+    pub span_s: f64,
 }
 
 /// Readings of every channel at the frames of a take.
@@ -98,7 +118,8 @@ pub struct Sensed {
     pub num_channels: usize,
     /// As [`Load::values`], at the moments that the host sees.
     pub load: Vec<f64>,
-    /// Activation, 0 or 1; in between where [`Switching::widths`] are not zero. Same indexing.
+    /// Activation, 0 or 1; in between where [`Switching::widths`] are not zero, and for an effect that is there in part.
+    /// Same indexing.
     pub activation: Vec<f64>,
 }
 
@@ -109,7 +130,7 @@ pub struct Chain<'a> {
     pub theta: Theta,
     /// What the model knows of sensors beyond theta.
     pub response: &'a Response,
-    /// Effects, in any order: each acts in its stage, within a stage in the order given.
+    /// Effects, in any order: they act in the order of [`TACTILE`], the same kind in the order given.
     pub effects: &'a [Effect],
     /// Per stream, width of the switching curve in units of the load at which it switches; empty switches hard.
     pub soft_widths: &'a [f64],
@@ -147,10 +168,10 @@ impl Chain<'_> {
     pub fn sense_contact(&self, scene: &TakeScene<'_>, geometry: &Geometry) -> Sensed {
         let nominal = &scene.station.layout;
         let mut contact = Contact {
-            trace: geometry.trace.clone(),
-            layout: geometry.layout.clone(),
+            trace: Cow::Borrowed(&geometry.trace),
+            layout: &geometry.layout,
             alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
-            positions: geometry.positions.clone(),
+            positions: &geometry.positions,
         };
         self.each(|kind, effect| kind.contact(effect, scene, &mut contact));
 
@@ -158,7 +179,8 @@ impl Chain<'_> {
             .channels
             .iter()
             .map(|channel| match nominal.streams[channel.stream].kind {
-                SensorKind::Proximity => self.response.proximity_band_m,
+                // As far as the reach is from the threshold, and not the band itself, so that rounding is the same.
+                SensorKind::Proximity => self.response.reach_m(&self.theta) - self.theta.lambda_con_m,
                 SensorKind::Pressure => self.theta.lambda_pre_pa,
             })
             .collect();
@@ -176,6 +198,7 @@ impl Chain<'_> {
                     scene.arrival_times_s.get(stream).map_or_else(|| scene.frame_times_s.to_vec(), Vec::clone)
                 })
                 .collect(),
+            holds: vec![None; nominal.streams.len()],
         };
         self.each(|kind, effect| kind.transport(effect, scene, &mut transport));
 
@@ -186,6 +209,7 @@ impl Chain<'_> {
             off_fractions: of_stream(&|_, stream| self.response.off_fraction(&nominal.streams[stream].id)),
             min_on_s: vec![0.0; on_loads.len()],
             idle_activation: vec![0.0; on_loads.len()],
+            passed_shares: vec![1.0; on_loads.len()],
             widths: of_stream(&|channel, stream| {
                 self.soft_widths.get(stream).map_or(0.0, |width| width * on_loads[channel])
             }),
@@ -193,20 +217,36 @@ impl Chain<'_> {
         };
         self.each(|kind, effect| kind.switching(effect, scene, &mut switching));
 
-        let load = arrive(&load, &transport, nominal);
-        let activation = switching.activations(&load, scene.frame_times_s);
-        Sensed {
+        let soft = self.soft_widths.iter().any(|width| *width > 0.0);
+        if !soft {
+            transport.freeze();
+        }
+        let present = arrive(&load, &transport, nominal);
+        let activation = switching.activations(&present, scene.frame_times_s);
+        let mut sensed = Sensed {
             num_frames: scene.frame_times_s.len(),
             num_channels: nominal.num_channels(),
-            load,
+            load: present,
             activation,
+        };
+        if soft && transport.holds.iter().any(Option::is_some) {
+            let past = transport.past().map(|transport| {
+                let loads = arrive(&load, &transport, nominal);
+                let activations = switching.activations(&loads, scene.frame_times_s);
+                (loads, activations)
+            });
+            sensed.blend(&transport.holds, &past.collect::<Vec<_>>(), nominal);
         }
+        sensed
     }
 
     fn each(&self, mut visit: impl FnMut(&dyn EffectKind, &Effect)) {
-        for effect in self.effects {
-            if let Some(kind) = tactile(&effect.id) {
-                visit(kind, effect);
+        if self.effects.is_empty() {
+            return;
+        }
+        for kind in TACTILE {
+            for effect in self.effects.iter().filter(|effect| effect.id == kind.id()) {
+                visit(*kind, effect);
             }
         }
     }
@@ -239,8 +279,8 @@ fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> TactileLayout {
 }
 
 /// As [`Load::values`].
-fn loads(contact: &Contact, reach_m: f64) -> Vec<f64> {
-    let mut values = propagate_patches(&contact.layout, &contact.trace, &contact.alpha_per_m);
+fn loads(contact: &Contact<'_>, reach_m: f64) -> Vec<f64> {
+    let mut values = propagate_patches(contact.layout, &contact.trace, &contact.alpha_per_m);
     let num_channels = contact.layout.num_channels();
     for (patch, trace) in contact.layout.patches.iter().zip(&contact.trace.patches) {
         if let PatchTrace::Proximity { .. } = trace {
@@ -252,6 +292,72 @@ fn loads(contact: &Contact, reach_m: f64) -> Vec<f64> {
         }
     }
     values
+}
+
+/// Moments over the span of a [`Hold`] at which a soft chain looks.
+const NUM_MOMENTS: usize = 6;
+
+impl Transport {
+    /// Freezes the streams that do, regularly.
+    fn freeze(&mut self) {
+        for (times_s, hold) in self.device_times_s.iter_mut().zip(&self.holds) {
+            let (Some(hold), Some(&start_s)) = (hold, times_s.first()) else { continue };
+            let period_s = hold.span_s / hold.fraction;
+            for time_s in times_s {
+                let into_period_s = (*time_s - start_s).rem_euclid(period_s);
+                *time_s -= (into_period_s - (period_s - hold.span_s)).max(0.0);
+            }
+        }
+    }
+
+    /// The moments that frozen streams may show instead of the present, equally likely.
+    fn past(&self) -> impl Iterator<Item = Self> + '_ {
+        (0..NUM_MOMENTS).map(|moment| {
+            let mut past = self.clone();
+            let share = (moment as f64 + 0.5) / NUM_MOMENTS as f64;
+            for (times_s, hold) in past.device_times_s.iter_mut().zip(&self.holds) {
+                let age_s = hold.map_or(0.0, |hold| share * hold.span_s);
+                times_s.iter_mut().for_each(|time_s| *time_s -= age_s);
+            }
+            past
+        })
+    }
+}
+
+impl Sensed {
+    /// The mean over what frozen streams may show: `past` holds the loads and activations of equally likely moments.
+    fn blend(&mut self, holds: &[Option<Hold>], past: &[(Vec<f64>, Vec<f64>)], layout: &TactileLayout) {
+        for (stream, hold) in layout.streams.iter().zip(holds) {
+            let Some(hold) = hold else { continue };
+            let mean = |present: f64, sum: f64| {
+                (1.0 - hold.fraction) * present + hold.fraction / past.len() as f64 * sum
+            };
+            for at in (0..self.num_frames).flat_map(|frame| {
+                stream.channels.clone().map(move |channel| frame * layout.num_channels() + channel)
+            }) {
+                self.load[at] = mean(self.load[at], past.iter().map(|(loads, _)| loads[at]).sum());
+                self.activation[at] =
+                    mean(self.activation[at], past.iter().map(|(_, active)| active[at]).sum());
+            }
+        }
+    }
+}
+
+impl Load {
+    /// Loads of `channel`, frame by frame.
+    pub fn of_channel(&self, channel: usize) -> impl Iterator<Item = f64> + '_ {
+        self.values.iter().skip(channel).step_by(self.num_channels.max(1)).copied()
+    }
+
+    /// As [`Self::of_channel`], to change them.
+    pub fn of_channel_mut(&mut self, channel: usize) -> impl Iterator<Item = &mut f64> {
+        self.values.iter_mut().skip(channel).step_by(self.num_channels.max(1))
+    }
+
+    /// Loads of all channels, frame by frame, to change them.
+    pub fn frames_mut(&mut self) -> impl Iterator<Item = &mut [f64]> {
+        self.values.chunks_exact_mut(self.num_channels.max(1))
+    }
 }
 
 /// Loads at the moments that the host sees: linear between frames, held before the first and after the last.
@@ -317,14 +423,23 @@ impl Switching {
                 f64::from(u8::from(load > threshold))
             }
         };
+        let passed = self.passed_shares[channel];
         let mut latched = 0.0_f64;
+        let mut last = (f64::NAN, 0.0, 0.0);
         let mut values: Vec<f64> = times_s
             .iter()
             .enumerate()
             .map(|(frame, _)| {
                 let load = loads[frame * num_channels + channel];
-                latched = above(load, on).max(latched.min(above(load, off)));
-                latched.max(idle)
+                // Quiet channels stay where they are, and are most of the work.
+                if load != last.0 {
+                    let over_on = above(load, on);
+                    last = (load, over_on, if off == on { over_on } else { above(load, off) });
+                }
+                let (_, over_on, over_off) = last;
+                latched = over_on.max(latched.min(over_off));
+                let idle = if width > 0.0 || idle >= 1.0 { idle } else { drawn(frame, channel, idle) };
+                passed * latched.max(idle)
             })
             .collect();
         let min_on_s = self.min_on_s[channel];
@@ -333,6 +448,20 @@ impl Switching {
         }
         values
     }
+}
+
+/// One draw for a frame of a channel that is on with `probability`: always the same, and without any pattern over
+/// frames (the finaliser of SplitMix64, Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
+fn drawn(frame: usize, channel: usize, probability: f64) -> f64 {
+    if probability <= 0.0 {
+        return 0.0;
+    }
+    let mut bits =
+        ((channel as u64) << 32 | frame as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    let uniform = ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
+    f64::from(u8::from(uniform < probability))
 }
 
 /// Reports an activation only once it has lasted `min_on_s`: the smallest over that time back, frames being held until

@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene};
+use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene, places};
 
 /// The joint stands `offset_rad` further than it reports.
 pub(super) struct JointOffset;
@@ -16,10 +16,10 @@ impl EffectKind for JointOffset {
         Stage::Kinematics
     }
 
-    fn explain(&self, effect: &Effect, _station: &Station) -> String {
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
         format!(
-            "Joint {} stands {:+.1} mrad from where it reports.",
-            super::joint_name(&effect.place),
+            "{} stands {:+.1} mrad from where it reports.",
+            places::title(&effect.place, station),
             effect.parameter("offset_rad") * 1e3
         )
     }
@@ -29,22 +29,15 @@ impl EffectKind for JointOffset {
     }
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
-        vec![Parameter {
-            name: "offset_rad".to_owned(),
-            lower: -0.1,
-            upper: 0.1,
-            neutral: 0.0,
-            smallest: 0.004,
-            dose: 0.008,
-        }]
+        vec![Parameter::new("offset_rad", -0.1..=0.1, 0.0, 0.004, 0.008)]
     }
 
     fn places(&self, station: &Station) -> Vec<Place> {
-        super::revolute_joints(station).map(Place::Joint).collect()
+        places::revolute_joints(station)
     }
 
     fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
-        let Some(dof) = super::dof_of(&effect.place, scene.station) else { return };
+        let Some(dof) = places::dof_of(&effect.place, scene.station) else { return };
         let num_dofs = scene.station.robot.num_dofs();
         for frame in state.positions.chunks_exact_mut(num_dofs) {
             frame[dof] += effect.parameter("offset_rad");

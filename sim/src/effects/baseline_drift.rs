@@ -1,0 +1,53 @@
+//! A reading that drifts away from its reference.
+
+use palpate_robot_model::{Place, Station};
+
+use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+
+/// The reading gains `rate_per_s` of the load that switches the channel on, every second since the take started, when
+/// the firmware took its reference.
+pub(super) struct BaselineDrift;
+
+impl EffectKind for BaselineDrift {
+    fn id(&self) -> &'static str {
+        "baseline_drift"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        format!(
+            "The baseline of the {} drifts by {:+.2} % of its threshold a second.",
+            places::name(&effect.place, station),
+            effect.parameter("rate_per_s") * 1e2
+        )
+    }
+
+    fn signature(&self) -> &'static str {
+        "grows with time since the start of a take, with and without contact"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        vec![Parameter::new("rate_per_s", -0.2..=0.2, 0.0, 0.002, 0.005)]
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        places::all_streams(station).into_iter().chain(places::all_channels(station)).collect()
+    }
+
+    fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let rate_per_s = effect.parameter("rate_per_s");
+        if rate_per_s == 0.0 {
+            return;
+        }
+        let start_s = state.times_s.first().copied().unwrap_or(0.0);
+        let elapsed_s: Vec<f64> = state.times_s.iter().map(|time_s| time_s - start_s).collect();
+        for channel in places::channels_of(&effect.place, &scene.station.layout) {
+            let load_per_s = rate_per_s * state.on_loads[channel];
+            let loads = state.of_channel_mut(channel).zip(&elapsed_s);
+            loads.for_each(|(load, elapsed_s)| *load += load_per_s * elapsed_s);
+        }
+    }
+}

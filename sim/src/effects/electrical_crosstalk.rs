@@ -1,0 +1,59 @@
+//! Channels that leak into those next to them on the cable.
+
+use palpate_robot_model::{Place, Station};
+
+use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+
+/// Every channel reads `leak` of each neighbour's load besides its own.
+pub(super) struct ElectricalCrosstalk;
+
+impl EffectKind for ElectricalCrosstalk {
+    fn id(&self) -> &'static str {
+        "electrical_crosstalk"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Electronics
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        format!(
+            "Channels of the {} leak {:.1} % of their reading into their neighbours on the cable.",
+            places::name(&effect.place, station),
+            effect.parameter("leak") * 1e2
+        )
+    }
+
+    fn signature(&self) -> &'static str {
+        "channels that nothing touches follow those next to them by number, however far apart on the skin"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        vec![Parameter::new("leak", 0.0..=0.8, 0.0, 0.03, 0.08)]
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        places::all_streams(station)
+    }
+
+    fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let leak = effect.parameter("leak");
+        if leak == 0.0 {
+            return;
+        }
+        let layout = &scene.station.layout;
+        let pairs: Vec<(usize, usize)> = places::channels_of(&effect.place, layout)
+            .into_iter()
+            .flat_map(|channel| {
+                places::wiring_neighbours(channel, layout).into_iter().map(move |other| (channel, other))
+            })
+            .collect();
+        let mut own = vec![0.0; state.num_channels];
+        for frame in state.frames_mut() {
+            own.copy_from_slice(frame);
+            for &(channel, other) in &pairs {
+                frame[channel] += leak * own[other];
+            }
+        }
+    }
+}

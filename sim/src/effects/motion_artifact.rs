@@ -1,0 +1,91 @@
+//! A sensor that answers to the motion of the hand.
+
+use palpate_robot_model::{JointKind, Place, Station};
+
+use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+
+/// The reading gains `load_s_per_rad` of the load that switches the channel on, for every rad/s of the fastest joint that
+/// moves the channel's link: cables that pull, skin that inertia or a neighbouring link bends.
+pub(super) struct MotionArtifact;
+
+impl EffectKind for MotionArtifact {
+    fn id(&self) -> &'static str {
+        "motion_artifact"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        format!(
+            "The {} reads {:.0} % of its threshold for every rad/s of its joints, without any touch.",
+            places::name(&effect.place, station),
+            effect.parameter("load_s_per_rad") * 1e2
+        )
+    }
+
+    fn signature(&self) -> &'static str {
+        "activations without contact that follow the speed of joints and stop with them"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        vec![Parameter::new("load_s_per_rad", 0.0..=10.0, 0.0, 0.15, 0.5)]
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        let moves = |stream: &usize| {
+            let mut patches = station.layout.patches.iter().filter(|patch| patch.stream == *stream);
+            patches.any(|patch| !turning_dofs(patch.link, station).is_empty())
+        };
+        let streams = (0..station.layout.streams.len()).filter(moves);
+        streams.map(|stream| Place::Stream(station.layout.streams[stream].id.clone())).collect()
+    }
+
+    fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let load_s_per_rad = effect.parameter("load_s_per_rad");
+        if load_s_per_rad == 0.0 {
+            return;
+        }
+        let layout = &scene.station.layout;
+        let mut speeds_by_link = vec![None; scene.station.robot.links.len()];
+        for patch in places::patches_of(&effect.place, layout) {
+            let patch = &layout.patches[patch];
+            let speeds = speeds_by_link[patch.link].get_or_insert_with(|| fastest(patch.link, scene));
+            for channel in patch.channels.clone() {
+                let per_speed = load_s_per_rad * state.on_loads[channel];
+                let loads = state.of_channel_mut(channel).zip(speeds.iter());
+                loads.for_each(|(load, speed)| *load += per_speed * speed);
+            }
+        }
+    }
+}
+
+/// Degrees of freedom between the root and `link` that turn.
+fn turning_dofs(link: usize, station: &Station) -> Vec<usize> {
+    let joints = &station.robot.joints;
+    // A joint moves the link after it in the list; the root has none.
+    let up = |&link: &usize| link.checked_sub(1).map(|joint| joints[joint].parent_link);
+    std::iter::successors(Some(link), up)
+        .filter_map(|link| joints.get(link.checked_sub(1)?))
+        .filter(|joint| joint.kind == JointKind::Revolute)
+        .filter_map(|joint| joint.dof)
+        .collect()
+}
+
+/// Speed of the fastest joint that moves `link`, rad/s, frame by frame: central differences over the measured path.
+fn fastest(link: usize, scene: &TakeScene<'_>) -> Vec<f64> {
+    let dofs = turning_dofs(link, scene.station);
+    let (times_s, num_dofs) = (scene.frame_times_s, scene.station.robot.num_dofs());
+    (0..times_s.len())
+        .map(|frame| {
+            let (before, after) = (frame.saturating_sub(1), (frame + 1).min(times_s.len() - 1));
+            let gap_s = times_s[after] - times_s[before];
+            let travel = |dof: usize| {
+                scene.positions[after * num_dofs + dof] - scene.positions[before * num_dofs + dof]
+            };
+            let furthest = dofs.iter().map(|&dof| travel(dof).abs()).fold(0.0, f64::max);
+            if gap_s > 0.0 { furthest / gap_s } else { 0.0 }
+        })
+        .collect()
+}

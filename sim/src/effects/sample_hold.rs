@@ -1,0 +1,55 @@
+//! A stream whose readings freeze at times.
+
+use palpate_robot_model::{Place, Station};
+
+use super::{Effect, EffectKind, Hold, Parameter, Stage, TakeScene, Transport, places};
+
+/// For a share `frozen_fraction` of the time the readings are frozen, `span_s` at a stretch, and then jump to the
+/// present. When the spans begin is not a parameter, because nothing that a fit could follow leads there: a soft chain
+/// gives the mean over all phases, and a hard one freezes regularly from the start of the take ([`super::Hold`]).
+pub(super) struct SampleHold;
+
+impl EffectKind for SampleHold {
+    fn id(&self) -> &'static str {
+        "sample_hold"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Transport
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        format!(
+            "The {} freezes for {:.0} ms at a stretch, {:.0} % of the time.",
+            places::name(&effect.place, station),
+            effect.parameter("span_s") * 1e3,
+            effect.parameter("frozen_fraction") * 1e2
+        )
+    }
+
+    fn signature(&self) -> &'static str {
+        "some onsets and releases late by up to the span, others on time; all channels of the stream stand still together"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        vec![
+            Parameter::new("frozen_fraction", 0.0..=0.9, 0.0, 0.08, 0.2),
+            // Without a fraction it does nothing.
+            Parameter::new("span_s", 0.05..=5.0, 0.5, 10.0, 0.2),
+        ]
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        places::all_streams(station)
+    }
+
+    fn transport(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Transport) {
+        let (fraction, span_s) = (effect.parameter("frozen_fraction"), effect.parameter("span_s"));
+        if fraction <= 0.0 || span_s <= 0.0 {
+            return;
+        }
+        for stream in places::streams_of(&effect.place, &scene.station.layout) {
+            state.holds[stream] = Some(Hold { fraction, span_s });
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! Fingers that touch each other.
+
+use nalgebra::{Isometry3, Point3};
+use palpate_robot_model::{Place, Robot, Station, TactileLayout};
+
+use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
+use crate::geometry::link_shape_distance_m;
+use crate::replay::{NEAR_M, PatchTrace};
+
+/// Patches of one group also feel the collision shapes of the other's links, and the other way round. Links that a joint
+/// connects do not count: they always touch.
+pub(super) struct SelfContact;
+
+impl EffectKind for SelfContact {
+    fn id(&self) -> &'static str {
+        "self_contact"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Contact
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        let likely = places::likely(effect.parameter("presence"));
+        format!("{} feel each other where they touch{likely}.", places::title(&effect.place, station))
+    }
+
+    fn signature(&self) -> &'static str {
+        "activations away from the object, only in postures that bring two fingers together"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        Parameter::presence()
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        let layout = &station.layout;
+        let mut groups: Vec<&String> = Vec::new();
+        for patch in &layout.patches {
+            if !groups.contains(&&patch.group) {
+                groups.push(&patch.group);
+            }
+        }
+        let pairs = groups
+            .iter()
+            .enumerate()
+            .flat_map(|(i, one)| groups[i + 1..].iter().map(move |other| (*one, *other)));
+        let both =
+            |(one, other): &(&String, &String)| !meetings(&station.robot, layout, one, other).is_empty();
+        pairs.filter(both).map(|(one, other)| Place::Groups(vec![one.clone(), other.clone()])).collect()
+    }
+
+    fn contact(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Contact<'_>) {
+        let presence = effect.parameter("presence");
+        let Place::Groups(groups) = &effect.place else { return };
+        let [one, other] = &groups[..] else { return };
+        if presence == 0.0 {
+            return;
+        }
+        let robot = &scene.station.robot;
+        let meetings = meetings(robot, state.layout, one, other);
+        let mut felt: Vec<Touches> = meetings.iter().map(|_| Touches::new()).collect();
+        let mut root_from_link = Vec::new();
+        for positions in state.positions.chunks_exact(robot.num_dofs().max(1)) {
+            robot.forward_kinematics(positions, &mut root_from_link);
+            for (meeting, felt) in meetings.iter().zip(&mut felt) {
+                meeting.feel(robot, state.layout, &root_from_link, felt);
+            }
+        }
+        let trace = state.trace.to_mut();
+        for (meeting, felt) in meetings.iter().zip(&felt) {
+            let stiffness_pa_per_m = state.layout.patches[meeting.patch].stiffness_pa_per_m;
+            felt.add_to(&mut trace.patches[meeting.patch], presence, stiffness_pa_per_m);
+        }
+    }
+}
+
+/// A patch and the links of the other group that it can meet.
+struct Meeting {
+    patch: usize,
+    links: Vec<usize>,
+    /// A ball in the frame of the patch's link that holds its nodes.
+    center_in_link: Point3<f64>,
+    radius_m: f64,
+}
+
+fn meetings(robot: &Robot, layout: &TactileLayout, one: &str, other: &str) -> Vec<Meeting> {
+    let links_of = |group: &str| -> Vec<usize> {
+        let mut links: Vec<usize> =
+            layout.patches.iter().filter(|patch| patch.group == group).map(|patch| patch.link).collect();
+        links.sort_unstable();
+        links.dedup();
+        links
+    };
+    let joined = |a: usize, b: usize| {
+        robot.joints.iter().any(|joint| [(a, b), (b, a)].contains(&(joint.parent_link, joint.child_link)))
+    };
+    let mut meetings = Vec::new();
+    for (idx, patch) in layout.patches.iter().enumerate() {
+        let others = if patch.group == one {
+            links_of(other)
+        } else if patch.group == other {
+            links_of(one)
+        } else {
+            continue;
+        };
+        let can_meet = |link: &usize| {
+            *link != patch.link && !joined(*link, patch.link) && !robot.links[*link].collisions.is_empty()
+        };
+        let links: Vec<usize> = others.into_iter().filter(can_meet).collect();
+        let Some(first) = patch.nodes.first() else { continue };
+        if links.is_empty() {
+            continue;
+        }
+        let (mut low, mut high) = (first.pos_in_link, first.pos_in_link);
+        for node in &patch.nodes {
+            (low, high) = (low.inf(&node.pos_in_link), high.sup(&node.pos_in_link));
+        }
+        let center_in_link = nalgebra::center(&low, &high);
+        let reach = |node: &palpate_robot_model::SurfaceNode| (node.pos_in_link - center_in_link).norm();
+        let radius_m = patch.nodes.iter().map(reach).fold(0.0, f64::max);
+        meetings.push(Meeting { patch: idx, links, center_in_link, radius_m });
+    }
+    meetings
+}
+
+impl Meeting {
+    /// Adds the distances of one frame to `felt`.
+    fn feel(
+        &self,
+        robot: &Robot,
+        layout: &TactileLayout,
+        root_from_link: &[Isometry3<f64>],
+        felt: &mut Touches,
+    ) {
+        let patch = &layout.patches[self.patch];
+        let first = felt.nodes.len();
+        let mut nearest_m = NEAR_M;
+        for &link in &self.links {
+            let other_from_patch = root_from_link[link].inverse() * root_from_link[patch.link];
+            for body in &robot.links[link].collisions {
+                let shape_from_patch = body.link_from_shape.inverse() * other_from_patch;
+                let center_m = link_shape_distance_m(&body.shape, &(shape_from_patch * self.center_in_link));
+                if center_m - self.radius_m >= nearest_m {
+                    continue;
+                }
+                for (node, surface) in patch.nodes.iter().enumerate() {
+                    let distance_m =
+                        link_shape_distance_m(&body.shape, &(shape_from_patch * surface.pos_in_link));
+                    nearest_m = nearest_m.min(distance_m);
+                    if distance_m < 0.0 {
+                        felt.nodes.push((node as u32, -distance_m));
+                    }
+                }
+            }
+        }
+        // A node inside of two bodies is as deep as in the deeper one.
+        felt.nodes[first..].sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+        let mut kept = first;
+        for at in first..felt.nodes.len() {
+            if kept == first || felt.nodes[kept - 1].0 != felt.nodes[at].0 {
+                felt.nodes[kept] = felt.nodes[at];
+                kept += 1;
+            }
+        }
+        felt.nodes.truncate(kept);
+        felt.ends.push(kept);
+        felt.nearest_m.push(nearest_m);
+    }
+}
+
+/// What a patch feels of another finger, frame by frame.
+struct Touches {
+    /// Smallest distance of its nodes, m; [`NEAR_M`] beyond that.
+    nearest_m: Vec<f64>,
+    /// Nodes inside of the other and how deep, m, nodes ascending within a frame.
+    nodes: Vec<(u32, f64)>,
+    /// Where each frame's nodes end.
+    ends: Vec<usize>,
+}
+
+impl Touches {
+    fn new() -> Self {
+        Self { nearest_m: Vec::new(), nodes: Vec::new(), ends: Vec::new() }
+    }
+
+    /// The nearer of the object and the other finger counts.
+    fn add_to(&self, trace: &mut PatchTrace, presence: f64, stiffness_pa_per_m: f64) {
+        match trace {
+            PatchTrace::Proximity { min_distance_m } => {
+                for (distance_m, other_m) in min_distance_m.iter_mut().zip(&self.nearest_m) {
+                    *distance_m -= presence * (*distance_m - other_m).max(0.0);
+                }
+            }
+            PatchTrace::Pressure { offsets, entries } => {
+                let mut merged_offsets = vec![0];
+                let mut merged: Vec<(u32, f64)> = Vec::with_capacity(entries.len() + self.nodes.len());
+                let mut from = 0;
+                for (frame, &end) in self.ends.iter().enumerate() {
+                    let own = &entries[PatchTrace::entry_range(offsets, frame)];
+                    let pressed = self.nodes[from..end]
+                        .iter()
+                        .map(|&(node, depth_m)| (node, presence * depth_m * stiffness_pa_per_m));
+                    let first = merged.len();
+                    merged.extend(own.iter().copied().chain(pressed));
+                    merged[first..].sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+                    let mut kept = first;
+                    for at in first..merged.len() {
+                        if kept == first || merged[kept - 1].0 != merged[at].0 {
+                            merged[kept] = merged[at];
+                            kept += 1;
+                        }
+                    }
+                    merged.truncate(kept);
+                    merged_offsets.push(merged.len() as u32);
+                    from = end;
+                }
+                (*offsets, *entries) = (merged_offsets, merged);
+            }
+        }
+    }
+}

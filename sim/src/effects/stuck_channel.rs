@@ -1,0 +1,54 @@
+//! A channel that always reads a touch.
+
+use palpate_robot_model::{Place, Station};
+
+use super::{Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, places};
+
+/// The channel is active all the time; its reading is twice what switches it on.
+pub(super) struct StuckChannel;
+
+impl EffectKind for StuckChannel {
+    fn id(&self) -> &'static str {
+        "stuck_channel"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Electronics
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        let likely = places::likely(effect.parameter("presence"));
+        format!("{} is stuck: it is on all the time{likely}.", places::title(&effect.place, station))
+    }
+
+    fn signature(&self) -> &'static str {
+        "one channel is on without any touch, and through every touch"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        Parameter::presence()
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        places::all_channels(station)
+    }
+
+    fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let presence = effect.parameter("presence");
+        if presence == 0.0 {
+            return;
+        }
+        for channel in places::channels_of(&effect.place, &scene.station.layout) {
+            let stuck = 2.0 * state.on_loads[channel];
+            let loads = state.of_channel_mut(channel);
+            loads.for_each(|load| *load = (1.0 - presence) * *load + presence * stuck);
+        }
+    }
+
+    fn switching(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Switching) {
+        for channel in places::channels_of(&effect.place, &scene.station.layout) {
+            let idle = &mut state.idle_activation[channel];
+            *idle = idle.max(effect.parameter("presence"));
+        }
+    }
+}

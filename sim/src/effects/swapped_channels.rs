@@ -1,0 +1,64 @@
+//! Two channels that are plugged in the wrong way round.
+
+use palpate_robot_model::{Place, Station, TactileLayout};
+
+use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+
+/// Each of two channels reads what the other should.
+pub(super) struct SwappedChannels;
+
+impl EffectKind for SwappedChannels {
+    fn id(&self) -> &'static str {
+        "swapped_channels"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Electronics
+    }
+
+    fn explain(&self, effect: &Effect, station: &Station) -> String {
+        let likely = places::likely(effect.parameter("presence"));
+        format!("{} are swapped{likely}.", places::title(&effect.place, station))
+    }
+
+    fn signature(&self) -> &'static str {
+        "each of two channels answers when the other is touched; counts unchanged"
+    }
+
+    fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
+        Parameter::presence()
+    }
+
+    fn places(&self, station: &Station) -> Vec<Place> {
+        let channels = &station.layout.channels;
+        let id = |channel: usize| channels[channel].id.clone();
+        let pairs = (0..channels.len())
+            .flat_map(|first| (first + 1..channels.len()).map(move |second| (first, second)));
+        let likely = pairs.filter(|&(first, second)| can_swap(first, second, &station.layout));
+        likely.map(|(first, second)| Place::Channels(vec![id(first), id(second)])).collect()
+    }
+
+    fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let presence = effect.parameter("presence");
+        let channels = places::channels_of(&effect.place, &scene.station.layout);
+        let [first, second] = channels[..] else { return };
+        if presence == 0.0 {
+            return;
+        }
+        for frame in state.frames_mut() {
+            let (one, other) = (frame[first], frame[second]);
+            frame[first] = (1.0 - presence) * one + presence * other;
+            frame[second] = (1.0 - presence) * other + presence * one;
+        }
+    }
+}
+
+/// Whether the two could be confused at a connector: taxels of one patch, or patches of one taxel each that belong to
+/// one group or lie next to each other on the cable.
+fn can_swap(first: usize, second: usize, layout: &TactileLayout) -> bool {
+    let (one, other) = (&layout.channels[first], &layout.channels[second]);
+    let (one_patch, other_patch) = (&layout.patches[one.patch], &layout.patches[other.patch]);
+    let alone = one_patch.channels.len() == 1 && other_patch.channels.len() == 1;
+    let near = one_patch.group == other_patch.group || first + 1 == second;
+    one.patch == other.patch || (one.stream == other.stream && alone && near)
+}

@@ -1,0 +1,4 @@
+//! The library of effects, on takes of the shipped hand.
+
+mod laws;
+mod scene;
