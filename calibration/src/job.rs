@@ -135,10 +135,8 @@ pub fn calibrate(
     let seconds = clock_s() - start_s;
 
     let model = SensorModel {
-        format: 1,
-        name: format!("{}, calibrated", nominal.name),
-        theta,
         provenance: provenance(config, takes, &held_out),
+        ..SensorModel::plain(format!("{}, calibrated", nominal.name), theta)
     };
     watch.within([0.8, 0.95]).step(0, 1, "judging both models on every take")?;
     let judged: Vec<JudgedTake> = takes

@@ -302,6 +302,9 @@ pub enum ReplayError {
     /// The object has no inside, or is degenerate.
     #[error("failed to replay: the object cannot be touched: {0}")]
     Object(String),
+    /// The sensor model does not fit the station.
+    #[error("failed to replay: {0}")]
+    Model(String),
     /// The object's pose is NaN or infinite.
     #[error("failed to replay: the object's pose must be finite, found position {position_m:?} m")]
     NonFiniteObjectPose {

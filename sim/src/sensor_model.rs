@@ -1,25 +1,56 @@
-//! The sensor model file: theta, and where its numbers came from.
+//! The sensor model file: theta, the effects beyond it, and where its numbers came from.
+
+mod read;
 
 use std::collections::BTreeMap;
 
+use palpate_robot_model::{Place, SensorKind, Station};
 use serde::{Deserialize, Serialize};
-use toml::Spanned;
 
-use crate::replay::NEAR_M;
+use crate::effects::{self, Chain, Effect, Sensed, TakeScene};
+use crate::replay::{ContactTrace, NEAR_M, ReplayError};
+use crate::tactile::{self, Readings};
 
 /// A sensor model as stored in TOML. Replay, live twin and training load this same file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+///
+/// ```
+/// use palpate_sim::SensorModel;
+///
+/// let model = SensorModel::from_toml("pad.toml", r#"
+///     format = 2
+///     name = "pad, diagnosed"
+///     theta = { lambda_con_m = 0.001, alpha_per_m = 300.0, lambda_pre_pa = 1500.0 }
+///     response = { off_fractions = { pad = 0.75 } }
+///
+///     [[effect]]
+///     id = "latency"
+///     where = { stream = "pad" }
+///     parameters = { delay_s = 0.062 }
+///     interval = { delay_s = [0.055, 0.069] }
+///     takes = ["take-01", "take-02"]
+/// "#)?;
+/// assert_eq!(model.effects[0].parameter("delay_s"), 0.062);
+/// assert_eq!(SensorModel::from_toml("again.toml", &model.to_toml())?, model);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SensorModel {
-    /// Version of the format; 1.
+    /// Version of the format that it was read from: 1, or 2 which adds `response` and `effect`. A model is written in
+    /// the lowest that holds it, so that what has no effects still opens with software that knows none.
     pub format: u32,
     /// Name for people.
     pub name: String,
     /// The three parameters of the paper.
     pub theta: Theta,
     /// Where the numbers came from: free text lines such as session, held-out takes, software version.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub provenance: Vec<String>,
+    /// What is known of the sensors beyond theta.
+    #[serde(skip_serializing_if = "Response::is_default")]
+    pub response: Response,
+    /// Effects of the sensing chain.
+    #[serde(rename = "effect", skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<Effect>,
 }
 
 /// theta = (lambda_con, alpha, lambda_pre) of the paper, section "Real-to-Sim Tactile Sensor Calibration".
@@ -62,9 +93,13 @@ impl Response {
         1e-3
     }
 
-    /// Signed distance at which proximity sensors begin to read, m.
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Signed distance at which proximity sensors begin to read, m; at most as far as replays know distances.
     pub fn reach_m(&self, theta: &Theta) -> f64 {
-        theta.lambda_con_m + self.proximity_band_m
+        (theta.lambda_con_m + self.proximity_band_m).min(NEAR_M)
     }
 
     /// Of the stream called `stream`.
@@ -83,165 +118,161 @@ pub struct SensorModelError {
     pub problem: String,
 }
 
-/// The only format there is.
-const FORMAT: u32 = 1;
-
 impl SensorModel {
-    /// Reads and checks a model file. Problems name their line.
-    ///
-    /// Refused: another format, unknown or missing keys, numbers that are not finite, a negative alpha or lambda_pre,
-    /// and a lambda_con that is not below [`NEAR_M`].
-    pub fn from_toml(file: &str, text: &str) -> Result<Self, SensorModelError> {
-        let error = |problem: String| SensorModelError { file: file.to_owned(), problem };
-        let syntax = |err: toml::de::Error| match err.span() {
-            Some(span) => error(format!("line {}: {}", line(text, span.start), err.message())),
-            None => error(err.message().to_owned()),
-        };
-        let at = |span: std::ops::Range<usize>, problem: String| {
-            error(format!("line {}: {problem}", line(text, span.start)))
-        };
-
-        // The format first: other versions may have other keys.
-        let format = toml::from_str::<FormatOnly>(text).map_err(syntax)?.format;
-        if *format.get_ref() != FORMAT {
-            return Err(at(
-                format.span(),
-                format!("format is {}, expected {FORMAT}; this version reads no other", format.get_ref()),
-            ));
+    /// A model of theta alone.
+    pub fn plain(name: impl Into<String>, theta: Theta) -> Self {
+        Self {
+            format: 1,
+            name: name.into(),
+            theta,
+            provenance: Vec::new(),
+            response: Response::default(),
+            effects: Vec::new(),
         }
-        let model: SensorModelText = toml::from_str(text).map_err(syntax)?;
-        let number = |name: &str, value: &Spanned<f64>, ok: &dyn Fn(f64) -> bool, expected: &str| {
-            let number = *value.get_ref();
-            if number.is_finite() && ok(number) {
-                Ok(number)
-            } else {
-                Err(at(value.span(), format!("theta.{name} is {number}, expected {expected}")))
-            }
-        };
-        let theta = &model.theta;
-        let not_negative = |value: f64| value >= 0.0;
-        Ok(Self {
-            format: FORMAT,
-            name: model.name,
-            theta: Theta {
-                lambda_con_m: number(
-                    "lambda_con_m",
-                    &theta.lambda_con_m,
-                    &|value| value < NEAR_M,
-                    &format!("a finite number below {NEAR_M} m, up to where replays know distances"),
-                )?,
-                alpha_per_m: number(
-                    "alpha_per_m",
-                    &theta.alpha_per_m,
-                    &not_negative,
-                    "a finite number of 1/m, not negative: pressure decays with distance",
-                )?,
-                lambda_pre_pa: number(
-                    "lambda_pre_pa",
-                    &theta.lambda_pre_pa,
-                    &not_negative,
-                    "a finite number of Pa, not negative: a taxel that nothing touches is inactive",
-                )?,
-            },
-            provenance: model.provenance,
-        })
+    }
+
+    /// Whether theta alone decides what it reads: no effects, no hysteresis.
+    pub fn is_plain(&self) -> bool {
+        self.effects.is_empty() && self.response.off_fractions.values().all(|&fraction| fraction == 1.0)
     }
 
     /// The file's text.
     pub fn to_toml(&self) -> String {
-        toml::to_string_pretty(self).expect("numbers, texts and lists of them have a TOML form")
+        let format = if self.effects.is_empty() && self.response.is_default() { 1 } else { 2 };
+        toml::to_string_pretty(&Self { format, ..self.clone() })
+            .expect("numbers, texts and lists of them have a TOML form")
+    }
+
+    /// Whether `station` has what the model speaks of: streams, places of effects, and exactly the parameters of each
+    /// effect there, within their bounds. Problems name the effect and its place.
+    pub fn check_for(&self, station: &Station) -> Result<(), SensorModelError> {
+        let problem = |problem| SensorModelError { file: format!("sensor model {:?}", self.name), problem };
+        for stream in self.response.off_fractions.keys() {
+            if station.layout.stream_index(stream).is_none() {
+                let known = station.layout.streams.iter().map(|stream| stream.id.as_str());
+                return Err(problem(format!(
+                    "response.off_fractions names stream {stream:?}, which station {:?} does not have (it has {})",
+                    station.id,
+                    known.collect::<Vec<_>>().join(", ")
+                )));
+            }
+        }
+        for (idx, effect) in self.effects.iter().enumerate() {
+            check_effect(effect, station).map_err(|fault| {
+                problem(format!("effect {} ({}, {}): {fault}", idx + 1, effect.id, place_text(&effect.place)))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// What the hardware would have read in `scene` if the model were right. A model that does not fit the station is
+    /// refused.
+    pub fn sense(&self, scene: &TakeScene<'_>) -> Result<Sensed, ReplayError> {
+        self.check_for(scene.station).map_err(|err| ReplayError::Model(err.to_string()))?;
+        let chain =
+            Chain { theta: self.theta, response: &self.response, effects: &self.effects, soft_widths: &[] };
+        chain.sense(scene)
+    }
+
+    /// [`tactile::readings`], with the effects of the model where it has any. `contact` is the trace of the scene as it
+    /// is said to be; effects that move things make their own.
+    ///
+    /// Proximity channels with effects read no further than [`Response::reach_m`].
+    pub fn readings(&self, scene: &TakeScene<'_>, contact: &ContactTrace) -> Result<Readings, ReplayError> {
+        let layout = &scene.station.layout;
+        if self.is_plain() {
+            return Ok(tactile::readings(layout, contact, self));
+        }
+        let Sensed { num_frames, num_channels, load: mut raw, activation } = self.sense(scene)?;
+        let reach_m = self.response.reach_m(&self.theta);
+        for frame in raw.chunks_exact_mut(num_channels.max(1)) {
+            for (channel, raw) in layout.channels.iter().zip(frame) {
+                if layout.streams[channel.stream].kind == SensorKind::Proximity {
+                    *raw = reach_m - *raw;
+                }
+            }
+        }
+        let active = activation.iter().map(|&activation| activation > 0.5).collect();
+        Ok(Readings { num_frames, num_channels, raw, active })
     }
 }
 
-fn line(text: &str, offset: usize) -> usize {
-    1 + text.as_bytes().iter().take(offset).filter(|&&byte| byte == b'\n').count()
+/// What is wrong with `effect` on `station`.
+fn check_effect(effect: &Effect, station: &Station) -> Result<(), String> {
+    let kind = effects::tactile(&effect.id).ok_or_else(|| unknown_effect(&effect.id))?;
+    if !kind.places(station).contains(&effect.place) {
+        return Err(format!(
+            "it cannot act there on station {:?}; {}",
+            station.id,
+            hint(&effect.place, station)
+        ));
+    }
+    let parameters = kind.parameters(&effect.place, station);
+    if let Some(unknown) = effect.parameters.keys().find(|name| parameters.iter().all(|p| p.name != **name)) {
+        let known: Vec<&str> = parameters.iter().map(|parameter| parameter.name.as_str()).collect();
+        return Err(format!("it has no parameter {unknown:?} there, expected {}", known.join(", ")));
+    }
+    for parameter in &parameters {
+        let Some(&value) = effect.parameters.get(&parameter.name) else {
+            return Err(format!("parameter {:?} is missing", parameter.name));
+        };
+        if !(parameter.lower..=parameter.upper).contains(&value) {
+            return Err(format!(
+                "parameter {:?} is {value}, expected {} to {}",
+                parameter.name, parameter.lower, parameter.upper
+            ));
+        }
+    }
+    Ok(())
 }
 
-#[derive(Deserialize)]
-struct FormatOnly {
-    format: Spanned<u32>,
+fn unknown_effect(id: &str) -> String {
+    let known: Vec<&str> = effects::TACTILE.iter().map(|kind| kind.id()).collect();
+    format!("there is no effect {id:?}, expected one of {}", known.join(", "))
 }
 
-/// [`SensorModel`] with the places of its numbers.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SensorModelText {
-    #[serde(rename = "format")]
-    _format: u32,
-    name: String,
-    theta: ThetaText,
-    #[serde(default)]
-    provenance: Vec<String>,
+/// What places of this kind the station has.
+fn hint(place: &Place, station: &Station) -> String {
+    let layout = &station.layout;
+    let list = |ids: &mut dyn Iterator<Item = &str>| ids.collect::<Vec<_>>().join(", ");
+    let groups = || {
+        let mut groups: Vec<&str> = layout.patches.iter().map(|patch| patch.group.as_str()).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        groups.join(", ")
+    };
+    match place {
+        Place::Stream(_) => {
+            format!("its streams: {}", list(&mut layout.streams.iter().map(|s| s.id.as_str())))
+        }
+        Place::Patch(_) => {
+            format!("its patches: {}", list(&mut layout.patches.iter().map(|p| p.id.as_str())))
+        }
+        Place::Channel(_) | Place::Channels(_) => {
+            format!("its channels: {}", list(&mut layout.channels.iter().map(|channel| channel.id.as_str())))
+        }
+        Place::Joint(_) => {
+            format!("its joints: {}", list(&mut station.robot.dofs().map(|joint| joint.name.as_str())))
+        }
+        Place::Group(_) | Place::Groups(_) => format!("its groups: {}", groups()),
+        Place::Object(_) => format!("its objects: {}", list(&mut station.objects.keys().map(String::as_str))),
+    }
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ThetaText {
-    lambda_con_m: Spanned<f64>,
-    alpha_per_m: Spanned<f64>,
-    lambda_pre_pa: Spanned<f64>,
+/// A place as its file has it.
+fn place_text(place: &Place) -> String {
+    let (kind, ids): (&str, &[String]) = match place {
+        Place::Stream(id) => ("stream", std::slice::from_ref(id)),
+        Place::Patch(id) => ("patch", std::slice::from_ref(id)),
+        Place::Channel(id) => ("channel", std::slice::from_ref(id)),
+        Place::Channels(ids) => ("channels", ids),
+        Place::Joint(id) => ("joint", std::slice::from_ref(id)),
+        Place::Group(id) => ("group", std::slice::from_ref(id)),
+        Place::Groups(ids) => ("groups", ids),
+        Place::Object(id) => ("object", std::slice::from_ref(id)),
+    };
+    format!("{kind} {}", ids.iter().map(|id| format!("{id:?}")).collect::<Vec<_>>().join(" and "))
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    const MODEL: &str = "format = 1\nname = \"nominal\"\n\n[theta]\nlambda_con_m = 0.002\nalpha_per_m = 250\nlambda_pre_pa = 1200.0\n";
-
-    fn refusal(from: &str, to: &str) -> String {
-        assert!(MODEL.contains(from), "{from:?} is not in the fixture");
-        SensorModel::from_toml("model.toml", &MODEL.replacen(from, to, 1))
-            .expect_err("must be refused")
-            .to_string()
-    }
-
-    #[test]
-    fn a_model_is_read() {
-        let model = SensorModel::from_toml("model.toml", MODEL).expect("valid");
-        assert_eq!(model.theta, Theta { lambda_con_m: 0.002, alpha_per_m: 250.0, lambda_pre_pa: 1200.0 });
-        assert_eq!((model.name.as_str(), model.provenance.len()), ("nominal", 0));
-    }
-
-    #[test]
-    fn bad_files_name_the_line_and_what_was_expected() {
-        let cases = [
-            ("format = 1", "format = 2\nnew_key = 3", "model.toml: line 1: format is 2, expected 1"),
-            ("format = 1\n", "", "missing field `format`"),
-            (
-                "alpha_per_m = 250",
-                "alpha_per_m = -1",
-                "line 6: theta.alpha_per_m is -1, expected a finite number",
-            ),
-            ("alpha_per_m = 250", "alpha_per_m = nan", "line 6: theta.alpha_per_m is NaN"),
-            ("alpha_per_m = 250", "alpha_per_m = \"x\"", "line 6: invalid type"),
-            ("lambda_pre_pa = 1200.0", "lambda_pre_pa = inf", "line 7: theta.lambda_pre_pa is inf"),
-            ("lambda_pre_pa = 1200.0", "lambda_pre_pa = -0.5", "line 7: theta.lambda_pre_pa is -0.5"),
-            (
-                "lambda_con_m = 0.002",
-                "lambda_con_m = 0.05",
-                "line 5: theta.lambda_con_m is 0.05, expected a finite number below 0.05",
-            ),
-            ("lambda_con_m = 0.002\n", "", "missing field `lambda_con_m`"),
-            ("name", "nmae", "line 2: unknown field `nmae`"),
-            ("[theta]", "[theta", "line 4: "),
-        ];
-        for (from, to, expected) in cases {
-            let message = refusal(from, to);
-            assert!(message.contains(expected), "{to:?}: {message}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn text_and_model_are_the_same(
-            lambda_con_m in -0.01..0.0499, alpha_per_m in 0.0..1e5, lambda_pre_pa in 0.0..1e6,
-            name in "\\PC{0,20}", provenance in prop::collection::vec("\\PC{0,20}", 0..3),
-        ) {
-            let theta = Theta { lambda_con_m, alpha_per_m, lambda_pre_pa };
-            let model = SensorModel { format: 1, name, theta, provenance };
-            prop_assert_eq!(SensorModel::from_toml("model.toml", &model.to_toml()).expect("own text"), model);
-        }
-    }
-}
+mod tests;

@@ -87,7 +87,7 @@ fn count(data: &FitData<'_>, alpha_per_m: f64, kind: SensorKind, thresholds: &[f
 
 /// The objective at one theta, the long way: through the sensor model's own readings.
 pub fn l1_of_readings(data: &FitData<'_>, theta: Theta) -> u64 {
-    let model = SensorModel { format: 1, name: String::new(), theta, provenance: Vec::new() };
+    let model = SensorModel::plain("", theta);
     let l1_of_take = |take: &&crate::PairedTake| {
         let Readings { active, .. } = tactile::readings(data.layout(), &take.contact, &model);
         active.iter().zip(&take.real_active).filter(|(simulated, real)| simulated != real).count() as u64

@@ -21,5 +21,5 @@ pub(crate) const SMALL: synthetic::Size = synthetic::Size {
 /// A model that touches too early.
 pub(crate) fn nominal() -> SensorModel {
     let theta = Theta { lambda_con_m: 8e-3, alpha_per_m: 40.0, lambda_pre_pa: 20.0 };
-    SensorModel { format: 1, name: "nominal".to_owned(), theta, provenance: Vec::new() }
+    SensorModel::plain("nominal", theta)
 }

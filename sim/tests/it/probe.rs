@@ -112,5 +112,5 @@ pub(crate) fn replay(
 
 pub(crate) fn model(lambda_con_m: f64, alpha_per_m: f64, lambda_pre_pa: f64) -> SensorModel {
     let theta = Theta { lambda_con_m, alpha_per_m, lambda_pre_pa };
-    SensorModel { format: 1, name: "test".into(), theta, provenance: vec![] }
+    SensorModel::plain("test", theta)
 }
