@@ -7,13 +7,12 @@ use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};
 use palpate_sim::{
     SensorModel,
     job::{Cancel, Progress},
-    tactile,
 };
 use palpate_wire::api::CalibrationReport;
 
 use crate::{
     Error, files,
-    library::{Library, nominal_model},
+    library::{Library, model_readings, nominal_model},
 };
 
 /// What a calibration leaves.
@@ -83,7 +82,7 @@ pub fn write_replay(
     progress: &dyn Progress,
 ) -> Result<(), Error> {
     let layout = &take.station.layout;
-    let readings = tactile::readings(layout, &contact.contact, model);
+    let readings = model_readings(take, contact, model)?;
     let meta = TakeMeta {
         software: format!("palpate {}, replay with model {:?}", env!("CARGO_PKG_VERSION"), model.name),
         ..take.meta.clone()

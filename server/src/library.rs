@@ -4,7 +4,7 @@ use std::{path::Path, sync::Arc};
 
 use palpate_calibration::PairedTake;
 use palpate_recording::{Session, Take};
-use palpate_sim::{SensorModel, replay::PatchTrace, tactile};
+use palpate_sim::{SensorModel, effects::TakeScene, replay::PatchTrace, tactile::Readings};
 use palpate_wire::{
     api::{SessionDetail, SessionSummary, TakeSummary},
     bits,
@@ -173,20 +173,38 @@ pub fn take_trace(take: &Take) -> TakeTrace {
     }
 }
 
+/// `take` as the hardware would have read it if `model` were right, effects and all.
+pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> Result<Readings, Error> {
+    let object = take.station.objects.get(&take.meta.object).ok_or_else(|| Error::NotFound {
+        what: "object",
+        id: take.meta.object.clone(),
+        hint: "the station file lists its objects",
+    })?;
+    let scene = TakeScene {
+        station: &take.station,
+        object,
+        base_from_object: &take.meta.base_from_object,
+        frame_times_s: &take.joints.times_s,
+        positions: &take.joints.positions,
+        arrival_times_s: &[],
+    };
+    model.readings(&scene, &paired.contact).map_err(|err| Error::Content(err.to_string()))
+}
+
 /// `take` as `model` replays it.
-pub fn replay_trace(take: &Take, paired: &PairedTake, model: &SensorModel) -> ReplayTrace {
+pub fn replay_trace(take: &Take, paired: &PairedTake, model: &SensorModel) -> Result<ReplayTrace, Error> {
     let layout = &take.station.layout;
-    let readings = tactile::readings(layout, &paired.contact, model);
+    let readings = model_readings(take, paired, model)?;
     let thresholds = layout.channels.iter().map(|channel| match layout.streams[channel.stream].kind {
         palpate_robot_model::SensorKind::Proximity => model.theta.lambda_con_m as f32,
         palpate_robot_model::SensorKind::Pressure => model.theta.lambda_pre_pa as f32,
     });
-    ReplayTrace {
+    Ok(ReplayTrace {
         model: model.name.clone(),
         active: bits::pack(readings.active.iter().copied()),
         raw: readings.raw.iter().map(|&raw| raw as f32).collect(),
         thresholds: thresholds.collect(),
-    }
+    })
 }
 
 fn key(session: &Session, take_idx: usize) -> TakeKey {

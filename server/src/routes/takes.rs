@@ -58,7 +58,7 @@ pub(super) async fn replay(
             (id, None) => state.store().model(id)?.0,
         };
         let paired = state.library().paired(&session, take_idx)?;
-        Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)))
+        Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)?))
     })
     .await
 }
