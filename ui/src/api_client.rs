@@ -5,7 +5,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use palpate_wire::api::{CalibrationRequest, ProblemDetails, SaveModelRequest};
+use palpate_wire::api::{
+    CalibrationRequest, DiagnosisRequest, ProblemDetails, SaveDiagnosisRequest, SaveModelRequest,
+};
 
 use crate::playback::ModelRef;
 
@@ -57,6 +59,23 @@ pub enum Request {
         /// How to call it.
         body: SaveModelRequest,
     },
+    /// Diagnoses, newest first.
+    Diagnoses,
+    /// One diagnosis.
+    Diagnosis(String),
+    /// Start a diagnosis.
+    StartDiagnosis(DiagnosisRequest),
+    /// Stop a diagnosis.
+    CancelDiagnosis(String),
+    /// Keep what a diagnosis named.
+    SaveDiagnosis {
+        /// Id of the diagnosis.
+        run: String,
+        /// Which effects, and where.
+        body: SaveDiagnosisRequest,
+    },
+    /// Bring the earlier version of a saved model back.
+    UndoModel(String),
     /// Move a session to the trash.
     DeleteSession(String),
     /// Take a session out of the trash.
@@ -121,6 +140,14 @@ impl Request {
             Self::StartRun(body) => post("/calibrations".into(), json(body)),
             Self::CancelRun(run) => post(format!("/calibrations/{}/cancel", segment(run)), None),
             Self::SaveModel { run, body } => post(format!("/calibrations/{}/save", segment(run)), json(body)),
+            Self::Diagnoses => get("/diagnoses".into()),
+            Self::Diagnosis(run) => get(format!("/diagnoses/{}", segment(run))),
+            Self::StartDiagnosis(body) => post("/diagnoses".into(), json(body)),
+            Self::CancelDiagnosis(run) => post(format!("/diagnoses/{}/cancel", segment(run)), None),
+            Self::SaveDiagnosis { run, body } => {
+                post(format!("/diagnoses/{}/save", segment(run)), json(body))
+            }
+            Self::UndoModel(model) => post(format!("/models/{}/undo", segment(model)), None),
             Self::DeleteSession(session) => delete(format!("/sessions/{}", segment(session))),
             Self::RestoreSession(session) => post(format!("/sessions/{}/restore", segment(session)), None),
             Self::DeleteModel(model) => delete(format!("/models/{}", segment(model))),
@@ -137,7 +164,7 @@ fn segment(text: &str) -> String {
 }
 
 fn json(body: &impl serde::Serialize) -> Option<(&'static str, Vec<u8>)> {
-    // These bodies hold strings and lists of strings only, which always serialise.
+    // These bodies hold strings, numbers and lists of them only, which always serialise.
     serde_json::to_vec(body).ok().map(|bytes| ("application/json", bytes))
 }
 

@@ -59,6 +59,7 @@ pub struct StudioApp {
     overlays: overlays::Overlays,
     timelines: screens::timelines::TimelinesState,
     calibrate: screens::calibrate::CalibrateState,
+    diagnose: screens::diagnose::DiagnoseState,
     sessions: screens::sessions::SessionsState,
 }
 
@@ -88,6 +89,7 @@ impl StudioApp {
             overlays: overlays::Overlays::default(),
             timelines: screens::timelines::TimelinesState::default(),
             calibrate: screens::calibrate::CalibrateState::default(),
+            diagnose: screens::diagnose::DiagnoseState::default(),
             sessions: screens::sessions::SessionsState::default(),
         };
         app.store.ask_info();
@@ -160,6 +162,7 @@ impl StudioApp {
             Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
             Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
             Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx, &mut self.calibrate),
+            Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
             Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
         }
         if pick_file {
@@ -200,12 +203,18 @@ impl StudioApp {
         if let Some(model) = route.model.as_deref().and_then(ModelRef::from_key) {
             self.playback.compared = Some(model);
         }
+        if let Some(model) = route.diagnosed.as_deref().and_then(ModelRef::from_key) {
+            self.playback.diagnosed = Some(model);
+        }
         self.route = route;
     }
 
     fn go(&mut self, route: Route) {
-        let model_key = self.playback.compared.as_ref().map(ModelRef::key);
-        let route = Route { model: route.model.or(model_key), ..route };
+        // The simulations of one session mean nothing on another.
+        let stays = route.session.is_none() || route.session == self.playback.session;
+        let key = |model: &Option<ModelRef>| model.as_ref().filter(|_| stays).map(ModelRef::key);
+        let (model, diagnosed) = (key(&self.playback.compared), key(&self.playback.diagnosed));
+        let route = Route { model: route.model.or(model), diagnosed: route.diagnosed.or(diagnosed), ..route };
         let hash = route.to_string();
         self.platform.push_hash(&hash);
         self.last_hash = self.platform.hash();
@@ -221,6 +230,7 @@ impl StudioApp {
                 take: self.playback.take.clone(),
                 time_s: self.playback.take.as_ref().map(|_| (self.playback.time_s * 1000.0).round() / 1000.0),
                 model: self.playback.compared.as_ref().map(ModelRef::key),
+                diagnosed: self.playback.diagnosed.as_ref().map(ModelRef::key),
                 ..self.route.clone()
             }
         } else {
@@ -277,10 +287,11 @@ impl StudioApp {
             session: self.playback.session.clone(),
             take: match screen {
                 Screen::Hand | Screen::Timelines => self.playback.take.clone(),
-                Screen::Calibrate | Screen::Sessions => None,
+                Screen::Calibrate | Screen::Diagnose | Screen::Sessions => None,
             },
-            run: match (screen, &self.playback.compared) {
-                (Screen::Calibrate, Some(ModelRef::Run(run))) => Some(run.clone()),
+            run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
+                (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),
+                (Screen::Diagnose, _, Some(ModelRef::Diagnosis(run))) => Some(run.clone()),
                 _ => None,
             },
             ..Route::to(screen)

@@ -35,10 +35,11 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Open(Screen::Hand),
         Self::Open(Screen::Timelines),
         Self::Open(Screen::Calibrate),
+        Self::Open(Screen::Diagnose),
         Self::Open(Screen::Sessions),
         Self::PlayPause,
         Self::PreviousFrame,
@@ -59,6 +60,7 @@ impl Command {
             Self::Open(Screen::Hand) => "Go to Hand",
             Self::Open(Screen::Timelines) => "Go to Timelines",
             Self::Open(Screen::Calibrate) => "Go to Calibrate",
+            Self::Open(Screen::Diagnose) => "Go to Diagnose",
             Self::Open(Screen::Sessions) => "Go to Sessions",
             Self::PlayPause => "Play or pause",
             Self::PreviousFrame => "One frame back",
@@ -82,7 +84,8 @@ impl Command {
             Self::Open(Screen::Hand) => alt(Key::Num1),
             Self::Open(Screen::Timelines) => alt(Key::Num2),
             Self::Open(Screen::Calibrate) => alt(Key::Num3),
-            Self::Open(Screen::Sessions) => alt(Key::Num4),
+            Self::Open(Screen::Diagnose) => alt(Key::Num4),
+            Self::Open(Screen::Sessions) => alt(Key::Num5),
             Self::PlayPause => plain(Key::Space),
             Self::PreviousFrame => plain(Key::Comma),
             Self::NextFrame => plain(Key::Period),

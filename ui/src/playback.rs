@@ -14,21 +14,30 @@ pub enum ModelRef {
     Saved(String),
     /// What a finished calibration run found, by the run's id.
     Run(String),
+    /// The calibrated model that a finished diagnosis started from, by the diagnosis' id.
+    Calibrated(String),
+    /// That model with the effects that the diagnosis named.
+    Diagnosis(String),
 }
 
 impl ModelRef {
-    /// The text in addresses, the page's and the server's: `nominal`, a model's id, `run:ID`.
+    /// The text in addresses, the page's and the server's: `nominal`, a model's id, `run:ID`, `calibrated:ID`,
+    /// `diagnosis:ID`.
     pub fn key(&self) -> String {
         self.to_string()
     }
 
     /// Reads [`ModelRef::key`].
     pub fn from_key(key: &str) -> Option<Self> {
-        match (key, key.strip_prefix("run:")) {
-            ("" | "run:", _) => None,
-            ("nominal", _) => Some(Self::Nominal),
-            (_, Some(run)) => Some(Self::Run(run.to_owned())),
-            (id, None) => Some(Self::Saved(id.to_owned())),
+        match key.split_once(':') {
+            None if key.is_empty() => None,
+            None if key == "nominal" => Some(Self::Nominal),
+            None => Some(Self::Saved(key.to_owned())),
+            Some(("run" | "calibrated" | "diagnosis", "")) => None,
+            Some(("run", id)) => Some(Self::Run(id.to_owned())),
+            Some(("calibrated", id)) => Some(Self::Calibrated(id.to_owned())),
+            Some(("diagnosis", id)) => Some(Self::Diagnosis(id.to_owned())),
+            Some(_) => Some(Self::Saved(key.to_owned())),
         }
     }
 }
@@ -39,6 +48,8 @@ impl fmt::Display for ModelRef {
             Self::Nominal => write!(f, "nominal"),
             Self::Saved(id) => write!(f, "{id}"),
             Self::Run(id) => write!(f, "run:{id}"),
+            Self::Calibrated(id) => write!(f, "calibrated:{id}"),
+            Self::Diagnosis(id) => write!(f, "diagnosis:{id}"),
         }
     }
 }
@@ -82,6 +93,10 @@ pub struct Playback {
     pub speed: f64,
     /// The second simulation (blue), beside the nominal one (orange); `None` until there is one to compare.
     pub compared: Option<ModelRef>,
+    /// The third simulation (green), with effects beyond the three parameters; `None` until there is one.
+    pub diagnosed: Option<ModelRef>,
+    /// Diagnosis whose residual map colours the hand, by id, once the operator asked for it.
+    pub residual_of: Option<String>,
     /// Recorded or live.
     pub hand_source: HandSource,
     /// Channels picked by the operator, shown in the timelines and marked on the hand.
@@ -106,6 +121,8 @@ impl Default for Playback {
             playing: false,
             speed: 1.0,
             compared: None,
+            diagnosed: None,
+            residual_of: None,
             hand_source: HandSource::default(),
             selected: BTreeSet::new(),
             shown: ShownChannels::default(),
@@ -245,7 +262,13 @@ mod tests {
 
     #[test]
     fn model_keys_round_trip() {
-        for model in [ModelRef::Nominal, ModelRef::Saved("a:b".into()), ModelRef::Run("7".into())] {
+        for model in [
+            ModelRef::Nominal,
+            ModelRef::Saved("a:b".into()),
+            ModelRef::Run("7".into()),
+            ModelRef::Calibrated("diagnosis-2".into()),
+            ModelRef::Diagnosis("diagnosis-2".into()),
+        ] {
             assert_eq!(ModelRef::from_key(&model.key()), Some(model));
         }
         for key in ["", "run:"] {

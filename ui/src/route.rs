@@ -28,13 +28,15 @@ pub enum Screen {
     Timelines,
     /// Fit the sensor model to a session.
     Calibrate,
+    /// Name what the calibrated model lacks, and add it.
+    Diagnose,
     /// What has been recorded.
     Sessions,
 }
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 4] = [Self::Hand, Self::Timelines, Self::Calibrate, Self::Sessions];
+    pub const ALL: [Self; 5] = [Self::Hand, Self::Timelines, Self::Calibrate, Self::Diagnose, Self::Sessions];
 
     /// The word in the rail.
     pub fn label(self) -> &'static str {
@@ -42,6 +44,7 @@ impl Screen {
             Self::Hand => "Hand",
             Self::Timelines => "Timelines",
             Self::Calibrate => "Calibrate",
+            Self::Diagnose => "Diagnose",
             Self::Sessions => "Sessions",
         }
     }
@@ -52,6 +55,9 @@ impl Screen {
             Self::Hand => "Watch the hand replay a take, taxels lit by what they felt",
             Self::Timelines => "Compare real and simulated touch on one time axis",
             Self::Calibrate => "Fit the sensor model until simulated events line up with real ones",
+            Self::Diagnose => {
+                "Find where simulation and hand disagree, name the missing effect, add it to the model"
+            }
             Self::Sessions => "What has been recorded, and whether it can be used",
         }
     }
@@ -61,6 +67,7 @@ impl Screen {
             Self::Hand => "hand",
             Self::Timelines => "timelines",
             Self::Calibrate => "calibrate",
+            Self::Diagnose => "diagnose",
             Self::Sessions => "sessions",
         }
     }
@@ -83,7 +90,9 @@ pub struct Route {
     pub time_s: Option<f64>,
     /// Simulation compared with the recording (see [`crate::playback::ModelRef::key`]).
     pub model: Option<String>,
-    /// Calibration run shown, by id.
+    /// Simulation with effects (as `model`).
+    pub diagnosed: Option<String>,
+    /// Calibration run or diagnosis shown, by id.
     pub run: Option<String>,
 }
 
@@ -96,7 +105,7 @@ impl Default for Route {
 impl Route {
     /// `screen`, with nothing chosen.
     pub fn to(screen: Screen) -> Self {
-        Self { screen, session: None, take: None, time_s: None, model: None, run: None }
+        Self { screen, session: None, take: None, time_s: None, model: None, diagnosed: None, run: None }
     }
 
     /// The same, with `session` chosen.
@@ -131,6 +140,7 @@ impl Route {
                         .filter(|time_s: &f64| time_s.is_finite() && *time_s >= 0.0);
                 }
                 "model" => route.model = value,
+                "diagnosed" => route.diagnosed = value,
                 "run" => route.run = value,
                 _ => {}
             }
@@ -156,7 +166,13 @@ impl fmt::Display for Route {
             let text = format!("{time_s:.3}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         });
-        let pairs = [("take", &self.take), ("t", &time), ("model", &self.model), ("run", &self.run)];
+        let pairs = [
+            ("take", &self.take),
+            ("t", &time),
+            ("model", &self.model),
+            ("diagnosed", &self.diagnosed),
+            ("run", &self.run),
+        ];
         let mut separator = '?';
         for (key, value) in pairs {
             if let Some(value) = value {
@@ -209,12 +225,13 @@ mod tests {
     proptest! {
         #[test]
         fn every_route_survives_its_hash(
-            screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(), run in id(),
+            screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
+            diagnosed in id(), run in id(),
             time_ms in proptest::option::of(0_u32..10_000_000),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
-            let route = Route { screen, session, take, time_s, model, run };
+            let route = Route { screen, session, take, time_s, model, diagnosed, run };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
         }
 

@@ -2,9 +2,13 @@
 
 pub mod calibrate;
 pub mod controls;
+pub mod diagnose;
 pub mod hand;
+pub mod run_controls;
 pub mod sessions;
 pub mod timelines;
+
+pub use palpate_wire::wording::words;
 
 use crate::{
     playback::Playback,
@@ -159,11 +163,6 @@ fn centered<R>(ui: &mut egui::Ui, add_contents: impl FnOnce(&mut egui::Ui) -> R)
         add_contents(ui)
     })
     .inner
-}
-
-/// An id in the words it is made of: `press_hold` gives `press hold`.
-pub fn words(id: &str) -> String {
-    id.replace(['_', '-'], " ")
 }
 
 /// A duration as people say it: `12.4 s`, `5 min 26 s`, `1 h 02 min`.

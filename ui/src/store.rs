@@ -3,18 +3,22 @@
 //! Accessors take `&mut self`: asking for something that is not there yet queues a request and answers
 //! [`Loadable::Loading`]. What is loaded is behind an `Arc`, so that a screen can keep it while it asks for more.
 
+mod runs;
+
 use std::{collections::BTreeMap, sync::Arc};
 
 use base64::Engine as _;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
-        CalibrationRequest, CalibrationRun, CheckReport, Info, JobState, ModelSummary, SaveModelRequest,
+        CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, SaveDiagnosisRequest, SaveModelRequest,
         SessionDetail, SessionSummary, StationDocument,
     },
     proto::{LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
 use prost::Message as _;
+use runs::RunTable;
 
 use crate::{
     api_client::{ApiEvent, Request},
@@ -83,6 +87,9 @@ pub enum Connection {
     },
 }
 
+/// Ids of diagnoses begin with this, those of calibrations do not.
+const DIAGNOSIS_PREFIX: &str = "diagnosis-";
+
 type TakeKey = (String, String);
 
 /// See the module.
@@ -96,6 +103,12 @@ pub struct Store {
     pub dropped_messages: u64,
     /// A run that [`Store::start_run`] asked for: its id once the server took it.
     pub started_run: Loadable<String>,
+    /// A diagnosis that [`Store::start_diagnosis`] asked for: its id once the server took it.
+    pub started_diagnosis: Loadable<String>,
+    /// A model that [`Store::save_diagnosis`] made or added to.
+    pub added_to: Loadable<ModelSummary>,
+    /// The model whose earlier version [`Store::undo_model`] brought back last.
+    pub undone_model: Loadable<ModelSummary>,
     /// A model that [`Store::save_model`] asked for.
     pub saved_model: Loadable<ModelSummary>,
     /// A session that [`Store::import`] sent.
@@ -112,8 +125,8 @@ pub struct Store {
     takes: BTreeMap<TakeKey, Loadable<Arc<TakeData>>>,
     replays: BTreeMap<(TakeKey, ModelRef), Loadable<Arc<ReplayTrace>>>,
     models: Loadable<Arc<Vec<ModelSummary>>>,
-    runs: Loadable<Arc<Vec<CalibrationRun>>>,
-    run_details: BTreeMap<String, Loadable<Arc<CalibrationRun>>>,
+    calibrations: RunTable<CalibrationRequest, CalibrationReport>,
+    diagnoses: RunTable<DiagnosisRequest, DiagnosisReport>,
     live: Option<LiveFrame>,
     outbox: Vec<Request>,
 }
@@ -173,24 +186,38 @@ impl Store {
     pub fn compared_label(&mut self, model: Option<&ModelRef>) -> String {
         match model {
             None | Some(ModelRef::Nominal) => "nominal only".to_owned(),
-            Some(ModelRef::Run(id)) => format!("calibrated ({id})"),
+            Some(ModelRef::Run(id) | ModelRef::Calibrated(id)) => format!("calibrated ({id})"),
+            Some(ModelRef::Diagnosis(id)) => format!("diagnosed ({id})"),
             Some(ModelRef::Saved(id)) => {
                 let models = self.models();
                 let known = models.ready().and_then(|models| models.iter().find(|known| known.id == *id));
-                format!("calibrated ({})", known.map_or(id, |known| &known.name))
+                let what = match known {
+                    Some(known) if !known.effects.is_empty() => "diagnosed",
+                    _ => "calibrated",
+                };
+                format!("{what} ({})", known.map_or(id, |known| &known.name))
             }
         }
     }
 
     /// Calibration runs, newest first, with live progress but without reports.
     pub fn runs(&mut self) -> Loadable<Arc<Vec<CalibrationRun>>> {
-        ask(&mut self.runs, &mut self.outbox, || Request::Runs)
+        self.calibrations.list(&mut self.outbox, Request::Runs)
     }
 
     /// One calibration run, with live progress, and with its report once it is done.
     pub fn run(&mut self, run: &str) -> Loadable<Arc<CalibrationRun>> {
-        let slot = self.run_details.entry(run.to_owned()).or_default();
-        ask(slot, &mut self.outbox, || Request::Run(run.to_owned()))
+        self.calibrations.detail(run, &mut self.outbox, || Request::Run(run.to_owned()))
+    }
+
+    /// Diagnoses, newest first, with live progress but without reports.
+    pub fn diagnoses(&mut self) -> Loadable<Arc<Vec<DiagnosisRun>>> {
+        self.diagnoses.list(&mut self.outbox, Request::Diagnoses)
+    }
+
+    /// One diagnosis, with live progress, and with its report once it is done.
+    pub fn diagnosis(&mut self, run: &str) -> Loadable<Arc<DiagnosisRun>> {
+        self.diagnoses.detail(run, &mut self.outbox, || Request::Diagnosis(run.to_owned()))
     }
 
     /// The newest frame of the live station. It stays when the connection breaks: see [`Store::connection`].
@@ -216,6 +243,29 @@ impl Store {
             run: run.to_owned(),
             body: SaveModelRequest { name: name.to_owned() },
         });
+    }
+
+    /// Starts a diagnosis; see [`Store::started_diagnosis`].
+    pub fn start_diagnosis(&mut self, request: DiagnosisRequest) {
+        self.started_diagnosis = Loadable::Loading;
+        self.outbox.push(Request::StartDiagnosis(request));
+    }
+
+    /// Stops a diagnosis.
+    pub fn cancel_diagnosis(&mut self, run: &str) {
+        self.outbox.push(Request::CancelDiagnosis(run.to_owned()));
+    }
+
+    /// Adds what a diagnosis named to a model, or makes one of it; see [`Store::added_to`].
+    pub fn save_diagnosis(&mut self, run: &str, body: SaveDiagnosisRequest) {
+        self.added_to = Loadable::Loading;
+        self.outbox.push(Request::SaveDiagnosis { run: run.to_owned(), body });
+    }
+
+    /// Brings the version of a saved model back that was there before the last addition; see [`Store::undone_model`].
+    pub fn undo_model(&mut self, model: &str) {
+        self.undone_model = Loadable::Loading;
+        self.outbox.push(Request::UndoModel(model.to_owned()));
     }
 
     /// Moves a session to the trash; see [`Store::deleted_session`].
@@ -248,22 +298,17 @@ impl Store {
 
     /// Asks again for everything that failed.
     pub fn retry_failed(&mut self) {
-        fn reset<T>(slot: &mut Loadable<T>) {
-            if matches!(slot, Loadable::Failed(_)) {
-                *slot = Loadable::Idle;
-            }
-        }
         reset(&mut self.info);
         reset(&mut self.sessions);
         reset(&mut self.live_station);
         reset(&mut self.models);
-        reset(&mut self.runs);
+        self.calibrations.retry_failed();
+        self.diagnoses.retry_failed();
         self.details.values_mut().for_each(reset);
         self.stations.values_mut().for_each(reset);
         self.checks.values_mut().for_each(reset);
         self.takes.values_mut().for_each(reset);
         self.replays.values_mut().for_each(reset);
-        self.run_details.values_mut().for_each(reset);
         self.ask_info();
     }
 
@@ -299,7 +344,13 @@ impl Store {
     /// What may have changed while nobody listened. The old values stay on the page until the new ones are here.
     fn refresh_after_loss(&mut self) {
         self.retry_failed();
-        self.outbox.extend([Request::Info, Request::Sessions, Request::Models, Request::Runs]);
+        self.outbox.extend([
+            Request::Info,
+            Request::Sessions,
+            Request::Models,
+            Request::Runs,
+            Request::Diagnoses,
+        ]);
     }
 
     fn receive_answer(&mut self, request: Request, result: Result<Vec<u8>, String>) {
@@ -325,15 +376,13 @@ impl Store {
                 self.replays.insert(((session, take), model), shared(parsed));
             }
             Request::Models => self.models = shared(parse_json(result)),
-            Request::Runs => self.runs = shared(parse_json(result)),
-            Request::Run(id) => match parse_json::<CalibrationRun>(result) {
-                Loadable::Ready(run) => self.put_run(run),
-                failed => {
-                    self.run_details.insert(id, shared(failed));
-                }
-            },
+            Request::Runs => self.calibrations.receive_list(result),
+            Request::Run(id) => self.calibrations.receive_detail(id, result),
+            Request::Diagnoses => self.diagnoses.receive_list(result),
+            Request::Diagnosis(id) => self.diagnoses.receive_detail(id, result),
             // Whether it could be stopped or not: where the run stands now is what matters.
             Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
+            Request::CancelDiagnosis(run) => self.outbox.push(Request::Diagnosis(run)),
             Request::DeleteSession(session) => {
                 self.deleted_session = Loadable::from_result(result.map(|_| session));
                 self.outbox.push(Request::Sessions);
@@ -345,20 +394,24 @@ impl Store {
             }
             Request::DeleteModel(model) => {
                 self.deleted_model = Loadable::from_result(result.map(|_| model));
-                self.outbox.push(Request::Models);
+                self.models_changed();
             }
             Request::RestoreModel(_) => {
                 self.deleted_model = result.map_or_else(Loadable::Failed, |_| Loadable::Idle);
-                self.outbox.push(Request::Models);
+                self.models_changed();
             }
-            Request::StartRun(_) => match parse_json::<CalibrationRun>(result) {
-                Loadable::Ready(run) => {
-                    self.started_run = Loadable::Ready(run.id.clone());
-                    self.put_run(run);
-                }
-                Loadable::Failed(error) => self.started_run = Loadable::Failed(error),
-                Loadable::Idle | Loadable::Loading => {}
-            },
+            Request::StartRun(_) => self.started_run = self.calibrations.receive_started(result),
+            Request::StartDiagnosis(_) => self.started_diagnosis = self.diagnoses.receive_started(result),
+            Request::SaveDiagnosis { .. } => {
+                self.added_to = parse_json(result);
+                self.undone_model = Loadable::Idle;
+                self.models_changed();
+            }
+            Request::UndoModel(_) => {
+                self.undone_model = parse_json(result);
+                self.added_to = Loadable::Idle;
+                self.models_changed();
+            }
             Request::SaveModel { run, .. } => {
                 self.saved_model = parse_json(result);
                 self.outbox.extend([Request::Models, Request::Run(run)]);
@@ -378,25 +431,11 @@ impl Store {
             Some(stream_message::Message::Live(frame)) => self.live = Some(frame),
             Some(stream_message::Message::Job(update)) => {
                 let Some(state) = job_state(&update.state) else { return };
-                let finished = !matches!(state, JobState::Queued | JobState::Running);
-                let listed = match &mut self.runs {
-                    Loadable::Ready(runs) => Arc::make_mut(runs).iter_mut().find(|run| run.id == update.job),
-                    _ => None,
-                };
-                let unknown = listed.is_none();
-                let detailed = match self.run_details.get_mut(&update.job) {
-                    Some(Loadable::Ready(run)) => Some(Arc::make_mut(run)),
-                    _ => None,
-                };
-                for run in listed.into_iter().chain(detailed) {
-                    run.state = state;
-                    run.fraction = update.fraction;
-                    run.stage.clone_from(&update.stage);
-                    run.seconds_left =
-                        (!finished && update.seconds_left > 0.0).then_some(update.seconds_left);
-                    run.error = (!update.error.is_empty()).then(|| update.error.clone());
-                }
-                if finished || unknown {
+                if update.job.starts_with(DIAGNOSIS_PREFIX) {
+                    if self.diagnoses.update(state, &update) {
+                        self.outbox.push(Request::Diagnosis(update.job));
+                    }
+                } else if self.calibrations.update(state, &update) {
                     self.outbox.push(Request::Run(update.job));
                 }
             }
@@ -404,23 +443,19 @@ impl Store {
         }
     }
 
-    fn put_run(&mut self, run: CalibrationRun) {
-        if let Loadable::Ready(runs) = &mut self.runs {
-            let runs = Arc::make_mut(runs);
-            match runs.iter_mut().find(|known| known.id == run.id) {
-                Some(known) => known.clone_from(&run),
-                None => runs.push(run.clone()),
-            }
-            // Answers overtake each other; the list stays newest first.
-            runs.sort_by_key(|run| std::cmp::Reverse(run_number(&run.id)));
-        }
-        self.run_details.insert(run.id.clone(), Loadable::Ready(Arc::new(run)));
+    /// What depends on saved models is asked for again: an id may mean another file now.
+    fn models_changed(&mut self) {
+        self.replays.retain(|(_, model), _| !matches!(model, ModelRef::Saved(_)));
+        self.outbox.extend([Request::Models, Request::Diagnoses]);
+        self.outbox.extend(self.diagnoses.opened().map(|id| Request::Diagnosis(id.clone())));
     }
 }
 
-/// The number in a run's id, which grows from run to run.
-fn run_number(id: &str) -> Option<u64> {
-    id.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok()
+/// What failed is asked for again when a screen wants it.
+fn reset<T>(slot: &mut Loadable<T>) {
+    if matches!(slot, Loadable::Failed(_)) {
+        *slot = Loadable::Idle;
+    }
 }
 
 fn ask<T: Clone>(

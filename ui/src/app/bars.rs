@@ -83,7 +83,8 @@ impl StudioApp {
                     }
                     ui.separator();
                 }
-                let model = self.store.compared_label(self.playback.compared.as_ref());
+                let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
+                let model = self.store.compared_label(in_use);
                 ui.label(RichText::new("Model").color(palette.text_weak));
                 ui.label(model);
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
@@ -169,6 +170,7 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Hand => "\u{270b}",
         Screen::Timelines => "\u{2630}",
         Screen::Calibrate => "\u{2696}",
+        Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
     }
 }

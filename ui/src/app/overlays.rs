@@ -67,7 +67,7 @@ impl Overlays {
                     ui.add_space(8.0);
                     list_ui(ui, &palette, "Timelines", pairs(&ON_TIMELINES));
                     ui.add_space(8.0);
-                    list_ui(ui, &palette, "Calibrate and Sessions", pairs(&ON_OTHERS));
+                    list_ui(ui, &palette, "Calibrate, Diagnose, Sessions", pairs(&ON_OTHERS));
                 });
             });
             ui.add_space(6.0);

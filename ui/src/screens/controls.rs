@@ -1,9 +1,9 @@
 //! Controls that more than one screen has: choices, buttons with symbols, the playing speed, the model to compare with.
 
 use egui::accesskit::Role;
-use palpate_wire::api::JobState;
+use palpate_wire::api::{JobState, Run};
 
-use super::ScreenContext;
+use super::{ScreenContext, run_controls::OfSession};
 use crate::playback::{ModelRef, Playback};
 
 /// Names a button by a word where its face shows a symbol.
@@ -48,36 +48,80 @@ pub fn speed_ui(ui: &mut egui::Ui, playback: &mut Playback) {
 
 /// Which simulation is the blue one: saved models, and what finished calibrations of this session found.
 pub fn compared_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    let mut choices: Vec<ModelRef> = Vec::new();
-    if let Some(models) = cx.store.models().ready() {
-        let saved = models.iter().filter(|model| model.id != ModelRef::Nominal.key());
-        choices.extend(saved.map(|model| ModelRef::Saved(model.id.clone())));
-    }
+    let mut choices = saved_models(cx, false);
     if let Some(runs) = cx.store.runs().ready() {
-        let unsaved = runs.iter().filter(|run| {
-            run.state == JobState::Done
-                && run.saved_as.is_none()
-                && Some(&run.request.session) == cx.playback.session.as_ref()
-        });
-        choices.extend(unsaved.map(|run| ModelRef::Run(run.id.clone())));
+        choices.extend(unsaved_runs(cx, runs).map(|id| ModelRef::Run(id.clone())));
     }
-    if let Some(current) = &cx.playback.compared
+    let chosen = cx.playback.compared.clone();
+    let empty = "Calibrate a session to have more to compare with.";
+    let (response, chosen) = model_ui(ui, cx, "Compare with", "nominal only", choices, chosen, empty);
+    response.on_hover_text("The simulation in blue, beside the nominal one");
+    cx.playback.compared = chosen;
+}
+
+/// Which simulation is the green one: saved models with effects, and what finished diagnoses of this session named.
+pub fn diagnosed_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    let mut choices = saved_models(cx, true);
+    if let Some(runs) = cx.store.diagnoses().ready() {
+        choices.extend(unsaved_runs(cx, runs).map(|id| ModelRef::Diagnosis(id.clone())));
+    }
+    let chosen = cx.playback.diagnosed.clone();
+    let empty = "Diagnose a session to have a model with effects.";
+    let (response, chosen) = model_ui(ui, cx, "With effects", "without effects", choices, chosen, empty);
+    response.on_hover_text("The simulation in green: a model with effects that a diagnosis named");
+    cx.playback.diagnosed = chosen;
+}
+
+fn saved_models(cx: &mut ScreenContext<'_>, with_effects: bool) -> Vec<ModelRef> {
+    let models = cx.store.models();
+    let models = models.ready().map_or(&[][..], |models| models.as_slice());
+    let fitting = models
+        .iter()
+        .filter(|model| model.id != ModelRef::Nominal.key() && model.effects.is_empty() != with_effects);
+    fitting.map(|model| ModelRef::Saved(model.id.clone())).collect()
+}
+
+/// Ids of the finished runs of this session whose result was not saved.
+fn unsaved_runs<'a, Q: OfSession, R>(
+    cx: &'a ScreenContext<'_>,
+    runs: &'a [Run<Q, R>],
+) -> impl Iterator<Item = &'a String> {
+    let mine = runs.iter().filter(|run| {
+        run.state == JobState::Done
+            && run.saved_as.is_none()
+            && Some(run.request.session()) == cx.playback.session.as_deref()
+    });
+    mine.map(|run| &run.id)
+}
+
+fn model_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    label: &str,
+    none: &str,
+    mut choices: Vec<ModelRef>,
+    mut chosen: Option<ModelRef>,
+    empty: &str,
+) -> (egui::Response, Option<ModelRef>) {
+    if let Some(current) = &chosen
         && !choices.contains(current)
     {
         choices.insert(0, current.clone());
     }
-    let mut compared = cx.playback.compared.clone();
-    let chosen_text = cx.store.compared_label(compared.as_ref());
-    let response = combo_ui(ui, "Compare with", &chosen_text, 190.0, |ui| {
-        option_ui(ui, &mut compared, None, &cx.store.compared_label(None));
+    let text = |cx: &mut ScreenContext<'_>, model: &Option<ModelRef>| match model {
+        None => none.to_owned(),
+        model => cx.store.compared_label(model.as_ref()),
+    };
+    let chosen_text = text(cx, &chosen);
+    let response = combo_ui(ui, label, &chosen_text, 190.0, |ui| {
+        option_ui(ui, &mut chosen, None, none);
         for choice in choices.iter().cloned().map(Some) {
-            let text = cx.store.compared_label(choice.as_ref());
-            option_ui(ui, &mut compared, choice, &text);
+            let text = text(cx, &choice);
+            option_ui(ui, &mut chosen, choice, &text);
         }
         if choices.is_empty() {
-            ui.label("Calibrate a session to have more to compare with.");
+            ui.label(empty);
         }
     });
-    response.on_hover_text("The simulation in blue, beside the nominal one");
-    cx.playback.compared = compared;
+    (response, chosen)
 }

@@ -249,6 +249,7 @@ pub(crate) fn full_api() -> SharedApi {
     };
     api.answer(&Request::Models, json(&vec![model]));
     api.answer(&Request::Runs, b"[]".to_vec());
+    api.answer(&Request::Diagnoses, b"[]".to_vec());
     for take in ["take-01", "take-02"] {
         let (session, take) = ("bench-1".to_owned(), take.to_owned());
         let request = Request::Take { session: session.clone(), take: take.clone() };

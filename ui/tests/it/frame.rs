@@ -13,7 +13,7 @@ use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page};
 fn rail_leads_to_every_screen_and_back() {
     let window = FakeWindow::at("#/timelines");
     let mut harness = page(&full_api(), &window);
-    for screen in [Screen::Calibrate, Screen::Sessions, Screen::Hand, Screen::Timelines] {
+    for screen in [Screen::Calibrate, Screen::Diagnose, Screen::Sessions, Screen::Hand, Screen::Timelines] {
         harness.get_by_role_and_label(egui::accesskit::Role::Button, screen.label()).click();
         harness.run_steps(4);
         assert_eq!(app(&harness).screen(), screen);

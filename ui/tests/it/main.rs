@@ -2,6 +2,7 @@
 //! made-up takes.
 
 mod calibrate;
+mod diagnose;
 mod fixture;
 mod frame;
 mod mirror;

@@ -16,12 +16,12 @@ const LISTED_CONTACTS: usize = 3;
 pub(super) struct Details<'a> {
     /// The station.
     pub station: &'a Station,
-    /// Real, nominal and compared, one for each channel; empty where it is not there.
-    pub samples: [&'a [Sample]; 3],
+    /// In the order of [`Signal::ALL`], one for each channel; empty where it is not there.
+    pub samples: [&'a [Sample]; Signal::COUNT],
     /// The take and the cursor, unless live.
     pub take: Option<(&'a TakeData, f64)>,
-    /// Nominal and compared replays of the take.
-    pub replays: [Option<&'a ReplayTrace>; 2],
+    /// Nominal, compared and diagnosed replays of the take.
+    pub replays: [Option<&'a ReplayTrace>; Signal::COUNT - 1],
 }
 
 impl Details<'_> {
@@ -32,6 +32,7 @@ impl Details<'_> {
             Signal::Real => return real_contacts(self.station, take, channel),
             Signal::Nominal => self.replays[0],
             Signal::Calibrated => self.replays[1],
+            Signal::Diagnosed => self.replays[2],
         };
         replay.map_or_else(Vec::new, |replay| simulated_contacts(self.station, take, replay, channel))
     }
@@ -133,14 +134,14 @@ fn contact_text(contact: &Contact, time_s: f64) -> String {
     }
 }
 
-/// Reading over time with its threshold, and below it the three rows of contacts.
+/// Reading over time with its threshold, and below it a row of contacts of each signal.
 fn trace_ui(
     ui: &mut egui::Ui,
     details: &Details<'_>,
     take: &TakeData,
     time_s: f64,
     channel: usize,
-    contacts: &[Vec<Contact>; 3],
+    contacts: &[Vec<Contact>; Signal::COUNT],
     palette: &Palette,
 ) {
     let (rect, response) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 118.0), Sense::hover());
@@ -152,16 +153,16 @@ fn trace_ui(
     let (start_s, end_s) = (time_s - TRACE_HALF_S, time_s + TRACE_HALF_S);
     let x_of =
         |t: f64| egui::remap(t, start_s..=end_s, f64::from(rect.left())..=f64::from(rect.right())) as f32;
-    let rows_top = rect.bottom() - 3.0 * 12.0 - 6.0;
+    let rows_top = rect.bottom() - Signal::COUNT as f32 * 10.0 - 6.0;
     let plot = Rect::from_min_max(rect.min + egui::vec2(0.0, 6.0), egui::pos2(rect.right(), rows_top - 4.0));
 
     for (row, (signal, contacts)) in Signal::ALL.iter().zip(contacts).enumerate() {
-        let y = rows_top + row as f32 * 12.0;
+        let y = rows_top + row as f32 * 10.0;
         for contact in contacts {
             let to_s = contact.end_s.unwrap_or(take.duration_s());
             if to_s >= start_s && contact.start_s <= end_s {
                 let (x0, x1) = (x_of(contact.start_s).max(rect.left()), x_of(to_s).min(rect.right()));
-                let bar = Rect::from_min_max(egui::pos2(x0, y), egui::pos2(x1.max(x0 + 1.5), y + 9.0));
+                let bar = Rect::from_min_max(egui::pos2(x0, y), egui::pos2(x1.max(x0 + 1.5), y + 8.0));
                 painter.rect_filled(bar, 1.5, signal.color(palette));
             }
         }

@@ -5,7 +5,7 @@ use palpate_robot_model::Station;
 
 use super::{
     scene::capitalised,
-    signal::{Coloring, Sample, Signal, kind_of},
+    signal::{Sample, Signal, kind_of},
 };
 use crate::{playback::Playback, theme::Palette};
 
@@ -24,8 +24,10 @@ pub(super) struct FlatMap<'a> {
     pub real: Option<&'a [Sample]>,
     /// Whose touch `samples` are.
     pub signal: Signal,
-    /// How they are coloured.
-    pub coloring: Coloring,
+    /// Colour of each.
+    pub colors: &'a [Color32],
+    /// How they are called for screen readers and tests.
+    pub name: &'a dyn Fn(usize) -> String,
 }
 
 /// Where the map's units are on the screen.
@@ -98,10 +100,11 @@ pub(super) fn flat_map_ui(
         }
         let marked = playback.highlighted() == Some(channel);
         let chosen = playback.pinned == Some(channel) || playback.selected.contains(&channel);
-        let name = taxel_name(map.station, channel, sample, map.signal);
+        let name = (map.name)(channel);
         response.widget_info(|| egui::WidgetInfo::selected(Role::Button, true, chosen, name.clone()));
         let real = map.real.and_then(|real| real.get(channel));
-        taxel_shape(&painter, place, radius, sample, real, map, palette);
+        let color = map.colors.get(channel).copied().unwrap_or(palette.dead);
+        taxel_shape(&painter, place, radius, [Some(sample), real], color, map.signal, palette);
         if chosen || marked {
             let width = if marked { 3.0 } else { 2.0 };
             painter.circle_stroke(place, radius + 3.0, Stroke::new(width, palette.calibrated));
@@ -175,16 +178,32 @@ pub(super) fn taxel_name(station: &Station, channel: usize, sample: &Sample, sig
     format!("{}: {}", info.id, sample.text(unit, kind_of(station, channel), signal))
 }
 
+/// What one number for each channel looks like on the map, wherever the page shows one.
+pub fn channel_map_ui(
+    ui: &mut egui::Ui,
+    rect: Rect,
+    station: &Station,
+    colors: &[Color32],
+    name: &dyn Fn(usize) -> String,
+    playback: &mut Playback,
+    palette: &Palette,
+) {
+    let samples = vec![Sample { active: Some(true), ..Sample::default() }; station.layout.num_channels()];
+    let map = FlatMap { station, samples: &samples, real: None, signal: Signal::Real, colors, name };
+    flat_map_ui(ui, rect, &map, playback, palette);
+}
+
+/// A taxel: what `sample` and, where that is simulated, the real one say, in `color`.
 fn taxel_shape(
     painter: &egui::Painter,
     place: Pos2,
     radius: f32,
-    sample: &Sample,
-    real: Option<&Sample>,
-    map: &FlatMap<'_>,
+    [sample, real]: [Option<&Sample>; 2],
+    color: Color32,
+    signal: Signal,
     palette: &Palette,
 ) {
-    let color = sample.color(map.coloring, map.signal, palette);
+    let sample = sample.copied().unwrap_or_default();
     let active = sample.active == Some(true);
     let real_active = real.and_then(|real| real.active);
     let outline = Stroke::new(1.0, palette.text_weak);
@@ -196,7 +215,7 @@ fn taxel_shape(
         }
         // Simulated but not real: hollow.
         Some(true) if real_active == Some(false) => {
-            painter.circle(place, radius - 1.5, palette.surface, Stroke::new(3.0, map.signal.color(palette)));
+            painter.circle(place, radius - 1.5, palette.surface, Stroke::new(3.0, signal.color(palette)));
         }
         Some(true) => {
             painter.circle(place, radius, color, Stroke::new(2.0, palette.real));

@@ -8,6 +8,7 @@ mod flat_map;
 mod hull;
 mod mesh;
 mod renderer;
+pub mod residual;
 mod scene;
 mod signal;
 #[cfg(test)]
@@ -17,28 +18,35 @@ mod view3d;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use egui::{Align, Key, Layout, Panel, Rgba, RichText, accesskit::Role};
+use egui::{Align, Color32, Key, Layout, Panel, Rgba, RichText, accesskit::Role};
 use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 use palpate_wire::{
     api::{Source, TakeSummary},
     proto::{LiveFrame, ReplayTrace},
+    wording,
 };
 
+pub use self::flat_map::channel_map_ui;
 use self::{
     details::{Details, details_ui, tooltip_ui},
-    flat_map::{FlatMap, click, flat_map_ui},
+    flat_map::{FlatMap, click, flat_map_ui, taxel_name},
+    residual::Residual,
     scene::{Geometry, TaxelLook},
     signal::{Coloring, FULL_SCALE_THRESHOLDS, Sample, Signal},
     view3d::{Moment, ViewState, view3d_ui},
 };
-use super::{ScreenContext, controls::compared_ui, empty_ui, ensure_take_ui, failed_ui, loading_ui, words};
+use super::{
+    ScreenContext,
+    controls::{compared_ui, diagnosed_ui},
+    empty_ui, ensure_take_ui, failed_ui, loading_ui, words,
+};
 use crate::{
     playback::{HandSource, ModelRef},
     route::Screen,
     store::{Connection, Loadable},
     take_data::TakeData,
-    theme::taxel_scale_ui,
+    theme::{taxel_scale, taxel_scale_ui},
 };
 
 const SIDE_WIDTH: f32 = 360.0;
@@ -49,6 +57,8 @@ struct HandState {
     view: ViewState,
     signal: Signal,
     coloring: Coloring,
+    /// The diagnosis whose residual map was put on the hand already.
+    residual_of: Option<String>,
 }
 
 /// Everything that one frame shows, recorded or live.
@@ -58,9 +68,10 @@ struct Shot {
     real: Vec<Sample>,
     nominal: Vec<Sample>,
     compared: Vec<Sample>,
+    diagnosed: Vec<Sample>,
     object: Option<(String, Isometry3<f64>)>,
     take: Option<(Arc<TakeData>, f64)>,
-    replays: [Option<Arc<ReplayTrace>>; 2],
+    replays: [Option<Arc<ReplayTrace>>; 3],
     banner: Banner,
 }
 
@@ -158,6 +169,9 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
     let compared_model = cx.playback.compared.clone();
     let (compared, compared_problem) =
         compared_model.as_ref().map_or((None, None), |model| replay(cx, model));
+    let diagnosed_model = cx.playback.diagnosed.clone();
+    let (diagnosed, diagnosed_problem) =
+        diagnosed_model.as_ref().map_or((None, None), |model| replay(cx, model));
     let at_cursor = |replay: &Option<Arc<ReplayTrace>>| {
         replay.as_ref().map_or_else(Vec::new, |replay| signal::simulated(&station, &take, replay, time_s))
     };
@@ -169,6 +183,10 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
         Signal::Calibrated if compared_model.is_none() => Some("choose a model to compare with".to_owned()),
         Signal::Calibrated => {
             compared.is_none().then(|| compared_problem.unwrap_or_else(|| "simulating\u{2026}".to_owned()))
+        }
+        Signal::Diagnosed if diagnosed_model.is_none() => Some("diagnose the session first".to_owned()),
+        Signal::Diagnosed => {
+            diagnosed.is_none().then(|| diagnosed_problem.unwrap_or_else(|| "simulating\u{2026}".to_owned()))
         }
     };
     let summary = cx
@@ -184,6 +202,7 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
         real: signal::recorded(&station, &take, time_s),
         nominal: at_cursor(&nominal),
         compared: at_cursor(&compared),
+        diagnosed: at_cursor(&diagnosed),
         object,
         banner: Banner {
             source: "REPLAY".to_owned(),
@@ -193,7 +212,7 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
             nothing_to_compare: state.signal == Signal::Calibrated && compared_model.is_none(),
         },
         take: Some((take, time_s)),
-        replays: [nominal, compared],
+        replays: [nominal, compared, diagnosed],
         station,
     })
 }
@@ -244,9 +263,10 @@ fn live_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandStat
         real: signal::live(&station, &frame),
         nominal: Vec::new(),
         compared: Vec::new(),
+        diagnosed: Vec::new(),
         object: signal::pose_from(&frame.object_pose).map(|pose| (frame.object.clone(), pose)),
         take: None,
-        replays: [None, None],
+        replays: [None, None, None],
         banner: live_banner(cx, &frame),
         station,
     })
@@ -287,16 +307,43 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         Signal::Real => &shot.real,
         Signal::Nominal => &shot.nominal,
         Signal::Calibrated => &shot.compared,
+        Signal::Diagnosed => &shot.diagnosed,
     };
     // A simulation that is not here yet shows as unknown, never as the recording.
     let unknown = vec![Sample::default(); shot.station.layout.num_channels()];
     let samples = if shown.is_empty() { &unknown } else { shown };
+    if cx.playback.residual_of != state.residual_of {
+        state.residual_of.clone_from(&cx.playback.residual_of);
+        state.coloring = if state.residual_of.is_some() { Coloring::Mismatch } else { Coloring::default() };
+    }
+    let residual = residual_of(cx, &shot.station);
+    if residual.is_none() && state.coloring == Coloring::Mismatch && cx.playback.residual_of.is_none() {
+        state.coloring = Coloring::default();
+    }
     let (signal, coloring, palette) = (state.signal, state.coloring, cx.palette);
-    let looks: Vec<TaxelLook> = samples
+    let mismatch = |channel: usize| residual.as_ref()?.of(signal).get(channel).copied().flatten();
+    let colors: Vec<Color32> = samples
         .iter()
         .enumerate()
-        .map(|(channel, sample)| {
-            let rgba = Rgba::from(sample.color(coloring, signal, &palette));
+        .map(|(channel, sample)| match (coloring, &residual) {
+            (Coloring::Mismatch, Some(residual)) => mismatch(channel)
+                .map_or(palette.dead, |per_s| taxel_scale((per_s / residual.full_scale_per_s) as f32)),
+            _ => sample.color(coloring, signal, &palette),
+        })
+        .collect();
+    let name = |channel: usize| {
+        let name = taxel_name(&shot.station, channel, &samples[channel], signal);
+        match mismatch(channel).filter(|_| coloring == Coloring::Mismatch) {
+            Some(per_s) => format!("{name}; mismatch {} a second", wording::number(per_s)),
+            None => name,
+        }
+    };
+    let looks: Vec<TaxelLook> = samples
+        .iter()
+        .zip(&colors)
+        .enumerate()
+        .map(|(channel, (sample, &color))| {
+            let rgba = Rgba::from(color);
             TaxelLook {
                 color: [rgba.r(), rgba.g(), rgba.b()],
                 active: sample.active == Some(true),
@@ -314,14 +361,14 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
     };
     let details = Details {
         station: &shot.station,
-        samples: [&shot.real, &shot.nominal, &shot.compared],
+        samples: [&shot.real, &shot.nominal, &shot.compared, &shot.diagnosed],
         take: shot.take.as_ref().map(|(take, time_s)| (&**take, *time_s)),
-        replays: [shot.replays[0].as_deref(), shot.replays[1].as_deref()],
+        replays: [0, 1, 2].map(|idx| shot.replays[idx].as_deref()),
     };
 
     let frame = egui::Frame::NONE;
     Panel::top("hand_controls").frame(frame).show_separator_line(false).show(ui, |ui| {
-        controls_ui(ui, cx, state, shot);
+        controls_ui(ui, cx, state, shot, residual.is_some());
         views_ui(ui, state, &geometry, &moment);
         ui.add_space(4.0);
     });
@@ -343,9 +390,11 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
                 samples,
                 real: (signal != Signal::Real && !shown.is_empty()).then_some(shot.real.as_slice()),
                 signal,
-                coloring,
+                colors: &colors,
+                name: &name,
             };
-            side_ui(ui, cx, &map, &details);
+            let full_scale = residual.as_ref().map(|residual| residual.full_scale_per_s);
+            side_ui(ui, cx, &map, &details, (coloring, full_scale));
         });
     egui::CentralPanel::default().frame(egui::Frame::NONE).show(ui, |ui| {
         let rect = ui.available_rect_before_wrap();
@@ -372,8 +421,25 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
     keys(ui, state, &geometry, &moment);
 }
 
+/// The residual map that the operator put on the hand, once it is here and belongs to the session shown.
+fn residual_of(cx: &mut ScreenContext<'_>, station: &Station) -> Option<Residual> {
+    let run = cx.playback.residual_of.clone()?;
+    if cx.playback.hand_source == HandSource::Live {
+        return None;
+    }
+    let run = cx.store.diagnosis(&run);
+    let run = run.ready().filter(|run| Some(&run.request.session) == cx.playback.session.as_ref())?;
+    Some(Residual::new(run.report.as_ref()?, station))
+}
+
 /// Where the data comes from, and what colours the taxels.
-fn controls_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState, shot: &Shot) {
+fn controls_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut HandState,
+    shot: &Shot,
+    has_residual: bool,
+) {
     ui.horizontal_wrapped(|ui| {
         ui.label(RichText::new(&shot.banner.source).strong().size(16.0).color(shot.banner.color));
         ui.label(&shot.banner.about);
@@ -384,7 +450,9 @@ fn controls_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandSt
         }
         if cx.playback.hand_source == HandSource::Recorded {
             ui.separator();
-            for signal in Signal::ALL {
+            // A screen that has nothing to offer yet is absent, and so is a signal.
+            let offered = |signal: &Signal| *signal != Signal::Diagnosed || cx.playback.diagnosed.is_some();
+            for signal in Signal::ALL.into_iter().filter(offered) {
                 let text = RichText::new(signal.label()).strong().color(signal.color(&cx.palette));
                 let chosen = state.signal == signal;
                 let response = ui.selectable_label(chosen, text).on_hover_text(signal_hint(signal));
@@ -401,12 +469,20 @@ fn controls_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandSt
                     cx.go_to_screen(Screen::Calibrate);
                 }
             }
+            if state.signal == Signal::Diagnosed {
+                diagnosed_ui(ui, cx);
+            }
         }
         ui.separator();
         ui.selectable_value(&mut state.coloring, Coloring::Reading, "Reading")
             .on_hover_text("Colour taxels by how much they read");
         ui.selectable_value(&mut state.coloring, Coloring::Active, "Active")
             .on_hover_text("Colour taxels by whether they are active");
+        if has_residual {
+            ui.selectable_value(&mut state.coloring, Coloring::Mismatch, "Mismatch").on_hover_text(
+                "Colour taxels by how much simulation and hand differ on the takes that judged the diagnosis",
+            );
+        }
         if let Some(missing) = &shot.banner.missing {
             ui.label(
                 RichText::new(format!("\u{26a0} {}: {missing}", state.signal.label()))
@@ -421,6 +497,7 @@ fn signal_hint(signal: Signal) -> &'static str {
         Signal::Real => "What the hand reported",
         Signal::Nominal => "What the nominal simulation of the same motion says",
         Signal::Calibrated => "What the compared simulation says, usually a calibrated one",
+        Signal::Diagnosed => "What the simulation says with the effects that a diagnosis named",
     }
 }
 
@@ -452,14 +529,20 @@ fn views_ui(ui: &mut egui::Ui, state: &mut HandState, geometry: &Geometry, momen
 }
 
 /// Flat map on top, the taxel at hand below.
-fn side_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, map: &FlatMap<'_>, details: &Details<'_>) {
+fn side_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    map: &FlatMap<'_>,
+    details: &Details<'_>,
+    scale: (Coloring, Option<f64>),
+) {
     let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
     let map_height = (room.height() * 0.52).clamp(120.0, 420.0);
     let rect = egui::Rect::from_min_size(room.min, egui::vec2(room.width(), map_height));
     ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
         flat_map_ui(ui, rect, map, cx.playback, &cx.palette);
         ui.advance_cursor_after_rect(rect);
-        legend_ui(ui, map, &cx.palette);
+        legend_ui(ui, map, scale, &cx.palette);
         ui.separator();
         egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             let channel = cx
@@ -493,8 +576,24 @@ fn nothing_pinned_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, weak: egui::Color32) 
 }
 
 /// What the colours mean. The scale is fixed, in thresholds.
-fn legend_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, palette: &crate::theme::Palette) {
-    match map.coloring {
+fn legend_ui(
+    ui: &mut egui::Ui,
+    map: &FlatMap<'_>,
+    (coloring, full_scale_per_s): (Coloring, Option<f64>),
+    palette: &crate::theme::Palette,
+) {
+    match coloring {
+        Coloring::Mismatch => {
+            ui.horizontal(|ui| {
+                ui.label("0");
+                taxel_scale_ui(ui, 150.0);
+                let full = full_scale_per_s.map_or_else(String::new, wording::number);
+                ui.label(format!("{full} a second")).on_hover_text(
+                    "Mismatch of simulation and hand a second, all phases of contact together. The scale is the same \
+                     before and after.",
+                );
+            });
+        }
         Coloring::Reading => {
             ui.horizontal(|ui| {
                 ui.label("0");

@@ -28,11 +28,16 @@ pub(super) enum Signal {
     Nominal,
     /// The compared simulation, usually a calibrated one.
     Calibrated,
+    /// The simulation with effects that a diagnosis named.
+    Diagnosed,
 }
 
 impl Signal {
-    /// All of them, in the order of the paper's figure.
-    pub(super) const ALL: [Self; 3] = [Self::Real, Self::Nominal, Self::Calibrated];
+    /// How many there are.
+    pub(super) const COUNT: usize = 4;
+    /// All of them: in the order of the paper's figure, and what a diagnosis adds.
+    pub(super) const ALL: [Self; Self::COUNT] =
+        [Self::Real, Self::Nominal, Self::Calibrated, Self::Diagnosed];
 
     /// In words.
     pub(super) fn label(self) -> &'static str {
@@ -40,6 +45,7 @@ impl Signal {
             Self::Real => "Real",
             Self::Nominal => "Nominal",
             Self::Calibrated => "Calibrated",
+            Self::Diagnosed => "Diagnosed",
         }
     }
 
@@ -49,6 +55,7 @@ impl Signal {
             Self::Real => palette.real,
             Self::Nominal => palette.nominal,
             Self::Calibrated => palette.calibrated,
+            Self::Diagnosed => palette.diagnosed,
         }
     }
 }
@@ -61,6 +68,9 @@ pub(super) enum Coloring {
     Reading,
     /// By whether they are active.
     Active,
+    /// By how much simulation and recording differ over the confirm takes of a diagnosis: what the reading at the cursor
+    /// has no part in.
+    Mismatch,
 }
 
 /// What one channel says at one moment.
@@ -98,6 +108,8 @@ impl Sample {
             ),
             Coloring::Active if active => signal.color(palette),
             Coloring::Active => palette.line,
+            // Known to the diagnosis alone.
+            Coloring::Mismatch => palette.dead,
         }
     }
 

@@ -75,7 +75,7 @@ struct Mismatches {
 
 /// A simulation in the picture.
 struct Simulation {
-    /// `nominal` or `calibrated`.
+    /// `nominal`, `calibrated` or `diagnosed`.
     label: &'static str,
     /// Which one: the label, and in brackets the run or the saved model.
     full_label: String,
@@ -175,6 +175,10 @@ fn simulations(
     if let Some(model) = cx.playback.compared.clone().filter(|model| *model != ModelRef::Nominal) {
         let full_label = cx.store.compared_label(Some(&model));
         chosen.push((model, "calibrated", full_label, cx.palette.calibrated));
+    }
+    if let Some(model) = cx.playback.diagnosed.clone() {
+        let full_label = cx.store.compared_label(Some(&model));
+        chosen.push((model, "diagnosed", full_label, cx.palette.diagnosed));
     }
     let mut replays = Vec::new();
     let simulations = chosen

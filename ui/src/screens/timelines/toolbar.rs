@@ -6,7 +6,7 @@ use super::{ScreenContext, ShownChannels, TimelinesState};
 use crate::{
     commands::Command,
     screens::{
-        controls::{combo_ui, compared_ui, name_button, option_ui, speed_ui},
+        controls::{combo_ui, compared_ui, diagnosed_ui, name_button, option_ui, speed_ui},
         duration_text, words,
     },
 };
@@ -36,6 +36,9 @@ pub(super) fn toolbar_ui(
             .monospace(),
         );
         compared_ui(ui, cx);
+        if cx.playback.diagnosed.is_some() {
+            diagnosed_ui(ui, cx);
+        }
         channels_ui(ui, cx, session);
         for (text, label, command) in [
             ("\u{2b05} [", "Previous mismatch", Command::PreviousMismatch),

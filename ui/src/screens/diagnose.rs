@@ -1,0 +1,300 @@
+//! Diagnose: choose, run, see, keep. Find where simulation and hand disagree, name the missing effect, add it, show the
+//! gap shrink.
+
+mod bars;
+mod details;
+mod effects;
+mod keep;
+mod residual_map;
+mod results;
+
+use std::{collections::BTreeSet, sync::Arc};
+
+use egui::RichText;
+use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
+
+use super::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    empty_ui, failed_ui, loading_ui,
+    run_controls::{
+        HoldOutChoice, cancelled_ui, earlier_runs_ui, open_a_session, progress_ui, route_to_run, session_ui,
+        start_ui,
+    },
+    words,
+};
+use crate::{playback::ModelRef, route::Screen, store::Loadable};
+
+/// Null sessions behind a bar that is set here: as many as hold its 95 % point still.
+const NULL_SESSIONS: usize = 200;
+
+/// What the operator chose on this screen.
+#[derive(Debug, Default)]
+pub struct DiagnoseState {
+    hold_out: HoldOutChoice,
+    /// Saved model to start from; `None` calibrates first.
+    start_from: Option<String>,
+    /// Most effects to name; `None` leaves it to the server.
+    max_effects: Option<usize>,
+    /// Effects left out of the library, by id.
+    without: BTreeSet<String>,
+    sets_bar: bool,
+    waits_for_start: bool,
+    shown: Shown,
+}
+
+/// What the operator did with the result that is shown.
+#[derive(Debug, Default)]
+struct Shown {
+    run: String,
+    model_name: String,
+    /// Named effects that are not to be added, by position.
+    unticked: BTreeSet<usize>,
+    /// Named effects whose evidence is open.
+    open: BTreeSet<usize>,
+    all_candidates: bool,
+    residual_before: bool,
+    /// What the run was saved as when the compared simulations were last set to it.
+    in_use: Option<Option<String>>,
+}
+
+/// The screen.
+pub fn diagnose_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
+    let sessions = match cx.store.sessions() {
+        Loadable::Ready(sessions) => sessions,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of sessions did not arrive", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
+    };
+    if sessions.iter().all(|session| session.error.is_some()) {
+        let text = "Diagnosis names what the simulator lacks, from recorded takes. It needs a session first.";
+        if empty_ui(ui, "Nothing to diagnose", text, "Bring in a session") {
+            cx.go_to_screen(Screen::Sessions);
+        }
+        return;
+    }
+    open_a_session(cx, &sessions);
+    follow_started_run(cx, state);
+
+    egui::Panel::left("diagnose_choice").resizable(false).exact_size(292.0).show(ui, |ui| {
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            choose_ui(ui, cx, state, &sessions);
+            ui.add_space(12.0);
+            if let Loadable::Ready(runs) = cx.store.diagnoses() {
+                earlier_runs_ui(ui, cx, &runs, Screen::Diagnose, about_request);
+            }
+            keep::models_ui(ui, cx);
+        });
+    });
+    egui::CentralPanel::default().show(ui, |ui| match cx.route.run.clone() {
+        Some(run_id) => run_ui(ui, cx, state, &run_id),
+        None => intro_ui(ui),
+    });
+}
+
+fn intro_ui(ui: &mut egui::Ui) {
+    ui.add_space((ui.available_height() * 0.25).min(180.0));
+    ui.vertical_centered(|ui| {
+        ui.set_max_width(540.0);
+        ui.heading("Find out what the simulator lacks");
+        ui.label(
+            "A diagnosis looks for where simulated and recorded touch disagree, tries every effect of the library \
+             there, and names one only if it beats what chance gives on sessions with nothing missing. What it names \
+             can be added to the model, and taken out again. Where nothing fits, it says so, and where.",
+        );
+        ui.add_space(6.0);
+        ui.label("Choose a session on the left and press Diagnose.");
+    });
+}
+
+fn about_request(request: &DiagnosisRequest) -> String {
+    let mut about: Vec<String> = request.model.iter().map(|model| format!("from {model}")).collect();
+    if !request.without.is_empty() {
+        let ids: Vec<String> = request.without.iter().map(|id| words(id)).collect();
+        about.push(format!("without {}", ids.join(", ")));
+    }
+    about.join(", ")
+}
+
+/// Goes to the run that the button started, once the server has it.
+fn follow_started_run(cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
+    if !state.waits_for_start {
+        return;
+    }
+    match &cx.store.started_diagnosis {
+        Loadable::Ready(run_id) => {
+            state.waits_for_start = false;
+            *cx.go_to = Some(route_to_run(cx, Screen::Diagnose, run_id));
+        }
+        Loadable::Failed(_) => state.waits_for_start = false,
+        Loadable::Idle | Loadable::Loading => {}
+    }
+}
+
+fn choose_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut DiagnoseState,
+    sessions: &[SessionSummary],
+) {
+    ui.add_space(4.0);
+    ui.heading("1  Choose");
+    let session = session_ui(ui, cx, sessions, Screen::Diagnose);
+    start_from_ui(ui, cx, state);
+    ui.horizontal(|ui| {
+        let label = ui.label("Most effects to name");
+        let mut most = state.max_effects.unwrap_or(DEFAULT_MAX_EFFECTS);
+        let field = egui::DragValue::new(&mut most).range(1..=MAX_EFFECTS);
+        if ui.add(field).labelled_by(label.id).changed() {
+            state.max_effects = Some(most);
+        }
+    });
+    ui.checkbox(
+        &mut state.sets_bar,
+        egui::AtomExt::atom_shrink(format!("Set the bar on {NULL_SESSIONS} simulated sessions first"), true),
+    )
+    .on_hover_text(
+        "Runs this whole diagnosis on sessions simulated with nothing missing, to learn what chance gives on this \
+         station. Slow once; the bar is kept for the station.",
+    );
+    if !state.without.is_empty() {
+        ui.label("Left out of the library");
+        let mut brought_back = None;
+        ui.horizontal_wrapped(|ui| {
+            for id in &state.without {
+                let button = ui.button(format!("{}  \u{2716}", words(id))).on_hover_text("Bring it back");
+                let name = format!("Bring back {}", words(id));
+                super::controls::name_button(&button, &name);
+                if button.clicked() {
+                    brought_back = Some(id.clone());
+                }
+            }
+        });
+        if let Some(id) = brought_back {
+            state.without.remove(&id);
+        }
+    }
+    ui.add_space(4.0);
+    ui.label("Takes kept for judging");
+    let detail = cx.store.session(&session);
+    let hold_out = state.hold_out.of(&session);
+    hold_out.ui(ui, &detail, cx.palette.mismatch);
+    let problem = detail.ready().and_then(|detail| hold_out.problem(detail));
+
+    ui.add_space(8.0);
+    ui.heading("2  Run");
+    let running = running_run(cx);
+    let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
+    if start_ui(ui, cx, ready, "Diagnose", cx.palette.diagnosed, "Start diagnosis") {
+        start(cx, state);
+    }
+    if let Some(problem) = problem {
+        ui.colored_label(cx.palette.warning, problem);
+    }
+    if let Loadable::Failed(error) = &cx.store.started_diagnosis {
+        ui.colored_label(cx.palette.mismatch, format!("The run did not start: {error}"));
+    }
+    if let Some(run) = running
+        && progress_ui(ui, cx, &run)
+    {
+        cx.store.cancel_diagnosis(&run.id);
+    }
+}
+
+/// Effects to name unless the operator says otherwise; the server's own default.
+const DEFAULT_MAX_EFFECTS: usize = 8;
+const MAX_EFFECTS: usize = 12;
+
+/// Starts a run with what is chosen.
+fn start(cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
+    let Some(session) = cx.playback.session.clone() else { return };
+    state.waits_for_start = true;
+    cx.store.start_diagnosis(DiagnosisRequest {
+        hold_out: state.hold_out.of(&session).takes(),
+        session,
+        model: state.start_from.clone(),
+        max_effects: state.max_effects,
+        without: state.without.iter().cloned().collect(),
+        null_sessions: state.sets_bar.then_some(NULL_SESSIONS),
+    });
+}
+
+fn start_from_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
+    let models = cx.store.models();
+    let models = models.ready().map_or(&[][..], |models| models.as_slice());
+    let name_of = |id: &str| models.iter().find(|model| model.id == id).map(|model| model.name.clone());
+    // A model that went to the trash is no start.
+    state.start_from = state.start_from.take().filter(|id| models.is_empty() || name_of(id).is_some());
+    let calibrate_first = "Calibrate first";
+    let chosen = state.start_from.as_deref().and_then(name_of);
+    ui.label("Start from");
+    let width = ui.available_width() - 8.0;
+    combo_ui(ui, "Start from", chosen.as_deref().unwrap_or(calibrate_first), width, |ui| {
+        option_ui(ui, &mut state.start_from, None, calibrate_first);
+        for model in models {
+            option_ui(ui, &mut state.start_from, Some(model.id.clone()), &model.name);
+        }
+    });
+}
+
+fn running_run(cx: &mut ScreenContext<'_>) -> Option<DiagnosisRun> {
+    let runs = cx.store.diagnoses();
+    runs.ready()?.iter().find(|run| run.is_unfinished()).cloned()
+}
+
+fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState, run_id: &str) {
+    let run: Arc<DiagnosisRun> = match cx.store.diagnosis(run_id) {
+        Loadable::Ready(run) => run,
+        Loadable::Failed(error) => return failed_ui(ui, cx, &format!("Run {run_id} did not open"), &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Opening the run"),
+    };
+    match run.state {
+        JobState::Queued | JobState::Running => running_ui(ui, cx, &run),
+        JobState::Failed => {
+            let why = run.error.as_deref().unwrap_or("the server gave no reason");
+            failed_ui(ui, cx, "The diagnosis failed", why);
+        }
+        JobState::Cancelled => cancelled_ui(ui, "Diagnose"),
+        JobState::Done => {
+            let Some(report) = &run.report else { return loading_ui(ui, "Fetching the result") };
+            if state.shown.run != run_id {
+                state.shown = Shown {
+                    run: run_id.to_owned(),
+                    model_name: format!("{} diagnosed", run.request.session),
+                    ..Shown::default()
+                };
+            }
+            use_result(cx, &mut state.shown, &run);
+            if results::results_ui(ui, cx, state, &run, report) {
+                start(cx, state);
+            }
+        }
+    }
+}
+
+/// What is being tried now, large in the middle; the bar with Cancel is on the left.
+fn running_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &DiagnosisRun) {
+    loading_ui(ui, &run.stage);
+    ui.vertical_centered(|ui| {
+        ui.set_max_width(480.0);
+        ui.label(
+            RichText::new(
+                "Find: where they differ. Name: one small dose of every effect at every place, then fits of the \
+                 best. Show: judged on takes that nothing was fitted to.",
+            )
+            .color(cx.palette.text_weak),
+        );
+    });
+}
+
+/// Puts the simulations of this result beside the recording, whenever what it is saved as changes.
+fn use_result(cx: &mut ScreenContext<'_>, shown: &mut Shown, run: &DiagnosisRun) {
+    if shown.in_use.as_ref() == Some(&run.saved_as) {
+        return;
+    }
+    shown.in_use = Some(run.saved_as.clone());
+    cx.playback.compared = Some(ModelRef::Calibrated(run.id.clone()));
+    cx.playback.diagnosed = Some(match &run.saved_as {
+        Some(model) => ModelRef::Saved(model.clone()),
+        None => ModelRef::Diagnosis(run.id.clone()),
+    });
+}

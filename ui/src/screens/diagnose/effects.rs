@@ -1,0 +1,140 @@
+//! The named effects: a sentence each, whether to add it, and the evidence one click away.
+
+use egui::{RichText, accesskit::Role};
+use palpate_wire::{
+    api::{DiagnosisReport, NamedEffect},
+    wording,
+};
+
+use super::DiagnoseState;
+use crate::screens::ScreenContext;
+
+/// True when the operator wants another run without one of them.
+pub(super) fn effects_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    state: &mut DiagnoseState,
+    report: &DiagnosisReport,
+) -> bool {
+    let mut left_out = None;
+    for (idx, effect) in report.effects.iter().enumerate() {
+        ui.add_space(4.0);
+        egui::Frame::group(ui.style()).fill(cx.palette.surface).show(ui, |ui| {
+            ui.set_width(ui.available_width());
+            if effect_ui(ui, cx, state, report, idx, effect) {
+                left_out = Some(effect.id.clone());
+            }
+        });
+    }
+    let again = left_out.is_some();
+    state.without.extend(left_out);
+    again
+}
+
+fn effect_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    state: &mut DiagnoseState,
+    report: &DiagnosisReport,
+    idx: usize,
+    effect: &NamedEffect,
+) -> bool {
+    let shown = &mut state.shown;
+    let sentence = wording::effect_sentences(effect, report);
+    let response = ui.label(RichText::new(&sentence).size(15.5));
+    response.widget_info(|| egui::WidgetInfo::labeled(Role::Label, true, &sentence));
+    if let Some(rivals) = wording::rivals_sentence(effect) {
+        let next = report.next_experiment.as_ref().filter(|next| next.separates.contains(&effect.id));
+        let next = next.map_or_else(String::new, |next| format!(" {}", next.sentence));
+        ui.colored_label(cx.palette.warning, format!("\u{26a0} {rivals}{next}"));
+    }
+    let mut again = false;
+    ui.horizontal_wrapped(|ui| {
+        let mut ticked = !shown.unticked.contains(&idx);
+        let name = wording::effect_at(&effect.id, &effect.place);
+        let tick = ui.checkbox(&mut ticked, "Add it");
+        tick.widget_info(|| egui::WidgetInfo::selected(Role::CheckBox, true, ticked, format!("Add {name}")));
+        if tick.changed() {
+            if ticked {
+                shown.unticked.remove(&idx);
+            } else {
+                shown.unticked.insert(idx);
+            }
+        }
+        let open = shown.open.contains(&idx);
+        let button = ui.selectable_label(open, if open { "Hide the evidence" } else { "Evidence" });
+        button.widget_info(|| {
+            egui::WidgetInfo::selected(Role::Button, true, open, format!("Evidence for {name}"))
+        });
+        if button.clicked() && !shown.open.remove(&idx) {
+            shown.open.insert(idx);
+        }
+        let leave = ui.button("Run again without it").on_hover_text(
+            "Leaves this effect out of the library and diagnoses again: what else could explain the data?",
+        );
+        leave.widget_info(|| {
+            egui::WidgetInfo::labeled(
+                Role::Button,
+                true,
+                format!("Run again without {}", wording::words(&effect.id)),
+            )
+        });
+        again = leave.clicked();
+    });
+    if shown.open.contains(&idx) {
+        evidence_ui(ui, cx, report, idx, effect);
+    }
+    again
+}
+
+fn evidence_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    report: &DiagnosisReport,
+    idx: usize,
+    effect: &NamedEffect,
+) {
+    egui::Grid::new(("evidence", idx)).num_columns(2).min_row_height(20.0).spacing([20.0, 4.0]).show(
+        ui,
+        |ui| {
+            let mut row = |name: &str, value: String| {
+                ui.label(RichText::new(name).color(cx.palette.text_weak));
+                ui.label(value);
+                ui.end_row();
+            };
+            row("Effect", wording::effect_at(&effect.id, &effect.place));
+            for (name, &value) in &effect.parameters {
+                let interval = effect.interval.get(name).map_or_else(String::new, |&interval| {
+                    format!(" (95 % interval {})", wording::range(name, interval))
+                });
+                row(&wording::parameter_name(name), format!("{}{interval}", wording::quantity(name, value)));
+            }
+            row(
+                "Evidence",
+                format!(
+                    "{}, the bar is {} ({})",
+                    wording::number(effect.evidence),
+                    wording::number(report.bar.evidence),
+                    wording::p_value(effect.p_value)
+                ),
+            );
+            if let Some((improved, all)) = effect.takes_improved.split_once('/') {
+                row("Takes that it improves", format!("{improved} of {all}"));
+            }
+            row(
+                "Gap on the judging takes",
+                format!("{} to {}", wording::number(effect.gap_before), wording::number(effect.gap_after)),
+            );
+            for rival in &effect.rivals {
+                row(
+                    "Instead of it",
+                    format!(
+                        "{}: gap {}",
+                        wording::effect_at(&rival.id, &rival.place),
+                        wording::number(rival.gap_after)
+                    ),
+                );
+            }
+        },
+    );
+}

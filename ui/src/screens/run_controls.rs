@@ -1,0 +1,226 @@
+//! What screens that start runs share: choose a session and the takes to judge on, watch, cancel, come back.
+
+use std::{collections::BTreeSet, time::Duration};
+
+use egui::RichText;
+use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Run, SessionDetail, SessionSummary};
+
+use super::{ScreenContext, duration_text, words};
+use crate::{
+    route::{Route, Screen},
+    store::Loadable,
+};
+
+/// A request about one session.
+pub trait OfSession {
+    /// Its id.
+    fn session(&self) -> &str;
+}
+
+impl OfSession for CalibrationRequest {
+    fn session(&self) -> &str {
+        &self.session
+    }
+}
+
+impl OfSession for DiagnosisRequest {
+    fn session(&self) -> &str {
+        &self.session
+    }
+}
+
+/// Opens the session that is chosen already, else the first that can be opened.
+pub fn open_a_session(cx: &mut ScreenContext<'_>, sessions: &[SessionSummary]) {
+    let chosen = cx.playback.session.clone().filter(|id| sessions.iter().any(|session| session.id == *id));
+    let first = || sessions.iter().find(|session| session.error.is_none()).map(|session| session.id.clone());
+    if let Some(session) = chosen.or_else(first) {
+        cx.playback.open_session(&session);
+    }
+}
+
+/// A combo box with the sessions; gives the chosen one.
+pub fn session_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    sessions: &[SessionSummary],
+    screen: Screen,
+) -> String {
+    let mut session = cx.playback.session.clone().unwrap_or_default();
+    ui.horizontal(|ui| {
+        let label = ui.label("Session");
+        egui::ComboBox::from_id_salt((screen, "session"))
+            .selected_text(&session)
+            .width(ui.available_width() - 8.0)
+            .show_ui(ui, |ui| {
+                for known in sessions.iter().filter(|known| known.error.is_none()) {
+                    ui.selectable_value(&mut session, known.id.clone(), &known.id);
+                }
+            })
+            .response
+            .labelled_by(label.id);
+    });
+    if cx.playback.session.as_ref() != Some(&session) {
+        cx.playback.open_session(&session);
+        *cx.go_to = Some(Route::to(screen).with_session(session.clone()));
+    }
+    session
+}
+
+/// Which takes are kept for judging.
+#[derive(Debug, Default)]
+pub struct HoldOutChoice {
+    /// Chosen by hand; `None` leaves the choice to the server.
+    takes: Option<BTreeSet<String>>,
+    /// The session that they belong to.
+    session: Option<String>,
+}
+
+impl HoldOutChoice {
+    /// The choice for `session`; that for another one is forgotten.
+    pub fn of(&mut self, session: &str) -> &mut Self {
+        if self.session.as_deref() != Some(session) {
+            *self = Self { takes: None, session: Some(session.to_owned()) };
+        }
+        self
+    }
+
+    /// Check boxes for the takes, or what stands in for them.
+    pub fn ui(
+        &mut self,
+        ui: &mut egui::Ui,
+        detail: &Loadable<std::sync::Arc<SessionDetail>>,
+        error: egui::Color32,
+    ) {
+        match detail {
+            Loadable::Ready(detail) => self.takes_ui(ui, detail),
+            Loadable::Failed(why) => {
+                ui.colored_label(error, why);
+            }
+            Loadable::Idle | Loadable::Loading => {
+                ui.spinner();
+            }
+        }
+    }
+
+    fn takes_ui(&mut self, ui: &mut egui::Ui, detail: &SessionDetail) {
+        let mut automatic = self.takes.is_none();
+        if ui.checkbox(&mut automatic, "Choose for me (about a third)").changed() {
+            self.takes = (!automatic).then(BTreeSet::new);
+        }
+        let Some(held_out) = &mut self.takes else { return };
+        for take in &detail.takes {
+            let mut held = held_out.contains(&take.id);
+            let text = format!("{}: {}, {}", take.id, words(&take.primitive), take.object);
+            let response = ui.checkbox(&mut held, egui::AtomExt::atom_shrink(text, true));
+            if response.changed() {
+                if held {
+                    held_out.insert(take.id.clone());
+                } else {
+                    held_out.remove(&take.id);
+                }
+            }
+        }
+    }
+
+    /// Why the chosen takes cannot be used, in words.
+    pub fn problem(&self, detail: &SessionDetail) -> Option<String> {
+        let held_out = self.takes.as_ref()?;
+        if held_out.is_empty() {
+            Some("Tick at least one take to judge on.".to_owned())
+        } else if held_out.len() >= detail.takes.len() {
+            Some("Leave at least one take to fit on.".to_owned())
+        } else {
+            None
+        }
+    }
+
+    /// For the request.
+    pub fn takes(&self) -> Option<Vec<String>> {
+        self.takes.as_ref().map(|takes| takes.iter().cloned().collect())
+    }
+}
+
+/// The large button that starts a run: `text` on it in `fill`, `name` for those who do not see it. True when pressed.
+pub fn start_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    ready: bool,
+    text: &str,
+    fill: egui::Color32,
+    name: &str,
+) -> bool {
+    let size = egui::vec2(ui.available_width() - 8.0, 40.0);
+    let text = RichText::new(text).strong().size(16.0).color(cx.palette.surface);
+    let button = egui::Button::new(text).fill(fill);
+    let response = ui.add_enabled_ui(ready, |ui| ui.add_sized(size, button)).inner;
+    // The rail has a button of that word already.
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, ready, name));
+    response.clicked()
+}
+
+/// How a run gets on. True when the operator cancels it.
+pub fn progress_ui<Q, R>(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &Run<Q, R>) -> bool {
+    let left = run.seconds_left.map(|s| format!(", {} left", duration_text(s))).unwrap_or_default();
+    let bar = egui::ProgressBar::new(run.fraction as f32)
+        .desired_width(ui.available_width() - 8.0)
+        .text(format!("{:.0} %{left}", run.fraction * 100.0));
+    ui.add(bar);
+    ui.label(RichText::new(&run.stage).color(cx.palette.text_weak));
+    ui.ctx().request_repaint_after(Duration::from_millis(200));
+    ui.button("Cancel").on_hover_text("Stop the run; nothing is saved").clicked()
+}
+
+/// The finished runs of this session, each a step away. `about` says what sets one apart.
+pub fn earlier_runs_ui<Q: OfSession, R>(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    runs: &[Run<Q, R>],
+    screen: Screen,
+    about: impl Fn(&Q) -> String,
+) {
+    let mine: Vec<&Run<Q, R>> = runs
+        .iter()
+        .filter(|run| Some(run.request.session()) == cx.playback.session.as_deref() && !run.is_unfinished())
+        .collect();
+    if mine.is_empty() {
+        return;
+    }
+    ui.separator();
+    ui.label(RichText::new("Earlier runs").strong());
+    for run in mine {
+        let chosen = cx.route.run.as_ref() == Some(&run.id);
+        let saved = run.saved_as.as_ref().map_or(String::new(), |model| format!(", saved as {model}"));
+        let about = about(&run.request);
+        let about = if about.is_empty() { about } else { format!("{about}, ") };
+        let text = format!("{}  {about}{}{saved}", run.id, state_text(run.state));
+        let width = ui.available_width() - 8.0;
+        let button = egui::Button::selectable(chosen, text).min_size(egui::vec2(width, 32.0)).right_text("");
+        if ui.add(button.wrap()).clicked() && !chosen {
+            *cx.go_to = Some(route_to_run(cx, screen, &run.id));
+        }
+    }
+}
+
+/// Where a run is looked at.
+pub fn route_to_run(cx: &ScreenContext<'_>, screen: Screen, run_id: &str) -> Route {
+    Route { session: cx.playback.session.clone(), run: Some(run_id.to_owned()), ..Route::to(screen) }
+}
+
+fn state_text(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "waiting",
+        JobState::Running => "running",
+        JobState::Done => "done",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
+    }
+}
+
+/// A run that was stopped before it was done; `button` starts another.
+pub fn cancelled_ui(ui: &mut egui::Ui, button: &str) {
+    ui.add_space(80.0);
+    ui.vertical_centered(|ui| {
+        ui.heading("Cancelled");
+        ui.label(format!("This run was stopped before it was done. Press {button} to run it again."));
+    });
+}
