@@ -1,2 +1,28 @@
 //! Finds where a simulator and measurements disagree, names the missing effect, adds it to the model and shows the gap
 //! shrink.
+//!
+//! [`diagnose`] is the job: takes in, [`palpate_wire::api::DiagnosisReport`] and a sensor model with effects out.
+//! [`engine`] does the statistics for any [`engine::Domain`]; [`tactile`] is the sense of touch.
+//! Pure: takes, clocks, random seeds and paths come from the caller.
+
+pub mod engine;
+mod job;
+mod null;
+mod show;
+pub mod tactile;
+
+pub use job::{DiagnosisConfig, DiagnosisOutcome, diagnose};
+pub use null::NullBar;
+pub use tactile::adequacy::Adequacy;
+
+/// A diagnosis that cannot be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DiagnosisError {
+    /// The takes, the model or the configuration do not make a diagnosis: which, why, and what to do.
+    #[error("{0}")]
+    Input(String),
+    /// Somebody cancelled.
+    #[error("cancelled")]
+    Cancelled,
+}

@@ -1,0 +1,97 @@
+//! The part of a diagnosis that knows no sensors: what a [`Domain`] must offer, and the naming of effects in it.
+//!
+//! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
+//! - [`screen`]: every candidate by its dose response
+//! - [`fit`]: candidates and whole models, fitted for real
+//! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
+
+mod fit;
+mod linear;
+mod name;
+mod screen;
+
+pub(crate) use fit::refit;
+pub use name::{Naming, NamingConfig, Round, Tried, name};
+
+use std::ops::Range;
+
+use palpate_sim::effects::{Effect, Parameter};
+
+use crate::DiagnosisError;
+
+/// A model: the domain's own parameters, and effects.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// Values of [`Domain::base`], in its order.
+    pub base: Vec<f64>,
+    /// Effects, in the order in which they were added.
+    pub effects: Vec<Effect>,
+}
+
+/// A parameter of the model that is there whatever effects there are: fitted along, never named.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseParameter {
+    /// Its name, with its unit.
+    pub name: String,
+    /// Lowest value.
+    pub lower: f64,
+    /// Highest value.
+    pub upper: f64,
+    /// Step for derivatives.
+    pub dose: f64,
+}
+
+/// Measurements, and a family of models that predict them.
+///
+/// Every take is a vector of rows; what a row means is the domain's affair. Rows of one block may depend on each other,
+/// rows of different blocks nearly do not.
+pub trait Domain: Sync {
+    /// Number of takes.
+    fn num_takes(&self) -> usize;
+
+    /// Consecutive ranges that cover the rows of `take`.
+    fn blocks(&self, take: usize) -> &[Range<usize>];
+
+    /// Measured value of each row; NaN where nothing was measured.
+    fn observed(&self, take: usize) -> &[f64];
+
+    /// The model's own parameters.
+    fn base(&self) -> &[BaseParameter];
+
+    /// Every effect at every place, at its neutral parameters.
+    fn candidates(&self) -> Vec<Effect>;
+
+    /// Parameters of `effect` at its place.
+    fn parameters(&self, effect: &Effect) -> Vec<Parameter>;
+
+    /// Number of units: parts of the measurement (channels) that effects reach separately.
+    fn num_units(&self) -> usize;
+
+    /// Unit of a row.
+    fn unit(&self, row: usize) -> usize;
+
+    /// Which units a parameter of `effect` can reach.
+    fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool>;
+
+    /// What `model` predicts for the rows of `take`.
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError>;
+
+    /// One over the standard deviation that a row is allowed around `prediction`.
+    fn weights(&self, take: usize, prediction: &[f64]) -> Vec<f64>;
+}
+
+/// Residuals beyond this many standard deviations count no more than linearly.
+pub(crate) const HUBER: f64 = 4.0;
+
+/// Huber's loss of a residual in standard deviations, scaled to be its square in the middle.
+pub(crate) fn huber(residual: f64) -> f64 {
+    let size = residual.abs();
+    if size <= HUBER { size * size } else { HUBER * (2.0 * size - HUBER) }
+}
+
+/// `effect` with every parameter where the effect is absent.
+pub(crate) fn neutral(effect: &Effect, parameters: &[Parameter]) -> Effect {
+    let mut effect = effect.clone();
+    effect.parameters = parameters.iter().map(|p| (p.name.clone(), p.neutral)).collect();
+    effect
+}

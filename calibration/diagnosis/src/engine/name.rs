@@ -1,0 +1,204 @@
+//! Rounds of screening and fitting, until nothing reaches the bar.
+
+use palpate_sim::effects::{Effect, Parameter};
+
+use super::fit::{fit, refit};
+use super::linear::{Assessment, Linear};
+use super::screen::screen;
+use super::{Domain, Model};
+use crate::DiagnosisError;
+
+/// How to name.
+#[derive(Clone, Debug)]
+pub struct NamingConfig {
+    /// Most effects to name.
+    pub max_effects: usize,
+    /// Evidence that an effect must reach: how far its estimate lies beyond the smallest size that matters, in standard
+    /// errors, squared.
+    pub bar: f64,
+    /// Share of the loss that an effect must remove on takes it was not fitted to.
+    pub least_share: f64,
+    /// Candidates that are fitted in each round.
+    pub num_fits: usize,
+    /// Effects to leave out, by id.
+    pub without: Vec<String>,
+}
+
+/// A candidate that was fitted.
+#[derive(Clone, Debug)]
+pub struct Tried {
+    /// The effect, fitted beside the model of its round.
+    pub effect: Effect,
+    /// On the scale of [`NamingConfig::bar`].
+    pub evidence: f64,
+    /// Loss that it removes on takes it was not fitted to.
+    pub held_out_gain: f64,
+    /// The same over the loss before.
+    pub share: f64,
+    /// Takes on which it lowers the loss when fitted to the others.
+    pub takes_improved: usize,
+}
+
+/// One round.
+#[derive(Clone, Debug)]
+pub struct Round {
+    /// The model that it began with.
+    pub before: Model,
+    /// What was fitted, best first.
+    pub tried: Vec<Tried>,
+    /// Index in `tried` of what was named.
+    pub named: Option<usize>,
+    /// Indices in `tried` of what explains the data nearly as well, the named one among them.
+    pub class: Vec<usize>,
+}
+
+/// What was named, and how.
+#[derive(Clone, Debug)]
+pub struct Naming {
+    /// The model with every named effect.
+    pub model: Model,
+    /// Standard errors of the effects' parameters, in the order of [`Domain::parameters`].
+    pub standard_errors: Vec<Vec<f64>>,
+    /// Evidence for each effect beside all others.
+    pub evidence: Vec<f64>,
+    /// The rounds, the last of which names nothing unless the limit was reached.
+    pub rounds: Vec<Round>,
+    /// Effects that were named and dropped again, because others account for them.
+    pub dropped: Vec<Effect>,
+}
+
+/// Steps of a full fit after an addition.
+const REFIT_STEPS: usize = 3;
+/// Rivals explain at least this share of what the best does.
+const RIVAL_SHARE: f64 = 0.8;
+/// Places of one effect that are fitted in a round.
+const PLACES_PER_EFFECT: usize = 2;
+
+/// Names what `start` lacks on `takes`. `progress` hears what is being done and may stop it.
+pub fn name<D: Domain>(
+    domain: &D,
+    start: &Model,
+    takes: &[usize],
+    config: &NamingConfig,
+    progress: &dyn Fn(f64, &str) -> Result<(), DiagnosisError>,
+) -> Result<Naming, DiagnosisError> {
+    let mut model = start.clone();
+    let mut rounds = Vec::new();
+    let mut dropped: Vec<Effect> = Vec::new();
+    loop {
+        let round_idx = rounds.len();
+        let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
+        let report = |within: f64, stage: &str| {
+            // Few sessions need more than three rounds; the fraction only ever rises.
+            let fraction = 1.0 - 0.6_f64.powf(round_idx as f64 + within);
+            progress(fraction, stage)
+        };
+        report(0.0, &stage)?;
+        let linear = Linear::new(domain, &model, takes)?;
+        let mut candidates = domain.candidates();
+        candidates.retain(|candidate| {
+            !config.without.contains(&candidate.id)
+                && !model
+                    .effects
+                    .iter()
+                    .chain(&dropped)
+                    .any(|named| named.id == candidate.id && named.place == candidate.place)
+        });
+        let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
+        screened.sort_by(|a, b| {
+            let gain = |a: &Assessment| a.held_out_gains.iter().sum::<f64>();
+            gain(&b.assessment).total_cmp(&gain(&a.assessment))
+        });
+        let mut finalists: Vec<usize> = Vec::new();
+        for (idx, candidate) in screened.iter().enumerate() {
+            let same = finalists.iter().filter(|&&other| screened[other].effect.id == candidate.effect.id);
+            let gain: f64 = candidate.assessment.held_out_gains.iter().sum();
+            if finalists.len() < config.num_fits && gain > 0.0 && same.count() < PLACES_PER_EFFECT {
+                finalists.push(idx);
+            }
+        }
+        let mut tried = Vec::new();
+        for (done, &idx) in finalists.iter().enumerate() {
+            let Some(candidate) = screened.get(idx) else { continue };
+            report(
+                0.7 + 0.3 * done as f64 / finalists.len() as f64,
+                &format!("round {}: fitting {}", round_idx + 1, candidate.effect.id),
+            )?;
+            let fitted = fit(&linear, &candidate.effect, &candidate.parameters)?;
+            let held_out_gain = fitted.held_out_gains.iter().sum::<f64>();
+            tried.push(Tried {
+                evidence: evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors),
+                takes_improved: fitted.held_out_gains.iter().filter(|gain| **gain > 0.0).count(),
+                effect: fitted.effect,
+                held_out_gain,
+                share: held_out_gain / linear.loss.max(f64::MIN_POSITIVE),
+            });
+        }
+        tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
+        let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
+        let named = tried.iter().position(passes).filter(|_| model.effects.len() < config.max_effects);
+        let class = named.map_or_else(Vec::new, |named| {
+            let least = RIVAL_SHARE * tried[named].held_out_gain;
+            (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
+        });
+        rounds.push(Round { before: model.clone(), tried: tried.clone(), named, class });
+        let Some(named) = named else { break };
+        model.effects.push(tried[named].effect.clone());
+        model = refit(domain, &model, takes, REFIT_STEPS)?;
+        drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
+    }
+    let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
+    Ok(Naming { model, standard_errors, evidence, rounds, dropped })
+}
+
+/// Takes back effects that lost their evidence to later ones, the weakest first.
+fn drop_one<D: Domain>(
+    domain: &D,
+    model: &mut Model,
+    takes: &[usize],
+    bar: f64,
+    dropped: &mut Vec<Effect>,
+) -> Result<(), DiagnosisError> {
+    while model.effects.len() > 1 {
+        let (evidence, _) = joint_evidence(domain, model, takes)?;
+        let weakest = (0..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
+        let Some(weakest) = weakest.filter(|&idx| evidence[idx] < 0.5 * bar) else { break };
+        dropped.push(model.effects.remove(weakest));
+        *model = refit(domain, model, takes, REFIT_STEPS)?;
+    }
+    Ok(())
+}
+
+/// Evidence for each effect of `model` beside all others, and the standard errors of their parameters.
+fn joint_evidence<D: Domain>(
+    domain: &D,
+    model: &Model,
+    takes: &[usize],
+) -> Result<(Vec<f64>, Vec<Vec<f64>>), DiagnosisError> {
+    let linear = Linear::without_nuisances(domain, model, takes)?;
+    let assessment = linear.assess(&linear.nuisance_columns()?, &linear.residual);
+    let mut rest = &assessment.standard_errors[model.base.len()..];
+    let (mut all, mut errors) = (Vec::new(), Vec::new());
+    for effect in &model.effects {
+        let parameters = domain.parameters(effect);
+        let (own, others) = rest.split_at(parameters.len());
+        all.push(evidence(effect, &parameters, own));
+        errors.push(own.to_vec());
+        rest = others;
+    }
+    Ok((all, errors))
+}
+
+/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared.
+pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
+    parameters
+        .iter()
+        .zip(standard_errors)
+        .map(|(parameter, &error)| {
+            let size = (effect.parameter(&parameter.name) - parameter.neutral).abs();
+            let beyond = (size - parameter.smallest).max(0.0);
+            // An error of nothing is that of a direction that the data does not see.
+            if error > 0.0 { (beyond / error).powi(2) } else { 0.0 }
+        })
+        .fold(0.0, f64::max)
+}

@@ -1,0 +1,168 @@
+//! Every candidate by its response to a standard dose.
+
+use std::collections::BTreeMap;
+
+use palpate_sim::effects::{Effect, Parameter};
+use rayon::prelude::*;
+
+use super::linear::{Assessment, Column, Linear, inside, predict};
+use super::{Domain, neutral};
+use crate::DiagnosisError;
+
+/// A candidate, to first order.
+pub(crate) struct Screened {
+    /// The effect with its estimated parameters, within their bounds.
+    pub(crate) effect: Effect,
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) assessment: Assessment,
+}
+
+/// Screens `candidates` around `linear`; `done` hears the fraction of the work and may stop it.
+///
+/// One simulation serves every place of an effect that reaches other units: the response is split by unit.
+pub(crate) fn screen<D: Domain>(
+    linear: &Linear<'_, D>,
+    candidates: &[Effect],
+    done: &dyn Fn(f64) -> Result<(), DiagnosisError>,
+) -> Result<Vec<Screened>, DiagnosisError> {
+    let parameters: Vec<Vec<Parameter>> =
+        candidates.iter().map(|effect| linear.domain.parameters(effect)).collect();
+    let neutrals: Vec<Effect> =
+        candidates.iter().zip(&parameters).map(|(effect, parameters)| neutral(effect, parameters)).collect();
+    let mut columns: Vec<Vec<Column>> = parameters.iter().map(|p| vec![Column::default(); p.len()]).collect();
+    let items: Vec<Item> = neutrals
+        .iter()
+        .zip(&parameters)
+        .enumerate()
+        .flat_map(|(candidate, (effect, parameters))| {
+            parameters.iter().enumerate().map(move |(idx, parameter)| Item {
+                owner: candidate,
+                parameter: idx,
+                effect: dosed(effect, parameter),
+                step: parameter.dose,
+                name: parameter.name.clone(),
+            })
+        })
+        .collect();
+    let passes = pack(linear.domain, items);
+    let num_passes = passes.len();
+    for (idx, pass) in passes.into_iter().enumerate() {
+        done(idx as f64 / num_passes as f64)?;
+        let mut model = linear.model.clone();
+        model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
+        let predicted = predict(linear.domain, &model, &linear.takes)?;
+        let owner = owners(pass.iter().map(|(_, reach)| reach.as_slice()), linear.domain.num_units());
+        let steps: Vec<f64> = pass.iter().map(|(item, _)| item.step).collect();
+        let split = linear.columns(&linear.predicted, &predicted, &owner, &steps);
+        for (column, (item, _)) in split.into_iter().zip(&pass) {
+            columns[item.owner][item.parameter] = column;
+        }
+    }
+    let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
+    Ok(jobs
+        .into_par_iter()
+        .filter(|(_, columns)| columns.iter().any(|column| !column.rows.is_empty()))
+        .map(|((effect, parameters), columns)| {
+            let assessment = linear.assess(&columns, &linear.residual);
+            let effect = stepped(&effect, &parameters, assessment.step.as_slice());
+            Screened { effect, parameters, assessment }
+        })
+        .collect())
+}
+
+/// Responses to each parameter of `effect` around its present values.
+pub(crate) fn responses<D: Domain>(
+    linear: &Linear<'_, D>,
+    effect: &Effect,
+    parameters: &[Parameter],
+) -> Result<Vec<Column>, DiagnosisError> {
+    let before = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
+    let mut columns = vec![Column::default(); parameters.len()];
+    // Parameters that reach different units are stepped together.
+    let mut passes: Vec<(Effect, Vec<bool>, Vec<(usize, f64, Vec<bool>)>)> = Vec::new();
+    for (idx, parameter) in parameters.iter().enumerate() {
+        let value = effect.parameter(&parameter.name);
+        let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);
+        let reach = linear.domain.support(effect, &parameter.name);
+        let free = passes.iter_mut().find(|(_, taken, _)| disjoint(taken, &reach));
+        let pass = match free {
+            Some(pass) => pass,
+            None => {
+                passes.push((effect.clone(), vec![false; reach.len()], Vec::new()));
+                passes.last_mut().expect("it was just added")
+            }
+        };
+        pass.0.parameters.insert(parameter.name.clone(), value + step);
+        pass.1.iter_mut().zip(&reach).for_each(|(taken, reach)| *taken |= reach);
+        pass.2.push((idx, step, reach));
+    }
+    for (stepped, _, parts) in passes {
+        let after = predict(linear.domain, &linear.with(stepped), &linear.takes)?;
+        let owner = owners(parts.iter().map(|(_, _, reach)| reach.as_slice()), linear.domain.num_units());
+        let steps: Vec<f64> = parts.iter().map(|(_, step, _)| *step).collect();
+        for (column, (idx, ..)) in linear.columns(&before, &after, &owner, &steps).into_iter().zip(parts) {
+            columns[idx] = column;
+        }
+    }
+    Ok(columns)
+}
+
+/// Which of several disjoint sets of units each unit is in; `usize::MAX`: none.
+fn owners<'r>(reaches: impl Iterator<Item = &'r [bool]>, num_units: usize) -> Vec<usize> {
+    let mut owner = vec![usize::MAX; num_units];
+    for (idx, reach) in reaches.enumerate() {
+        for (owner, reach) in owner.iter_mut().zip(reach) {
+            if *reach {
+                *owner = idx;
+            }
+        }
+    }
+    owner
+}
+
+/// `effect` with its parameters moved by `steps` from where they are, as far as their bounds allow.
+pub(crate) fn stepped(effect: &Effect, parameters: &[Parameter], steps: &[f64]) -> Effect {
+    let mut moved = effect.clone();
+    for (parameter, step) in parameters.iter().zip(steps) {
+        let value = (effect.parameter(&parameter.name) + step).clamp(parameter.lower, parameter.upper);
+        moved.parameters.insert(parameter.name.clone(), value);
+    }
+    moved
+}
+
+/// One parameter of one candidate at its dose.
+struct Item {
+    owner: usize,
+    parameter: usize,
+    effect: Effect,
+    step: f64,
+    name: String,
+}
+
+fn dosed(effect: &Effect, parameter: &Parameter) -> Effect {
+    let mut effect = effect.clone();
+    effect.parameters.insert(parameter.name.clone(), parameter.neutral + parameter.dose);
+    effect
+}
+
+/// Items that one simulation can serve, with the units that each reaches: same effect, no unit in common.
+fn pack<D: Domain>(domain: &D, items: Vec<Item>) -> Vec<Vec<(Item, Vec<bool>)>> {
+    type Pass = (Vec<bool>, Vec<(Item, Vec<bool>)>);
+    let mut by_id: BTreeMap<String, Vec<Pass>> = BTreeMap::new();
+    for item in items {
+        let reach = domain.support(&item.effect, &item.name);
+        let passes = by_id.entry(item.effect.id.clone()).or_default();
+        match passes.iter_mut().find(|(taken, _)| disjoint(taken, &reach)) {
+            Some((taken, pass)) => {
+                taken.iter_mut().zip(&reach).for_each(|(taken, reach)| *taken |= reach);
+                pass.push((item, reach));
+            }
+            None => passes.push((reach.clone(), vec![(item, reach)])),
+        }
+    }
+    by_id.into_values().flatten().map(|(_, pass)| pass).collect()
+}
+
+fn disjoint(a: &[bool], b: &[bool]) -> bool {
+    a.iter().zip(b).all(|(a, b)| !(a & b))
+}

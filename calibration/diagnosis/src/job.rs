@@ -1,0 +1,265 @@
+//! The diagnosis of a session: calibrate, find, name, add, show.
+
+use std::collections::BTreeMap;
+
+use palpate_calibration::{CalibrationConfig, CalibrationError, HoldOut, PairedTake, calibrate};
+use palpate_recording::Take;
+use palpate_robot_model::Station;
+use palpate_sim::SensorModel;
+use palpate_sim::effects::{self, Effect};
+use palpate_sim::job::{Cancel, NoProgress, Progress};
+use palpate_wire::api::DiagnosisReport;
+use rayon::prelude::*;
+
+use crate::engine::{self, Domain, Model, Naming, NamingConfig};
+use crate::null::NullBar;
+use crate::tactile::adequacy::{Adequacy, adequacy};
+use crate::tactile::judge::{Judged, judge, set_thresholds};
+use crate::tactile::{Observed, TactileDomain};
+use crate::{DiagnosisError, show};
+
+/// What to do.
+#[derive(Clone, Debug)]
+pub struct DiagnosisConfig {
+    /// Confirm takes: opened once, for the report.
+    pub hold_out: HoldOut,
+    /// Most effects to name.
+    pub max_effects: usize,
+    /// Effects to leave out of the library, by id.
+    pub without: Vec<String>,
+    /// Resamples behind intervals.
+    pub bootstrap_resamples: usize,
+    /// Seed of resampling.
+    pub seed: u64,
+}
+
+impl Default for DiagnosisConfig {
+    fn default() -> Self {
+        Self {
+            hold_out: HoldOut::Auto,
+            max_effects: 8,
+            without: Vec::new(),
+            bootstrap_resamples: 1000,
+            seed: 0,
+        }
+    }
+}
+
+/// What a diagnosis found.
+#[derive(Clone, Debug)]
+pub struct DiagnosisOutcome {
+    /// The report, as the command line prints it and the page shows it.
+    pub report: DiagnosisReport,
+    /// The calibrated model with the named effects.
+    pub model: SensorModel,
+    /// The calibrated model.
+    pub calibrated: SensorModel,
+    /// Highest evidence of any effect in the first round: what a null bar is made of.
+    pub first_evidence: f64,
+    /// What is left of the diagnosed model's residuals.
+    pub adequacy: Adequacy,
+}
+
+/// Steps of the first fit of the model's own parameters.
+const FIRST_STEPS: usize = 6;
+/// Candidates fitted in a round.
+const NUM_FITS: usize = 6;
+/// Share of the loss that a named effect removes at least.
+const LEAST_SHARE: f64 = 0.01;
+
+/// Diagnoses `takes` (of one station), starting from `nominal`.
+///
+/// `bar` is the station's null bar, see [`crate::null_bar`]; without one a shipped default applies and the report says
+/// so. `clock_s` gives seconds since any fixed moment, for the report. All else depends on the arguments alone, to the bit,
+/// for any number of threads.
+pub fn diagnose(
+    config: &DiagnosisConfig,
+    takes: &[Take],
+    nominal: &SensorModel,
+    bar: Option<&NullBar>,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    clock_s: &(dyn Fn() -> f64 + Sync),
+) -> Result<DiagnosisOutcome, DiagnosisError> {
+    let start_s = clock_s();
+    let watch = |fraction: f64, stage: &str| {
+        progress.report(fraction, stage);
+        if cancel.is_cancelled() { Err(DiagnosisError::Cancelled) } else { Ok(()) }
+    };
+    watch(0.0, "calibrating thresholds")?;
+    let station = check(config, takes)?;
+    let paired: Vec<PairedTake> = takes.par_iter().map(PairedTake::from_take).collect::<Result<_, _>>()?;
+    let calibration = CalibrationConfig {
+        hold_out: config.hold_out.clone(),
+        bootstrap_resamples: 0,
+        ..CalibrationConfig::default()
+    };
+    let outcome = calibrate(&calibration, &station.layout, nominal, &paired, &NoProgress, cancel, clock_s)?;
+    let confirm_ids = outcome.report.held_out_takes;
+    let is_confirm = |take: &Take| confirm_ids.contains(&take.id);
+    let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !is_confirm(&takes[idx])).collect();
+
+    watch(0.05, "fitting the model's own parameters")?;
+    let mut calibrated = outcome.model;
+    calibrated.effects = nominal.effects.clone();
+    calibrated.response = nominal.response.clone();
+    let (domain, start) = TactileDomain::new(station, takes, &calibrated)?;
+    let start = engine::refit(&domain, &start, &fitted, FIRST_STEPS)?;
+    let naming_config = NamingConfig {
+        max_effects: config.max_effects + nominal.effects.len(),
+        bar: bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence),
+        least_share: LEAST_SHARE,
+        num_fits: NUM_FITS,
+        without: config.without.clone(),
+    };
+    let naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
+        watch(0.1 + 0.75 * fraction, stage)
+    })?;
+
+    watch(0.86, "judging on takes that nothing was fitted to")?;
+    let adequacy = adequacy(station, &domain, &naming.model, &fitted)?;
+    let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
+    let steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
+    watch(0.95, "writing the report")?;
+    let report = show::report(&show::Evidence {
+        config,
+        station,
+        domain: &domain,
+        naming: &naming,
+        steps: &steps,
+        nominal,
+        fitted: &fitted,
+        adequacy,
+        bar,
+        seconds: clock_s() - start_s,
+    })?;
+    progress.report(1.0, "done");
+    let model = steps.models.last().cloned().unwrap_or_else(|| calibrated.clone());
+    Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy })
+}
+
+/// Models as deployed: calibrated, then with one more effect each.
+pub(crate) struct Steps {
+    /// Indices of the confirm takes; all takes where none is held out.
+    pub(crate) confirm: Vec<usize>,
+    /// The calibrated model first.
+    pub(crate) models: Vec<SensorModel>,
+}
+
+impl Steps {
+    fn new(
+        station: &Station,
+        domain: &TactileDomain<'_>,
+        naming: &Naming,
+        fitted: &[usize],
+        calibrated: &SensorModel,
+        takes: &[Take],
+    ) -> Result<Self, DiagnosisError> {
+        let mut confirm: Vec<usize> = (0..takes.len()).filter(|idx| !fitted.contains(idx)).collect();
+        if confirm.is_empty() {
+            confirm = (0..takes.len()).collect();
+        }
+        let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
+        let ids: Vec<String> = fitted.iter().map(|&take| takes[take].id.clone()).collect();
+        let mut models = vec![calibrated.clone()];
+        let first = naming.rounds.first().map_or(0, |round| round.before.effects.len());
+        for count in first + 1..=naming.model.effects.len() {
+            // The effects in the order of the final model, each step with the parameters of a fit of its own.
+            let partial =
+                Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
+            let partial = if count == naming.model.effects.len() {
+                partial
+            } else {
+                engine::refit(domain, &partial, fitted, 2)?
+            };
+            let (theta, response) = domain.theta_and_response(&partial);
+            let mut model = SensorModel {
+                name: format!("{}, diagnosed", calibrated.name),
+                theta,
+                response,
+                effects: described(domain, naming, &partial.effects, &ids, first),
+                ..calibrated.clone()
+            };
+            model.provenance.push(format!(
+                "effects named by palpate {} on takes {}",
+                env!("CARGO_PKG_VERSION"),
+                ids.join(", ")
+            ));
+            set_thresholds(station, &observed, &mut model)?;
+            models.push(model);
+        }
+        Ok(Self { confirm, models })
+    }
+}
+
+/// `effects` with intervals and takes, as they go into a model file.
+fn described(
+    domain: &TactileDomain<'_>,
+    naming: &Naming,
+    effects: &[Effect],
+    takes: &[String],
+    first: usize,
+) -> Vec<Effect> {
+    let mut effects = effects.to_vec();
+    for (idx, effect) in effects.iter_mut().enumerate().skip(first) {
+        effect.takes = takes.to_vec();
+        effect.interval = interval(domain, effect, &naming.standard_errors[idx]);
+    }
+    effects
+}
+
+/// 95 % intervals of the parameters of `effect`.
+pub(crate) fn interval<D: Domain>(domain: &D, effect: &Effect, errors: &[f64]) -> BTreeMap<String, [f64; 2]> {
+    let parameters = domain.parameters(effect);
+    parameters
+        .iter()
+        .zip(errors)
+        .map(|(parameter, error)| {
+            let value = effect.parameter(&parameter.name);
+            let end = |sign: f64| (value + sign * 1.96 * error).clamp(parameter.lower, parameter.upper);
+            (parameter.name.clone(), [end(-1.0), end(1.0)])
+        })
+        .collect()
+}
+
+fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&'a Station, DiagnosisError> {
+    let Some(first) = takes.first() else {
+        return Err(DiagnosisError::Input(
+            "nothing to diagnose: the session has no accepted take; record or accept one".to_owned(),
+        ));
+    };
+    if let Some(other) = takes.iter().find(|take| take.station.id != first.station.id) {
+        return Err(DiagnosisError::Input(format!(
+            "take {:?} is of station {:?}, but take {:?} is of {:?}; diagnose the takes of one station at a time",
+            other.id, other.station.id, first.id, first.station.id
+        )));
+    }
+    for id in &config.without {
+        if effects::tactile(id).is_none() {
+            let known: Vec<&str> = effects::TACTILE.iter().map(|kind| kind.id()).collect();
+            return Err(DiagnosisError::Input(format!(
+                "there is no effect {id:?} to leave out; the library has {}",
+                known.join(", ")
+            )));
+        }
+    }
+    Ok(&first.station)
+}
+
+impl From<CalibrationError> for DiagnosisError {
+    fn from(error: CalibrationError) -> Self {
+        match error {
+            CalibrationError::Cancelled => Self::Cancelled,
+            other => Self::Input(other.to_string()),
+        }
+    }
+}
+
+/// Judges each of `models` on the confirm takes.
+pub(crate) fn judge_all(
+    station: &Station,
+    observed: &[&Observed<'_>],
+    models: &[SensorModel],
+) -> Result<Vec<Vec<Judged>>, DiagnosisError> {
+    models.iter().map(|model| judge(station, observed, model)).collect()
+}

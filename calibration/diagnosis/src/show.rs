@@ -1,0 +1,230 @@
+//! The report: names with their evidence, the gap step by step, and what is left.
+
+use std::collections::BTreeMap;
+
+use palpate_robot_model::Station;
+use palpate_sim::SensorModel;
+use palpate_sim::effects::{self, Effect};
+use palpate_wire::api::{
+    Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
+};
+
+use crate::DiagnosisError;
+use crate::engine::{Naming, Tried};
+use crate::job::{DiagnosisConfig, Steps, interval, judge_all};
+use crate::null::NullBar;
+use crate::tactile::adequacy::Adequacy;
+use crate::tactile::find::{cells, residual_map};
+use crate::tactile::judge::{Judged, gap, gap_interval, metrics, noise_floor};
+use crate::tactile::{Observed, TactileDomain};
+
+/// Everything that a report is made of.
+pub(crate) struct Evidence<'a> {
+    pub(crate) config: &'a DiagnosisConfig,
+    pub(crate) station: &'a Station,
+    pub(crate) domain: &'a TactileDomain<'a>,
+    pub(crate) naming: &'a Naming,
+    pub(crate) steps: &'a Steps,
+    pub(crate) nominal: &'a SensorModel,
+    pub(crate) fitted: &'a [usize],
+    pub(crate) adequacy: Adequacy,
+    pub(crate) bar: Option<&'a NullBar>,
+    pub(crate) seconds: f64,
+}
+
+pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, DiagnosisError> {
+    let Evidence { config, station, domain, naming, steps, nominal, fitted, .. } = *evidence;
+    let observed: Vec<&Observed<'_>> = steps.confirm.iter().map(|&take| domain.take(take)).collect();
+    let mut models = vec![nominal.clone()];
+    models.extend(steps.models.iter().cloned());
+    let judged = judge_all(station, &observed, &models)?;
+    let last = judged.len() - 1;
+    let floor = noise_floor(station, &observed);
+    let gaps: Vec<f64> = judged.iter().map(|judged| gap(judged)).collect();
+    let the_gap = Gap { nominal: gaps[0], calibrated: gaps[1], diagnosed: gaps[last], noise_floor: floor };
+    let named: Vec<&Effect> =
+        steps.models[steps.models.len() - 1].effects.iter().skip(nominal.effects.len()).collect();
+
+    let mut waterfall = Vec::new();
+    for (idx, judged) in judged.iter().enumerate() {
+        let step = match idx {
+            0 => "nominal".to_owned(),
+            1 => "calibrated".to_owned(),
+            _ => named[idx - 2].id.clone(),
+        };
+        let interval_95 = gap_interval(judged, config.bootstrap_resamples, config.seed);
+        waterfall.push(WaterfallStep { step, gap: gaps[idx], interval_95 });
+    }
+
+    let mut reported = Vec::new();
+    for (idx, effect) in named.iter().enumerate() {
+        reported.push(named_effect(evidence, effect, idx, [&gaps[idx + 1], &gaps[idx + 2]], &judged)?);
+    }
+    let verdict = verdict(evidence, &reported);
+    let removable = the_gap.calibrated - floor.unwrap_or(0.0);
+    let left = the_gap.diagnosed - floor.unwrap_or(0.0);
+    let fraction = if removable > 0.0 { (left / removable).clamp(0.0, 1.0) } else { 0.0 };
+    let unexplained = Unexplained {
+        fraction,
+        significant: matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained),
+        cells: cells(station, &observed, &judged[last], config.seed),
+    };
+    let ids =
+        |takes: &[usize]| takes.iter().map(|&take| domain.take(take).take.id.clone()).collect::<Vec<_>>();
+    let first = &naming.rounds[0];
+    let mut notes = Vec::new();
+    if domain.num_raw_takes() == 0 {
+        notes.push("these takes hold events only; raw readings would tell more effects apart".to_owned());
+    }
+    if steps.confirm.len() == fitted.len() && steps.confirm == fitted {
+        notes.push("no take is held out: the figures are from the takes that were fitted".to_owned());
+    }
+    if evidence.bar.is_none() {
+        notes.push("no null bar of this station: the shipped one applies".to_owned());
+    }
+    for effect in &naming.dropped {
+        notes.push(format!(
+            "{} was named at first and dropped when later effects accounted for it",
+            effect.id
+        ));
+    }
+    Ok(DiagnosisReport {
+        verdict,
+        sentence: sentence(verdict, &reported, &the_gap),
+        candidates: first
+            .tried
+            .iter()
+            .enumerate()
+            .filter(|&(idx, _)| first.named != Some(idx))
+            .map(|(_, tried)| candidate(station, tried))
+            .collect(),
+        effects: reported,
+        cells: cells(station, &observed, &judged[1], config.seed),
+        held_out: the_gap.clone(),
+        gap: the_gap,
+        waterfall,
+        metrics: BTreeMap::from([
+            ("nominal".to_owned(), metrics(&judged[0])),
+            ("calibrated".to_owned(), metrics(&judged[1])),
+            ("diagnosed".to_owned(), metrics(&judged[last])),
+        ]),
+        unexplained,
+        next_experiment: None,
+        residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
+        takes: BTreeMap::from([
+            ("fit".to_owned(), ids(fitted)),
+            ("select".to_owned(), ids(fitted)),
+            ("confirm".to_owned(), ids(&steps.confirm)),
+        ]),
+        bar: evidence.bar.map_or_else(
+            || Bar { evidence: NullBar::DEFAULT_EVIDENCE, ..Bar::default() },
+            NullBar::to_report,
+        ),
+        notes,
+        seconds: evidence.seconds,
+    })
+}
+
+fn named_effect(
+    evidence: &Evidence<'_>,
+    effect: &Effect,
+    idx: usize,
+    [before, after]: [&f64; 2],
+    judged: &[Vec<Judged>],
+) -> Result<NamedEffect, DiagnosisError> {
+    let Evidence { station, domain, naming, nominal, bar, .. } = *evidence;
+    let at = nominal.effects.len() + idx;
+    let round = naming.rounds.iter().find(|round| {
+        round.named.is_some_and(|named| {
+            round.tried[named].effect.id == effect.id && round.tried[named].effect.place == effect.place
+        })
+    });
+    let mut class = vec![effect.id.clone()];
+    let mut rivals = Vec::new();
+    if let Some(round) = round {
+        for &member in &round.class {
+            let other = &round.tried[member].effect;
+            if Some(member) == round.named {
+                continue;
+            }
+            if !class.contains(&other.id) {
+                class.push(other.id.clone());
+            }
+            let share = round.tried[member].held_out_gain
+                / round.tried[round.named.unwrap_or(member)].held_out_gain.max(f64::MIN_POSITIVE);
+            rivals.push(Rival {
+                id: other.id.clone(),
+                place: other.place.clone(),
+                gap_after: before - share * (before - after),
+            });
+        }
+    }
+    let takes = judged[idx + 1].iter().zip(&judged[idx + 2]);
+    let mismatch = |judged: &Judged| judged.mismatch_s.iter().sum::<f64>();
+    let improved = takes.filter(|(before, after)| mismatch(after) < mismatch(before)).count();
+    let strength = naming.evidence.get(at).copied().unwrap_or(0.0);
+    Ok(NamedEffect {
+        id: effect.id.clone(),
+        place: effect.place.clone(),
+        parameters: effect.parameters.clone(),
+        interval: interval(domain, effect, &naming.standard_errors[at]),
+        gap_before: *before,
+        gap_after: *after,
+        p_value: bar.map_or_else(|| NullBar::default_p_value(strength), |bar| bar.p_value(strength)),
+        evidence: strength,
+        takes_improved: format!("{improved}/{}", judged[0].len()),
+        class,
+        rivals,
+        explanation: explain(station, effect),
+    })
+}
+
+fn explain(station: &Station, effect: &Effect) -> String {
+    effects::tactile(&effect.id).map_or_else(String::new, |kind| kind.explain(effect, station))
+}
+
+fn candidate(station: &Station, tried: &Tried) -> Candidate {
+    Candidate {
+        id: tried.effect.id.clone(),
+        place: tried.effect.place.clone(),
+        parameters: tried.effect.parameters.clone(),
+        evidence: tried.evidence,
+        share_removed: tried.share,
+        explanation: explain(station, &tried.effect),
+    }
+}
+
+fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
+    let limits = evidence.bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
+    let left =
+        evidence.adequacy.repeating > limits.repeating || evidence.adequacy.common_mode > limits.common_mode;
+    match (named.is_empty(), left) {
+        (true, true) => Verdict::Unexplained,
+        (true, false) => Verdict::NoDiscrepancy,
+        (false, true) => Verdict::PartlyExplained,
+        (false, false) => Verdict::Explained,
+    }
+}
+
+fn sentence(verdict: Verdict, named: &[NamedEffect], gap: &Gap) -> String {
+    let removed = if gap.calibrated > 0.0 { 100.0 * (1.0 - gap.diagnosed / gap.calibrated) } else { 0.0 };
+    let names: Vec<&str> = named.iter().map(|effect| effect.explanation.trim_end_matches('.')).collect();
+    let found = match names.len() {
+        0 => String::new(),
+        1 => format!("{}. Adding it removes {removed:.0} % of the gap on takes it has not seen", names[0]),
+        count => format!(
+            "{count} effects are missing from the simulator; adding them removes {removed:.0} % of the gap on takes \
+             they have not seen"
+        ),
+    };
+    match verdict {
+        Verdict::Explained => format!("{found}."),
+        Verdict::PartlyExplained => format!("{found}; something that repeats is still unexplained."),
+        Verdict::Unexplained => {
+            "Something repeats that no effect of the library accounts for: see where.".to_owned()
+        }
+        Verdict::NoDiscrepancy => {
+            "Simulation and measurement agree as well as repetitions of the same motion do.".to_owned()
+        }
+    }
+}

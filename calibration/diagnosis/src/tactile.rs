@@ -1,0 +1,358 @@
+//! The sense of touch as a [`Domain`]: events and raw readings of every channel at every joint frame.
+//!
+//! Rows: `(frame * num_channels + channel) * 2`, the event (0 or 1); one further, the raw reading above its reference,
+//! in units of the stream's switching threshold (NaN where a take is binary only).
+//!
+//! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
+//! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.
+
+pub(crate) mod adequacy;
+pub(crate) mod find;
+pub(crate) mod judge;
+mod observe;
+
+use std::ops::Range;
+use std::sync::{Arc, Mutex};
+
+use nalgebra::Isometry3;
+use palpate_recording::Take;
+use palpate_robot_model::{Place, SensorKind, Station};
+use palpate_sim::effects::{self, Chain, Effect, Geometry, Parameter, Stage, TakeScene};
+use palpate_sim::{Response, SensorModel, Theta};
+
+use crate::DiagnosisError;
+use crate::engine::{BaseParameter, Domain, Model};
+pub(crate) use observe::Observed;
+
+/// Which number of a model's base is what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Base {
+    LambdaCon,
+    Alpha,
+    LambdaPre,
+    Band,
+    Width(usize),
+    Exponent(usize),
+}
+
+/// Takes of one station, as a diagnosis compares them.
+pub struct TactileDomain<'a> {
+    station: &'a Station,
+    takes: Vec<Observed<'a>>,
+    kinds: Vec<Base>,
+    base: Vec<BaseParameter>,
+    candidates: Vec<Effect>,
+    /// Per joint, by its degree of freedom: which channels it moves.
+    moves: Vec<Vec<bool>>,
+    /// Where everything was under the last few sets of kinematic effects, by take.
+    geometries: Vec<Mutex<Vec<(Vec<Effect>, Arc<Geometry>)>>>,
+}
+
+/// Sets of kinematic effects whose geometry is kept: that of the model, and some that are being fitted.
+const GEOMETRIES_KEPT: usize = 4;
+/// Width of the switching curve to begin with, in units of the load at which a channel switches.
+const WIDTH: f64 = 0.2;
+/// Readings without touch vary by at least this, in units of the switching threshold.
+const LEAST_NOISE: f64 = 0.01;
+
+impl<'a> TactileDomain<'a> {
+    /// Prepares `takes` of `station`. `start` gives the parameters around which the model is built.
+    ///
+    /// Refuses takes whose object the station does not know, naming both.
+    pub fn new(
+        station: &'a Station,
+        takes: &'a [Take],
+        start: &SensorModel,
+    ) -> Result<(Self, Model), DiagnosisError> {
+        let takes: Vec<Observed<'a>> =
+            takes.iter().map(|take| Observed::new(station, take)).collect::<Result<_, _>>()?;
+        let has = |kind: SensorKind| station.layout.streams.iter().any(|stream| stream.kind == kind);
+        let raw = takes.iter().any(|take| take.has_raw);
+        let theta = start.theta;
+        let mut kinds = Vec::new();
+        let mut base = Vec::new();
+        let mut values = Vec::new();
+        let mut add = |kind, name: String, value: f64, [lower, upper]: [f64; 2], dose| {
+            kinds.push(kind);
+            base.push(BaseParameter { name, lower, upper, dose });
+            values.push(value.clamp(lower, upper));
+        };
+        if has(SensorKind::Proximity) {
+            add(Base::LambdaCon, "lambda_con_m".into(), theta.lambda_con_m, [-0.02, 0.02], 1e-4);
+            if raw {
+                let band_m = start.response.proximity_band_m;
+                add(Base::Band, "proximity_band_m".into(), band_m, [1e-4, 5e-3], 1e-4);
+            }
+        }
+        if has(SensorKind::Pressure) {
+            let (alpha, pre) = (theta.alpha_per_m.max(1.0), theta.lambda_pre_pa.max(1.0));
+            add(Base::Alpha, "alpha_per_m".into(), alpha, [1.0, 10.0 * alpha + 1000.0], 0.05 * alpha);
+            add(Base::LambdaPre, "lambda_pre_pa".into(), pre, [0.02 * pre, 50.0 * pre], 0.05 * pre);
+        }
+        for (idx, stream) in station.layout.streams.iter().enumerate() {
+            add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
+            if raw {
+                add(Base::Exponent(idx), format!("exponent.{}", stream.id), 1.0, [0.3, 3.0], 0.05);
+            }
+        }
+        let touched: Vec<&str> = takes.iter().map(|take| take.object.id.as_str()).collect();
+        let candidates = effects::TACTILE
+            .iter()
+            .flat_map(|kind| kind.places(station).into_iter().map(move |place| (kind, place)))
+            .filter(|(_, place)| !matches!(place, Place::Object(id) if !touched.contains(&id.as_str())))
+            .map(|(kind, place)| Effect {
+                id: kind.id().to_owned(),
+                parameters: kind
+                    .parameters(&place, station)
+                    .into_iter()
+                    .map(|parameter| (parameter.name, parameter.neutral))
+                    .collect(),
+                place,
+                interval: std::collections::BTreeMap::new(),
+                takes: Vec::new(),
+            })
+            .collect();
+        let geometries = takes.iter().map(|_| Mutex::new(Vec::new())).collect();
+        let domain = Self { station, takes, kinds, base, candidates, moves: moves(station), geometries };
+        Ok((domain, Model { base: values, effects: start.effects.clone() }))
+    }
+
+    /// The sensor model that `model` stands for, besides its effects.
+    pub fn theta_and_response(&self, model: &Model) -> (Theta, Response) {
+        let mut theta = Theta { lambda_con_m: 0.0, alpha_per_m: 0.0, lambda_pre_pa: 0.0 };
+        let mut response =
+            Response { off_fractions: known_off_fractions(self.station), ..Response::default() };
+        for (kind, &value) in self.kinds.iter().zip(&model.base) {
+            match kind {
+                Base::LambdaCon => theta.lambda_con_m = value,
+                Base::Alpha => theta.alpha_per_m = value,
+                Base::LambdaPre => theta.lambda_pre_pa = value,
+                Base::Band => response.proximity_band_m = value,
+                Base::Width(_) | Base::Exponent(_) => {}
+            }
+        }
+        (theta, response)
+    }
+
+    /// Number of takes with raw readings.
+    pub fn num_raw_takes(&self) -> usize {
+        self.takes.iter().filter(|take| take.has_raw).count()
+    }
+
+    pub(crate) fn take(&self, take: usize) -> &Observed<'a> {
+        &self.takes[take]
+    }
+
+    fn geometry(
+        &self,
+        take: usize,
+        chain: &Chain<'_>,
+        scene: &TakeScene<'_>,
+    ) -> Result<Arc<Geometry>, DiagnosisError> {
+        let kinematic: Vec<Effect> = chain
+            .effects
+            .iter()
+            .filter(|effect| {
+                effects::tactile(&effect.id).is_some_and(|kind| kind.stage() == Stage::Kinematics)
+            })
+            .cloned()
+            .collect();
+        let lock = || self.geometries[take].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if let Some((_, geometry)) = lock().iter().find(|(effects, _)| *effects == kinematic) {
+            return Ok(Arc::clone(geometry));
+        }
+        let geometry = chain.geometry(scene).map_err(|error| {
+            DiagnosisError::Input(format!("take {:?}: {error}", self.takes[take].take.id))
+        })?;
+        let geometry = Arc::new(geometry);
+        let mut kept = lock();
+        if kept.len() == GEOMETRIES_KEPT {
+            // The oldest but the first: that one is the model without kinematic effects, wanted again and again.
+            kept.remove(1);
+        }
+        kept.push((kinematic, Arc::clone(&geometry)));
+        Ok(geometry)
+    }
+}
+
+/// The station's own hysteresis: known, so that it is no discovery.
+pub(crate) fn known_off_fractions(station: &Station) -> std::collections::BTreeMap<String, f64> {
+    let streams = station.layout.streams.iter().zip(&station.streams);
+    streams.map(|(stream, config)| (stream.id.clone(), config.off_threshold / config.on_threshold)).collect()
+}
+
+/// Per degree of freedom, which channels it moves.
+fn moves(station: &Station) -> Vec<Vec<bool>> {
+    let num_dofs = station.robot.num_dofs();
+    let at = |positions: &[f64]| -> Vec<Isometry3<f64>> {
+        let mut frames = Vec::new();
+        station.robot.forward_kinematics(positions, &mut frames);
+        frames
+    };
+    // A posture in general position: at zero an axis may go through a link's origin.
+    let positions: Vec<f64> = (0..num_dofs).map(|dof| 0.1 + 0.01 * dof as f64).collect();
+    let rest = at(&positions);
+    (0..num_dofs)
+        .map(|dof| {
+            let mut moved = positions.clone();
+            moved[dof] += 0.05;
+            let moved = at(&moved);
+            let channels = station.layout.channels.iter();
+            channels
+                .map(|channel| {
+                    let link = station.layout.patches[channel.patch].link;
+                    (rest[link].to_homogeneous() - moved[link].to_homogeneous()).norm() > 1e-9
+                })
+                .collect()
+        })
+        .collect()
+}
+
+impl Domain for TactileDomain<'_> {
+    fn num_takes(&self) -> usize {
+        self.takes.len()
+    }
+
+    fn blocks(&self, take: usize) -> &[Range<usize>] {
+        &self.takes[take].blocks
+    }
+
+    fn observed(&self, take: usize) -> &[f64] {
+        &self.takes[take].rows
+    }
+
+    fn base(&self) -> &[BaseParameter] {
+        &self.base
+    }
+
+    fn candidates(&self) -> Vec<Effect> {
+        self.candidates.clone()
+    }
+
+    fn parameters(&self, effect: &Effect) -> Vec<Parameter> {
+        effects::tactile(&effect.id)
+            .map_or_else(Vec::new, |kind| kind.parameters(&effect.place, self.station))
+    }
+
+    fn num_units(&self) -> usize {
+        self.station.layout.num_channels()
+    }
+
+    fn unit(&self, row: usize) -> usize {
+        (row / 2) % self.num_units()
+    }
+
+    fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool> {
+        let layout = &self.station.layout;
+        let of_patch = |holds: &dyn Fn(&palpate_robot_model::Patch) -> bool| -> Vec<bool> {
+            layout.channels.iter().map(|channel| holds(&layout.patches[channel.patch])).collect()
+        };
+        let named = |ids: &[&str]| -> Vec<bool> {
+            layout.channels.iter().map(|channel| ids.contains(&channel.id.as_str())).collect()
+        };
+        if let Some(channel) = parameter.strip_prefix("gain_") {
+            return named(&[channel]);
+        }
+        match &effect.place {
+            Place::Stream(id) => {
+                layout.channels.iter().map(|channel| layout.streams[channel.stream].id == *id).collect()
+            }
+            Place::Patch(id) => of_patch(&|patch| patch.id == *id),
+            Place::Channel(id) => named(&[id]),
+            Place::Channels(ids) => named(&ids.iter().map(String::as_str).collect::<Vec<_>>()),
+            Place::Group(id) => of_patch(&|patch| patch.group == *id),
+            Place::Groups(ids) => of_patch(&|patch| ids.contains(&patch.group)),
+            Place::Joint(name) => {
+                let dof = self.station.robot.dofs().position(|joint| joint.name == *name);
+                dof.map_or_else(|| vec![false; layout.num_channels()], |dof| self.moves[dof].clone())
+            }
+            Place::Object(_) => vec![true; layout.num_channels()],
+        }
+    }
+
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+        let observed = &self.takes[take];
+        let scene = observed.scene(self.station);
+        let (theta, response) = self.theta_and_response(model);
+        let layout = &self.station.layout;
+        let mut widths = vec![WIDTH; layout.streams.len()];
+        let mut exponents = vec![1.0; layout.streams.len()];
+        for (kind, &value) in self.kinds.iter().zip(&model.base) {
+            match *kind {
+                Base::Width(stream) => widths[stream] = value,
+                Base::Exponent(stream) => exponents[stream] = value,
+                _ => {}
+            }
+        }
+        let chain = Chain { theta, response: &response, effects: &model.effects, soft_widths: &widths };
+        let geometry = self.geometry(take, &chain, &scene)?;
+        let sensed = chain.sense_contact(&scene, &geometry);
+        let num_channels = layout.num_channels();
+        let per_channel: Vec<(f64, f64, f64)> = layout
+            .channels
+            .iter()
+            .enumerate()
+            .map(|(idx, channel)| {
+                let on_load = match layout.streams[channel.stream].kind {
+                    SensorKind::Proximity => response.proximity_band_m,
+                    SensorKind::Pressure => theta.lambda_pre_pa,
+                };
+                (1.0 / on_load, exponents[channel.stream], observed.ceilings[idx])
+            })
+            .collect();
+        let mut rows = Vec::with_capacity(2 * sensed.load.len());
+        for (load, activation) in
+            sensed.load.chunks_exact(num_channels).zip(sensed.activation.chunks_exact(num_channels))
+        {
+            for ((load, activation), (scale, exponent, ceiling)) in
+                load.iter().zip(activation).zip(&per_channel)
+            {
+                rows.push(*activation);
+                rows.push(reading(load * scale, *exponent).min(*ceiling));
+            }
+        }
+        Ok(rows)
+    }
+
+    fn weights(&self, take: usize, prediction: &[f64]) -> Vec<f64> {
+        let observed = &self.takes[take];
+        let num_channels = self.num_units();
+        let stride = 2 * num_channels;
+        let doubt = |row: usize| prediction[row] * (1.0 - prediction[row]);
+        (0..prediction.len())
+            .map(|row| {
+                let channel = self.unit(row);
+                if row % 2 == 0 {
+                    let mut variance = doubt(row);
+                    if row >= stride {
+                        variance = variance.max(doubt(row - stride));
+                    }
+                    if row + stride < prediction.len() {
+                        variance = variance.max(doubt(row + stride));
+                    }
+                    (variance + LEAST_DOUBT).sqrt().recip()
+                } else {
+                    // What the model may be wrong by without being wrong: noise, a share of the reading, and about a
+                    // quarter of a millimetre of depth, which a first touch reads as a share of the threshold.
+                    let (x, quiet) = (prediction[row].abs(), observed.noise[channel].max(LEAST_NOISE));
+                    let shape = SHARE * x;
+                    let depth = DEPTH * (x / 0.5).min(1.0);
+                    (quiet * quiet + shape * shape + depth * depth).sqrt().recip()
+                }
+            })
+            .collect()
+    }
+}
+
+/// Variance of an event that the model is sure of.
+const LEAST_DOUBT: f64 = 0.02;
+/// Share of a raw reading that the model may be wrong by.
+const SHARE: f64 = 0.08;
+/// Raw reading, in units of the threshold, that the depth of contact may be wrong by.
+const DEPTH: f64 = 0.2;
+
+/// Raw reading in units of the threshold for a load in units of that at which the channel switches. Negative loads
+/// (drift) read as they are.
+fn reading(load: f64, exponent: f64) -> f64 {
+    if load > 0.0 { load.powf(exponent) } else { load }
+}

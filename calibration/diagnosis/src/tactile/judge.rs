@@ -1,0 +1,184 @@
+//! How well models report the events of takes: gaps, waterfall, metrics.
+
+use std::ops::Range;
+
+use palpate_calibration::metrics::{MetricsSum, compare_take};
+use palpate_robot_model::Station;
+use palpate_sim::effects::Chain;
+use palpate_sim::{SensorModel, effects::TakeScene};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::Observed;
+use crate::DiagnosisError;
+
+/// Events of one model on one take beside the real ones.
+#[derive(Clone, Debug)]
+pub(crate) struct Judged {
+    /// Simulated activations, `[frame * num_channels + channel]`.
+    pub(crate) active: Vec<bool>,
+    /// Per channel.
+    pub(crate) sums: Vec<MetricsSum>,
+    /// Per part of the take ([`Observed::repetitions`]): mismatch summed over channels, channel-seconds.
+    pub(crate) mismatch_s: Vec<f64>,
+    /// Channel-seconds in the whole take.
+    pub(crate) total_s: f64,
+}
+
+/// Real activations of a take.
+pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
+    observed.rows.iter().step_by(2).map(|event| *event > 0.5).collect()
+}
+
+/// Activations that `model` reports on a take.
+pub(crate) fn simulated_active(
+    station: &Station,
+    observed: &Observed<'_>,
+    model: &SensorModel,
+) -> Result<Vec<bool>, DiagnosisError> {
+    let chain =
+        Chain { theta: model.theta, response: &model.response, effects: &model.effects, soft_widths: &[] };
+    // At the frames, as whoever uses the model sees it.
+    let scene = TakeScene { arrival_times_s: &[], ..observed.scene(station) };
+    let sensed = chain
+        .sense(&scene)
+        .map_err(|error| DiagnosisError::Input(format!("take {:?}: {error}", observed.take.id)))?;
+    Ok(sensed.activation.iter().map(|activation| *activation > 0.5).collect())
+}
+
+/// Judges `model` on `takes`.
+pub(crate) fn judge(
+    station: &Station,
+    takes: &[&Observed<'_>],
+    model: &SensorModel,
+) -> Result<Vec<Judged>, DiagnosisError> {
+    takes
+        .par_iter()
+        .map(|observed| {
+            let active = simulated_active(station, observed, model)?;
+            let real = real_active(observed);
+            let num_channels = station.layout.num_channels();
+            let times_s = &observed.take.joints.times_s;
+            let lengths_s = frame_lengths_s(times_s);
+            let mismatch = |frames: &Range<usize>| -> f64 {
+                frames
+                    .clone()
+                    .map(|frame| {
+                        let channels = frame * num_channels..(frame + 1) * num_channels;
+                        let differ =
+                            real[channels.clone()].iter().zip(&active[channels]).filter(|(a, b)| a != b);
+                        differ.count() as f64 * lengths_s[frame]
+                    })
+                    .sum()
+            };
+            Ok(Judged {
+                sums: compare_take(times_s, num_channels, &real, &active),
+                mismatch_s: observed.repetitions.iter().map(|(frames, _)| mismatch(frames)).collect(),
+                total_s: lengths_s.iter().sum::<f64>() * num_channels as f64,
+                active,
+            })
+        })
+        .collect()
+}
+
+/// How long each frame is in effect, s: until the next one.
+pub(crate) fn frame_lengths_s(times_s: &[f64]) -> Vec<f64> {
+    let typical = match times_s {
+        [first, .., last] => (last - first) / (times_s.len() - 1) as f64,
+        _ => 0.0,
+    };
+    let mut lengths: Vec<f64> = times_s.windows(2).map(|two| two[1] - two[0]).collect();
+    lengths.resize(times_s.len(), typical);
+    lengths
+}
+
+/// Mean mismatch, seconds a channel-second.
+pub(crate) fn gap(judged: &[Judged]) -> f64 {
+    let total_s: f64 = judged.iter().map(|take| take.total_s).sum();
+    let mismatch_s: f64 = judged.iter().flat_map(|take| &take.mismatch_s).sum();
+    if total_s > 0.0 { mismatch_s / total_s } else { 0.0 }
+}
+
+/// 95 % interval of [`gap`] from resampling repetitions; `None` with fewer than ten.
+pub(crate) fn gap_interval(judged: &[Judged], resamples: usize, seed: u64) -> Option<[f64; 2]> {
+    let parts: Vec<f64> = judged.iter().flat_map(|take| take.mismatch_s.iter().copied()).collect();
+    let total_s: f64 = judged.iter().map(|take| take.total_s).sum();
+    if parts.len() < 10 || total_s <= 0.0 || resamples == 0 {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut gaps: Vec<f64> = (0..resamples)
+        .map(|_| (0..parts.len()).map(|_| parts[rng.random_range(0..parts.len())]).sum::<f64>() / total_s)
+        .collect();
+    gaps.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| gaps[((gaps.len() - 1) as f64 * share).round() as usize];
+    Some([at(0.025), at(0.975)])
+}
+
+/// Metrics over all channels and takes.
+pub(crate) fn metrics(judged: &[Judged]) -> palpate_wire::api::Metrics {
+    judged.iter().flat_map(|take| &take.sums).sum::<MetricsSum>().metrics()
+}
+
+/// What repetitions of the same motion differ by among themselves, seconds a channel-second: as good as any model can
+/// be expected to get. `None` without repetitions.
+pub(crate) fn noise_floor(station: &Station, takes: &[&Observed<'_>]) -> Option<f64> {
+    let num_channels = station.layout.num_channels();
+    let (mut differing, mut compared) = (0.0, 0.0);
+    for observed in takes {
+        let real = real_active(observed);
+        for (first, second) in repeated(observed) {
+            for offset in 0..first.len().min(second.len()) {
+                let (a, b) = ((first.start + offset) * num_channels, (second.start + offset) * num_channels);
+                let differ = (0..num_channels).filter(|&channel| real[a + channel] != real[b + channel]);
+                differing += differ.count() as f64;
+                compared += num_channels as f64;
+            }
+        }
+    }
+    // Two repetitions each differ from their mean.
+    (compared > 0.0).then(|| 0.5 * differing / compared)
+}
+
+/// Pairs of repetitions of the same motion that follow one another, as ranges of frames.
+pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usize>)> {
+    let mut last: std::collections::BTreeMap<&str, &Range<usize>> = std::collections::BTreeMap::new();
+    let mut pairs = Vec::new();
+    for (frames, label) in observed.repetitions.iter().filter(|(_, label)| !label.is_empty()) {
+        if let Some(before) = last.insert(label.as_str(), frames) {
+            pairs.push((before.clone(), frames.clone()));
+        }
+    }
+    pairs
+}
+
+/// Sets the thresholds of `model` to what makes the least mismatch on `takes`: events are hard where a fit is soft, and
+/// its optimum need not be theirs.
+pub(crate) fn set_thresholds(
+    station: &Station,
+    takes: &[&Observed<'_>],
+    model: &mut SensorModel,
+) -> Result<(), DiagnosisError> {
+    let mut best = gap(&judge(station, takes, model)?);
+    let start = model.theta;
+    let mut attempt = |tried: SensorModel, model: &mut SensorModel| -> Result<(), DiagnosisError> {
+        let gap = gap(&judge(station, takes, &tried)?);
+        if gap < best {
+            best = gap;
+            *model = tried;
+        }
+        Ok(())
+    };
+    for factor in [0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.45, 1.7] {
+        let mut tried = model.clone();
+        tried.theta.lambda_pre_pa = start.lambda_pre_pa * factor;
+        attempt(tried, model)?;
+    }
+    for shift_m in [-4e-4, -2.5e-4, -1.5e-4, -0.7e-4, 0.7e-4, 1.5e-4, 2.5e-4, 4e-4] {
+        let mut tried = model.clone();
+        tried.theta.lambda_con_m = start.lambda_con_m + shift_m;
+        attempt(tried, model)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! What was measured in a take, frame by frame.
+
+use std::ops::Range;
+
+use palpate_recording::{SpanKind, Take};
+use palpate_robot_model::{ObjectModel, Station};
+use palpate_sim::effects::TakeScene;
+
+use crate::DiagnosisError;
+
+/// Rows between repetitions that are not marked are cut into blocks of this length, s.
+const BLOCK_S: f64 = 5.0;
+
+/// A take, as a diagnosis compares it.
+pub(crate) struct Observed<'a> {
+    pub(crate) take: &'a Take,
+    pub(crate) object: &'a ObjectModel,
+    pub(crate) has_raw: bool,
+    /// Per stream, when the sample in effect at each frame arrived, s.
+    pub(crate) arrivals_s: Vec<Vec<f64>>,
+    /// As [`super::TactileDomain`] numbers them.
+    pub(crate) rows: Vec<f64>,
+    /// Ranges of rows that belong together.
+    pub(crate) blocks: Vec<Range<usize>>,
+    /// The same as ranges of frames, with the label of the repetition (empty between repetitions).
+    pub(crate) repetitions: Vec<(Range<usize>, String)>,
+    /// Per channel, standard deviation of raw readings without touch, in units of the threshold; 0 without raw.
+    pub(crate) noise: Vec<f64>,
+    /// Per channel, highest raw reading the device can give, in units of the threshold.
+    pub(crate) ceilings: Vec<f64>,
+}
+
+impl<'a> Observed<'a> {
+    pub(crate) fn new(station: &'a Station, take: &'a Take) -> Result<Self, DiagnosisError> {
+        let object = station.objects.get(&take.meta.object).ok_or_else(|| {
+            let known: Vec<&str> = station.objects.keys().map(String::as_str).collect();
+            DiagnosisError::Input(format!(
+                "take {:?} touches object {:?}, which station {:?} does not know (it knows {}); add the object to the \
+                 station file, or correct the take's object",
+                take.id,
+                take.meta.object,
+                station.id,
+                known.join(", ")
+            ))
+        })?;
+        let layout = &station.layout;
+        let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
+        let frame_times_s = &take.joints.times_s;
+        let mut rows = vec![f64::NAN; num_frames * num_channels * 2];
+        let mut arrivals_s = Vec::new();
+        let mut noise = vec![0.0; num_channels];
+        let mut ceilings = vec![f64::INFINITY; num_channels];
+        for ((stream, config), log) in layout.streams.iter().zip(&station.streams).zip(&take.streams) {
+            let width = stream.channels.len();
+            let mut arrivals = frame_times_s.clone();
+            let mut num_arrived = 0;
+            for (frame, arrival) in arrivals.iter_mut().enumerate() {
+                while log.times_s.get(num_arrived).is_some_and(|&time_s| time_s <= frame_times_s[frame]) {
+                    num_arrived += 1;
+                }
+                let Some(sample) = num_arrived.checked_sub(1) else { continue };
+                *arrival = log.times_s[sample];
+                for (idx, channel) in stream.channels.clone().enumerate() {
+                    let row = (frame * num_channels + channel) * 2;
+                    rows[row] = f64::from(u8::from(log.active[sample * width + idx]));
+                    if let (Some(raw), Some(reference)) =
+                        (log.raw.get(sample * width + idx), log.reference.get(idx))
+                    {
+                        rows[row + 1] = f64::from(raw - reference) / config.on_threshold;
+                    }
+                }
+            }
+            arrivals_s.push(arrivals);
+            for (idx, channel) in stream.channels.clone().enumerate() {
+                if let Some(reference) = log.reference.get(idx) {
+                    ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
+                    noise[channel] = quiet_noise(take, log, idx, width) / config.on_threshold;
+                }
+            }
+        }
+        let repetitions = repetitions(take);
+        let stride = 2 * num_channels;
+        let blocks =
+            repetitions.iter().map(|(frames, _)| frames.start * stride..frames.end * stride).collect();
+        let has_raw = take.has_raw();
+        Ok(Self { take, object, has_raw, arrivals_s, rows, blocks, repetitions, noise, ceilings })
+    }
+
+    /// What the simulation needs of it.
+    pub(crate) fn scene<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
+        TakeScene {
+            station,
+            object: self.object,
+            base_from_object: &self.take.meta.base_from_object,
+            frame_times_s: &self.take.joints.times_s,
+            positions: &self.take.joints.positions,
+            arrival_times_s: &self.arrivals_s,
+        }
+    }
+}
+
+/// Standard deviation of a channel's raw readings in the baseline spans, raw units.
+fn quiet_noise(take: &Take, log: &palpate_recording::StreamLog, idx: usize, width: usize) -> f64 {
+    let baselines: Vec<_> = take.spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
+    let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for (sample, &time_s) in log.times_s.iter().enumerate() {
+        if baselines.iter().any(|span| (span.start_s..=span.end_s).contains(&time_s)) {
+            let deviation = f64::from(log.raw[sample * width + idx] - log.reference[idx]);
+            count += 1.0;
+            sum += deviation;
+            squares += deviation * deviation;
+        }
+    }
+    if count < 2.0 { 0.0 } else { ((squares - sum * sum / count) / (count - 1.0)).max(0.0).sqrt() }
+}
+
+/// Frames of each marked repetition, and of what lies between, in order: together all frames.
+fn repetitions(take: &Take) -> Vec<(Range<usize>, String)> {
+    let times_s = &take.joints.times_s;
+    let frame_at = |time_s: f64| times_s.partition_point(|&frame_s| frame_s < time_s);
+    let mut parts = Vec::new();
+    let mut next = 0;
+    let between = |from: usize, to: usize, parts: &mut Vec<(Range<usize>, String)>| {
+        let mut from = from;
+        while from < to {
+            let end = frame_at(times_s[from] + BLOCK_S).clamp(from + 1, to);
+            parts.push((from..end, String::new()));
+            from = end;
+        }
+    };
+    for span in take.spans.iter().filter(|span| span.kind == SpanKind::Repetition) {
+        let (start, end) = (frame_at(span.start_s).max(next), frame_at(span.end_s));
+        if start >= end {
+            continue;
+        }
+        between(next, start, &mut parts);
+        parts.push((start..end, span.label.clone()));
+        next = end;
+    }
+    between(next, times_s.len(), &mut parts);
+    parts
+}
