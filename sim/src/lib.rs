@@ -5,6 +5,7 @@
 //! [`SensorModel`]. Nothing here reads a clock or a file; with the `batch` feature a replay uses every core and gives
 //! the same bits.
 
+pub mod actuator;
 pub mod effects;
 pub mod geometry;
 pub mod job;

@@ -1,0 +1,30 @@
+//! A load that is heavier or lighter than stated.
+
+use super::{ActuatorEffect, Plant, parameter};
+use crate::effects::{Effect, Parameter};
+
+/// The torque of gravity differs from that of the stated mass and length.
+pub(super) struct GravityLoad;
+
+impl ActuatorEffect for GravityLoad {
+    fn id(&self) -> &'static str {
+        "gravity_load"
+    }
+
+    fn explain(&self, effect: &Effect) -> String {
+        let size = effect.parameter("gravity") * 100.0;
+        format!("Gravity pulls {size:+.0} % harder than the stated load accounts for.")
+    }
+
+    fn signature(&self) -> &'static str {
+        "a static error that grows with the sine of the angle; a free swing is faster"
+    }
+
+    fn parameters(&self) -> Vec<Parameter> {
+        vec![parameter("gravity", [-0.8, 3.0], 0.04, 0.1)]
+    }
+
+    fn apply(&self, effect: &Effect, plant: &mut Plant) {
+        plant.gravity_factor += effect.parameter("gravity");
+    }
+}
