@@ -25,6 +25,7 @@ mod decode;
 mod error;
 mod format;
 pub mod import;
+mod servo_log;
 mod session;
 mod station_io;
 mod take;
@@ -32,6 +33,7 @@ mod writer;
 
 pub use check::check_session;
 pub use error::RecordingError;
+pub use servo_log::ServoLog;
 pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
 pub use take::{JointLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
