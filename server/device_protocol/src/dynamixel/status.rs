@@ -88,7 +88,7 @@ impl ErrorByte {
     }
 }
 
-/// The hardware error status (register 70), one bit for each fault.
+/// The hardware error status (register 70), one bit for each fault; bit 1 is not used.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct HardwareError(pub u8);
 
@@ -96,13 +96,13 @@ impl HardwareError {
     /// The supply voltage is out of its limits.
     pub const INPUT_VOLTAGE: Self = Self(1 << 0);
     /// The temperature is above its limit.
-    pub const OVERHEATING: Self = Self(1 << 1);
+    pub const OVERHEATING: Self = Self(1 << 2);
     /// The encoder fails.
-    pub const MOTOR_ENCODER: Self = Self(1 << 2);
+    pub const MOTOR_ENCODER: Self = Self(1 << 3);
     /// The power electronics fail or the supply is too weak.
-    pub const ELECTRICAL_SHOCK: Self = Self(1 << 3);
+    pub const ELECTRICAL_SHOCK: Self = Self(1 << 4);
     /// More load than the servo can bear for long.
-    pub const OVERLOAD: Self = Self(1 << 4);
+    pub const OVERLOAD: Self = Self(1 << 5);
 
     /// Whether all faults of `other` are among these.
     pub fn contains(self, other: Self) -> bool {
