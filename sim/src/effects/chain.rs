@@ -83,7 +83,8 @@ pub struct Switching {
     pub idle_activation: Vec<f64>,
     /// Per channel, the share of its activation that is passed on, 0..=1: 0 for a dead channel.
     pub passed_shares: Vec<f64>,
-    /// Per channel, width of the switching curve in units of load; 0 switches hard.
+    /// Per channel, width of the switching curve in units of load; 0 switches hard. At the lower threshold the curve is
+    /// narrower as far as the threshold is lower, so that no touch leaves a rest of activation without any load.
     pub widths: Vec<f64>,
 }
 
@@ -416,13 +417,14 @@ impl Switching {
         let num_channels = self.on_loads.len();
         let (on, width, idle) = (self.on_loads[channel], self.widths[channel], self.idle_activation[channel]);
         let off = on * self.off_fractions[channel];
-        let above = |load: f64, threshold: f64| {
+        let above = |load: f64, threshold: f64, width: f64| {
             if width > 0.0 && threshold.is_finite() {
                 1.0 / (1.0 + (-(load - threshold) / width).exp())
             } else {
                 f64::from(u8::from(load > threshold))
             }
         };
+        let off_width = width * self.off_fractions[channel];
         let passed = self.passed_shares[channel];
         let mut latched = 0.0_f64;
         let mut last = (f64::NAN, 0.0, 0.0);
@@ -433,8 +435,8 @@ impl Switching {
                 let load = loads[frame * num_channels + channel];
                 // Quiet channels stay where they are, and are most of the work.
                 if load != last.0 {
-                    let over_on = above(load, on);
-                    last = (load, over_on, if off == on { over_on } else { above(load, off) });
+                    let over_on = above(load, on, width);
+                    last = (load, over_on, if off == on { over_on } else { above(load, off, off_width) });
                 }
                 let (_, over_on, over_off) = last;
                 latched = over_on.max(latched.min(over_off));

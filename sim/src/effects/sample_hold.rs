@@ -33,7 +33,7 @@ impl EffectKind for SampleHold {
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         vec![
-            Parameter::new("frozen_fraction", 0.0..=0.9, 0.0, 0.08, 0.2),
+            Parameter::new("frozen_fraction", 0.0..=0.9, 0.0, 0.15, 0.25),
             // Without a fraction it does nothing.
             Parameter::new("span_s", 0.05..=5.0, 0.5, 10.0, 0.2),
         ]

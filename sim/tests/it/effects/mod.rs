@@ -1,4 +1,5 @@
 //! The library of effects, on takes of the shipped hand.
 
 mod laws;
+mod recover;
 mod scene;

@@ -10,7 +10,7 @@ use palpate_sim::{Response, Theta};
 pub(crate) const THETA: Theta = Theta { lambda_con_m: 0.003, alpha_per_m: 250.0, lambda_pre_pa: 30_000.0 };
 
 /// Widths of the soft chain.
-pub(crate) const SOFT: [f64; 2] = [0.15, 0.15];
+pub(crate) const SOFT: [f64; 2] = [0.1, 0.1];
 
 pub(crate) fn station(name: &str) -> Station {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/stations");
@@ -201,6 +201,54 @@ pub(crate) fn take(station: &Station, plan: &Plan, num_presses: usize, seed: u64
     let upright =
         UnitQuaternion::rotation_between(&Vector3::z(), &x_axis).unwrap_or_else(UnitQuaternion::identity);
     let base_from_object = Isometry3::from_parts((start + normal * radius_m).coords.into(), upright);
+    Take { object, base_from_object, times_s, clean, measured }
+}
+
+/// Thumb and index finger tap each other away from any object.
+pub(crate) fn touching_fingers(station: &Station, seed: u64) -> Take {
+    let robot = &station.robot;
+    let dof = |name: &str| robot.dofs().position(|joint| joint.name == name).expect("a joint of the hand");
+    let patch = |id: &str| station.layout.patches.iter().find(|patch| patch.id == id).expect("a patch");
+    let (thumb, index) = (patch("thumb_tip"), patch("index_tip"));
+    let joints = ["thumb_cmc", "thumb_axial", "thumb_mcp", "thumb_ip", "index_mcp_forward", "index_pip"];
+    let dofs: Vec<usize> = joints.iter().map(|name| dof(name)).collect();
+    let mut poses = Vec::new();
+    let mut apart = |positions: &[f64]| {
+        robot.forward_kinematics(positions, &mut poses);
+        (poses[thumb.link] * middle(thumb).0) - (poses[index.link] * middle(index).0)
+    };
+    // From the open hand to where the pads meet.
+    let mut open = vec![0.0; robot.num_dofs()];
+    for (name, position) in REST {
+        open[dof(name)] = position;
+    }
+    let mut closed = open.clone();
+    for _ in 0..200 {
+        let gap = apart(&closed);
+        let mut jacobian = DMatrix::zeros(3, dofs.len());
+        for (column, &dof) in dofs.iter().enumerate() {
+            let mut moved = closed.clone();
+            moved[dof] += 1e-5;
+            jacobian.set_column(column, &((apart(&moved) - gap) / 1e-5));
+        }
+        let square = &jacobian * jacobian.transpose() + DMatrix::identity(3, 3) * 1e-5;
+        let step = jacobian.transpose()
+            * square.try_inverse().expect("damped")
+            * DVector::from_column_slice(gap.as_slice());
+        for (&dof, step) in dofs.iter().zip(step.iter()) {
+            closed[dof] -= step.clamp(-0.05, 0.05);
+        }
+    }
+    let mut noise = Noise(seed);
+    let (mut times_s, mut clean) = (Vec::new(), Vec::new());
+    for frame in 0..200 {
+        let share = 0.9 + 0.1 * (0.15 * f64::from(frame)).sin();
+        times_s.push(0.1 * f64::from(frame));
+        clean.extend(open.iter().zip(&closed).map(|(open, closed)| open + share * (closed - open)));
+    }
+    let measured = clean.iter().map(|position| position + 0.0003 * noise.normal()).collect();
+    let object = station.objects["wedge_80mm"].clone();
+    let base_from_object = Isometry3::translation(2.0, 2.0, 2.0);
     Take { object, base_from_object, times_s, clean, measured }
 }
 
