@@ -1,0 +1,243 @@
+//! Pseudo-terminals, sockets and the clock for an [`EmulatedStation`]: one thread that waits for whatever comes first.
+
+mod arm_sockets;
+mod terminal;
+
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use super::faults::Faults;
+use super::{ARM, EmulatedStation};
+use arm_sockets::ArmSockets;
+use terminal::Terminal;
+
+/// Longest wait, so that a client that opens a line is noticed soon.
+const LONGEST_WAIT: Duration = Duration::from_millis(2);
+/// The file of faults is looked at this often.
+const FAULTS_EVERY: Duration = Duration::from_millis(100);
+/// Time that may be made up for after a pause of the process; what is missing beyond it has not happened.
+const MOST_BEHIND: Duration = Duration::from_millis(500);
+/// The file of faults in the folder of the links.
+const FAULTS_FILE: &str = "faults.toml";
+
+/// Where the devices shall be found.
+#[derive(Clone, Debug)]
+pub struct PortsConfig {
+    /// Folder of the links to the pseudo-terminals, and of `faults.toml`.
+    pub dir: PathBuf,
+    /// Address of the arm's box.
+    pub arm_ip: IpAddr,
+}
+
+/// Where the devices are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DevicePorts {
+    /// Link of each serial line by its name.
+    pub links: Vec<(String, PathBuf)>,
+    /// Address of the arm's box.
+    pub arm_ip: IpAddr,
+}
+
+/// Why the devices cannot be reached.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PortsError {
+    /// A folder, link or terminal.
+    #[error("failed to {action} {path:?}")]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// On which path.
+        path: PathBuf,
+        /// Why not.
+        #[source]
+        source: io::Error,
+    },
+    /// Something else is where a link shall be.
+    #[error(
+        "{path:?} is in the way: it is no link of an emulated device; remove it or choose another folder"
+    )]
+    InTheWay {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A port of the arm.
+    #[error("failed to listen on {address}{hint}")]
+    Listen {
+        /// Address and port.
+        address: SocketAddr,
+        /// What to do, if that is known.
+        hint: &'static str,
+        /// Why not.
+        #[source]
+        source: io::Error,
+    },
+    /// Waiting for bytes.
+    #[error("failed to wait for the devices' clients")]
+    Wait(#[source] io::Error),
+}
+
+impl PortsError {
+    fn io(action: &'static str, path: &Path, source: impl Into<io::Error>) -> Self {
+        Self::Io { action, path: path.to_path_buf(), source: source.into() }
+    }
+}
+
+/// Runs `station` in real time until `stop` is set: makes the links, listens, says on `ready` where everything is, and
+/// removes the links at the end. Reads what is wrong from `faults.toml` in the folder of the links, whenever it changes;
+/// `notice` gets what an operator should know.
+pub fn serve_devices(
+    station: &mut EmulatedStation,
+    config: &PortsConfig,
+    stop: &AtomicBool,
+    ready: &mut dyn FnMut(&DevicePorts),
+    notice: &mut dyn FnMut(String),
+) -> Result<(), PortsError> {
+    std::fs::create_dir_all(&config.dir)
+        .map_err(|source| PortsError::io("make the folder", &config.dir, source))?;
+    let sockets = ArmSockets::listen(config.arm_ip)?;
+    let mut terminals = Vec::new();
+    for name in station.lines() {
+        terminals.push(Some(Terminal::open(&config.dir.join(name))?));
+    }
+    let links = station.lines().iter().map(|name| (name.clone(), config.dir.join(name))).collect();
+    let mut ports = Ports {
+        config,
+        terminals,
+        sockets: Some(sockets),
+        faults: FaultsFile { path: config.dir.join(FAULTS_FILE), modified: None, looked: None },
+        epoch: Instant::now(),
+        now_ns: 0,
+    };
+    ports.read_faults(station, notice)?;
+    ready(&DevicePorts { links, arm_ip: config.arm_ip });
+    while !stop.load(Ordering::Relaxed) {
+        ports.wait(station)?;
+        ports.read_clock(notice);
+        ports.read_faults(station, notice)?;
+        ports.exchange(station);
+    }
+    Ok(())
+}
+
+struct Ports<'a> {
+    config: &'a PortsConfig,
+    /// `None` for a line that is unplugged.
+    terminals: Vec<Option<Terminal>>,
+    sockets: Option<ArmSockets>,
+    faults: FaultsFile,
+    /// When the station's time began.
+    epoch: Instant,
+    now_ns: u64,
+}
+
+struct FaultsFile {
+    path: PathBuf,
+    modified: Option<SystemTime>,
+    looked: Option<Instant>,
+}
+
+impl Ports<'_> {
+    /// Until bytes come or something is due.
+    fn wait(&self, station: &EmulatedStation) -> Result<(), PortsError> {
+        let until_due = station.next_ns().map_or(LONGEST_WAIT, |due_ns| {
+            Duration::from_nanos(due_ns.saturating_sub(self.now_ns)).min(LONGEST_WAIT)
+        });
+        let mut fds: Vec<PollFd<'_>> = Vec::new();
+        for terminal in self.terminals.iter().flatten().filter(|terminal| terminal.has_client()) {
+            fds.push(PollFd::new(terminal.fd(), PollFlags::IN));
+        }
+        if let Some(sockets) = &self.sockets {
+            sockets.for_each_fd(&mut |fd| fds.push(PollFd::from_borrowed_fd(fd, PollFlags::IN)));
+        }
+        let timeout = Timespec { tv_sec: 0, tv_nsec: i64::from(until_due.subsec_nanos()) };
+        match poll(&mut fds, Some(&timeout)) {
+            Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
+            Err(source) => Err(PortsError::Wait(source.into())),
+        }
+    }
+
+    fn read_clock(&mut self, notice: &mut dyn FnMut(String)) {
+        let elapsed = self.epoch.elapsed();
+        let behind = elapsed.saturating_sub(Duration::from_nanos(self.now_ns));
+        if behind > MOST_BEHIND {
+            let skipped = behind - LONGEST_WAIT;
+            self.epoch += skipped;
+            notice(format!("the emulation fell behind and left out {:.1} s", skipped.as_secs_f64()));
+        }
+        self.now_ns = self.now_ns.max(self.epoch.elapsed().as_nanos() as u64);
+    }
+
+    /// Takes what clients sent and gives them what is due.
+    fn exchange(&mut self, station: &mut EmulatedStation) {
+        let now_ns = self.now_ns;
+        for (line, terminal) in self.terminals.iter_mut().enumerate() {
+            let Some(terminal) = terminal else { continue };
+            let received = terminal.read();
+            if !received.is_empty() {
+                station.line_input(line, &received, now_ns);
+            }
+            let bytes = station.line_output(line, now_ns);
+            terminal.write(&bytes);
+        }
+        let reports = station.reports(now_ns);
+        if let Some(sockets) = &mut self.sockets {
+            sockets.exchange(station, now_ns, &reports);
+        }
+    }
+
+    /// Reads the file of faults if it changed; a wrong one changes nothing and is noticed.
+    fn read_faults(
+        &mut self,
+        station: &mut EmulatedStation,
+        notice: &mut dyn FnMut(String),
+    ) -> Result<(), PortsError> {
+        if self.faults.looked.is_some_and(|looked| looked.elapsed() < FAULTS_EVERY) {
+            return Ok(());
+        }
+        self.faults.looked = Some(Instant::now());
+        let path = &self.faults.path;
+        let modified = std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
+        if modified == self.faults.modified {
+            return Ok(());
+        }
+        self.faults.modified = modified;
+        let faults = match std::fs::read_to_string(path) {
+            Ok(text) => Faults::parse(&path.display().to_string(), &text, station.station()),
+            // Without a file nothing is wrong.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Faults::default()),
+            Err(error) => {
+                notice(format!("failed to read {path:?}: {error}"));
+                return Ok(());
+            }
+        };
+        match faults {
+            Ok(faults) => station.set_faults(faults, self.now_ns),
+            Err(error) => notice(error.to_string()),
+        }
+        self.plug(station)
+    }
+
+    /// Takes unplugged devices away and brings others back.
+    fn plug(&mut self, station: &EmulatedStation) -> Result<(), PortsError> {
+        for (name, terminal) in station.lines().iter().zip(&mut self.terminals) {
+            let unplugged = station.faults().unplugged(name);
+            if unplugged {
+                *terminal = None;
+            } else if terminal.is_none() {
+                *terminal = Some(Terminal::open(&self.config.dir.join(name))?);
+            }
+        }
+        if station.faults().unplugged(ARM) {
+            self.sockets = None;
+        } else if self.sockets.is_none() {
+            self.sockets = Some(ArmSockets::listen(self.config.arm_ip)?);
+        }
+        Ok(())
+    }
+}
