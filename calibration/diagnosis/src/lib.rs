@@ -5,6 +5,7 @@
 //! [`engine`] does the statistics for any [`engine::Domain`]; [`tactile`] is the sense of touch.
 //! Pure: takes, clocks, random seeds and paths come from the caller.
 
+pub mod actuator;
 pub mod engine;
 mod job;
 mod null;

@@ -1,0 +1,355 @@
+//! Servo logs as measurements for the engine.
+//!
+//! A log is cut into short windows; the model is driven through each from the state that the measurements show at its
+//! beginning (multiple shooting), so that what it misses shows where it acts and does not pile up.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+use palpate_recording::ServoLog;
+use palpate_robot_model::Place;
+use palpate_sim::actuator::{self, Drive, Plant, Sensed, Start, rollout};
+use palpate_sim::effects::{Effect, Parameter};
+use rayon::prelude::*;
+
+use crate::DiagnosisError;
+use crate::engine::{BaseParameter, Domain, Model};
+
+/// Length of a window, s: long enough for a friction of 5 mN m to move the joint by several encoder counts, short
+/// enough that windows of one second of motion differ.
+const WINDOW_S: f64 = 0.16;
+/// Rows of about this long a time depend on each other, s.
+const BLOCK_S: f64 = 0.9;
+/// Samples on each side that the state at a window's beginning is smoothed over.
+const SMOOTHING: usize = 5;
+/// Standard deviation of a measured position, rad: an encoder count is 1.5 mrad, and a window's model is no better.
+const POSITION_RAD: f64 = 1.0e-3;
+/// Standard deviation of the position at a window's beginning, rad.
+const START_RAD: f64 = 0.7e-3;
+/// Standard deviation of the speed at a window's beginning, rad/s.
+const START_RAD_PER_S: f64 = 0.03;
+/// Standard deviation of a duty: it is read some milliseconds beside the position.
+const DUTY: f64 = 0.02;
+/// Standard deviation of a supply voltage, V: single readings between the pulses of the driver.
+const SUPPLY_V: f64 = 0.5;
+/// Standard deviation of whether a reading exceeds the signed range.
+const CARRY: f64 = 0.3;
+/// Rows a sample: position, duty, supply, carry.
+const ROWS: usize = 4;
+/// Highest PWM reading that a signed register can hold.
+const SIGNED_MAX: f64 = 32_767.0;
+/// What a sixteen-bit reading wraps at.
+const WRAP: f64 = 65_536.0;
+/// Position gain of a servo as it is delivered, for logs that do not say.
+const DEFAULT_GAIN: f64 = 400.0;
+/// Supply that the torque constants assume, V, for logs that do not say.
+const DEFAULT_SUPPLY_V: f64 = 5.0;
+
+/// Servo logs, and the actuator models that predict them.
+///
+/// Each sample has four rows. Position: whitened within its window, for errors of the start grow along it. PWM: as a
+/// duty, from the sixteen bits that the register has. Supply voltage. And whether the PWM reading exceeds the signed
+/// range, which no plant explains but `integer_wrap`: reading that row and the PWM apart keeps the readings' defect from
+/// drowning the rest without repairing it.
+pub struct ActuatorDomain<'a> {
+    logs: Vec<Prepared<'a>>,
+    base: Vec<BaseParameter>,
+}
+
+struct Prepared<'a> {
+    log: &'a ServoLog,
+    gain_per_rad: f64,
+    windows: Vec<Window>,
+    blocks: Vec<Range<usize>>,
+    observed: Vec<f64>,
+    weights: Vec<f64>,
+}
+
+struct Window {
+    samples: Range<usize>,
+    start: Start,
+    /// Lower Cholesky factor of the covariance of its positions.
+    factor: DMatrix<f64>,
+}
+
+impl<'a> ActuatorDomain<'a> {
+    /// Prepares `logs`, which share one actuator.
+    ///
+    /// # Errors
+    /// If there are none, or a log is too short for a window.
+    pub fn new(logs: &'a [ServoLog]) -> Result<Self, DiagnosisError> {
+        if logs.is_empty() {
+            return Err(DiagnosisError::Input("nothing to diagnose: there is no servo log".to_owned()));
+        }
+        let prepared = logs.par_iter().map(Prepared::new).collect::<Result<Vec<_>, _>>()?;
+        let base =
+            |name: &str, lower, upper, dose| BaseParameter { name: name.to_owned(), lower, upper, dose };
+        Ok(Self {
+            logs: prepared,
+            base: vec![
+                base("torque_constant_nm_per_a", 0.05, 2.0, 0.01),
+                base("resistance_ohm", 0.5, 40.0, 0.1),
+                base("supply_factor", 0.5, 1.5, 0.01),
+            ],
+        })
+    }
+
+    /// The model that the datasheet describes.
+    pub fn nominal(&self) -> Model {
+        let plant = Plant::default();
+        Model {
+            base: vec![plant.torque_constant_nm_per_a, plant.resistance_ohm, plant.supply_factor],
+            effects: Vec::new(),
+        }
+    }
+
+    /// The log `take`.
+    pub fn log(&self, take: usize) -> &ServoLog {
+        self.logs[take].log
+    }
+
+    /// The plant that `model` describes.
+    ///
+    /// # Errors
+    /// If an effect is none of the actuator's.
+    pub fn plant(&self, model: &Model) -> Result<Plant, DiagnosisError> {
+        let mut plant = Plant {
+            torque_constant_nm_per_a: model.base[0],
+            resistance_ohm: model.base[1],
+            supply_factor: model.base[2],
+            ..Plant::default()
+        };
+        plant.add(&model.effects).map_err(|id| {
+            DiagnosisError::Input(format!(
+                "the library of actuator effects has no {id:?}; remove it from the model"
+            ))
+        })?;
+        Ok(plant)
+    }
+
+    /// Positions by driving `model` through the whole of `take` from its first measured position, rad.
+    ///
+    /// # Errors
+    /// If an effect is none of the actuator's.
+    pub fn open_loop(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+        let prepared = &self.logs[take];
+        let start = smoothed(prepared.log, 0);
+        let sensed = rollout(&self.plant(model)?, &prepared.drive(), start, prepared.log.times_s.len());
+        Ok(sensed.iter().map(|sensed| sensed.position_rad).collect())
+    }
+
+    /// Mean square of the whitened position residuals of `take`, each counting up to four standard deviations.
+    pub(super) fn position_misfit(&self, take: usize, predicted: &[f64]) -> f64 {
+        let prepared = &self.logs[take];
+        let mut sum = 0.0;
+        for row in (0..predicted.len()).step_by(ROWS) {
+            let deviation = (prepared.observed[row] - predicted[row]) * prepared.weights[row];
+            sum += deviation.clamp(-4.0, 4.0).powi(2);
+        }
+        sum * ROWS as f64 / predicted.len().max(1) as f64
+    }
+
+    /// Rows of each window of `take` that hold positions, with its samples.
+    pub(super) fn windows(&self, take: usize) -> impl Iterator<Item = (Range<usize>, Start)> + '_ {
+        self.logs[take].windows.iter().map(|window| (window.samples.clone(), window.start))
+    }
+
+    /// Positions by shooting through each window of `take`, rad.
+    pub(super) fn shot(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+        let prepared = &self.logs[take];
+        let plant = self.plant(model)?;
+        Ok(prepared.shoot(&plant).iter().map(|sensed| sensed.position_rad).collect())
+    }
+}
+
+impl<'a> Prepared<'a> {
+    fn new(log: &'a ServoLog) -> Result<Self, DiagnosisError> {
+        let num_samples = log.times_s.len();
+        let too_short = || {
+            DiagnosisError::Input(format!(
+                "log {:?} has {num_samples} samples: too few for a window of {WINDOW_S} s; record longer or faster",
+                log.id
+            ))
+        };
+        if num_samples < 4 * SMOOTHING {
+            return Err(too_short());
+        }
+        let duration_s = log.times_s[num_samples - 1] - log.times_s[0];
+        let window = (WINDOW_S * (num_samples - 1) as f64 / duration_s).round().max(8.0) as usize;
+        let num_windows = num_samples / window;
+        if num_windows == 0 {
+            return Err(too_short());
+        }
+        let windows: Vec<Window> = (0..num_windows)
+            .map(|idx| {
+                // The rest of the log goes to its last window.
+                let end = if idx + 1 == num_windows { num_samples } else { (idx + 1) * window };
+                Window::new(log, idx * window..end)
+            })
+            .collect::<Option<_>>()
+            .ok_or_else(too_short)?;
+        let per_block = (BLOCK_S / WINDOW_S).round() as usize;
+        let blocks = windows
+            .chunks(per_block)
+            .map(|windows| {
+                let (first, last) = (&windows[0], &windows[windows.len() - 1]);
+                first.samples.start * ROWS..last.samples.end * ROWS
+            })
+            .collect();
+        let gain = log.position_gain_register.unwrap_or(DEFAULT_GAIN);
+        let mut prepared = Self {
+            log,
+            gain_per_rad: ServoLog::duty_per_rad(gain),
+            windows,
+            blocks,
+            observed: Vec::new(),
+            weights: [1.0, 1.0 / DUTY, 1.0 / SUPPLY_V, 1.0 / CARRY].repeat(num_samples),
+        };
+        let measured = |idx: usize| {
+            let reading = log.pwm_register.get(idx).copied().unwrap_or(f64::NAN);
+            let exceeds = reading > SIGNED_MAX;
+            Sensed {
+                position_rad: log.positions_rad[idx],
+                duty: (if exceeds { reading - WRAP } else { reading }) / ServoLog::FULL_PWM,
+                supply_v: log.input_v.get(idx).copied().unwrap_or(f64::NAN),
+                carry: if reading.is_nan() { f64::NAN } else { f64::from(u8::from(exceeds)) },
+            }
+        };
+        let measured: Vec<Sensed> = (0..num_samples).map(measured).collect();
+        prepared.observed = prepared.rows(&measured);
+        Ok(prepared)
+    }
+
+    fn drive(&self) -> Drive<'_> {
+        Drive {
+            times_s: &self.log.times_s,
+            goals_rad: &self.log.goals_rad,
+            torque_on: &self.log.torque_on,
+            gain_per_rad: self.gain_per_rad,
+            supply_v: self.log.supply_v.unwrap_or(DEFAULT_SUPPLY_V),
+            mass_kg: self.log.mass_kg,
+            length_m: self.log.length_m,
+        }
+    }
+
+    fn shoot(&self, plant: &Plant) -> Vec<Sensed> {
+        let drive = self.drive();
+        let shot = |window: &Window| rollout(plant, &drive, window.start, window.samples.len());
+        self.windows.iter().flat_map(shot).collect()
+    }
+
+    /// Samples as rows, positions whitened.
+    fn rows(&self, sensed: &[Sensed]) -> Vec<f64> {
+        let mut rows: Vec<f64> =
+            sensed.iter().flat_map(|s| [s.position_rad, s.duty, s.supply_v, s.carry]).collect();
+        for window in &self.windows {
+            // Positions from the start on, so that rounding does not grow with the angle.
+            let start_rad = window.start.position_rad;
+            let mut positions = DVector::from_iterator(
+                window.samples.len(),
+                window.samples.clone().map(|idx| sensed[idx].position_rad - start_rad),
+            );
+            window.factor.solve_lower_triangular_mut(&mut positions);
+            for (idx, position) in window.samples.clone().zip(positions.iter()) {
+                rows[idx * ROWS] = *position;
+            }
+        }
+        rows
+    }
+}
+
+impl Window {
+    fn new(log: &ServoLog, samples: Range<usize>) -> Option<Self> {
+        let start_s = log.times_s[samples.start];
+        let since: Vec<f64> = samples.clone().map(|idx| log.times_s[idx] - start_s).collect();
+        let covariance = DMatrix::from_fn(since.len(), since.len(), |row, column| {
+            let own = if row == column { POSITION_RAD.powi(2) } else { 0.0 };
+            own + START_RAD.powi(2) + START_RAD_PER_S.powi(2) * since[row] * since[column]
+        });
+        let factor = covariance.cholesky()?.unpack();
+        Some(Self { start: smoothed(log, samples.start), samples, factor })
+    }
+}
+
+/// The state at `sample`: a parabola through the positions around it.
+fn smoothed(log: &ServoLog, sample: usize) -> Start {
+    let around = sample.saturating_sub(SMOOTHING)..(sample + SMOOTHING + 1).min(log.times_s.len());
+    let (mut normal, mut right) = (nalgebra::Matrix3::zeros(), nalgebra::Vector3::zeros());
+    for idx in around {
+        let since = log.times_s[idx] - log.times_s[sample];
+        let powers = nalgebra::Vector3::new(1.0, since, 0.5 * since * since);
+        normal += powers * powers.transpose();
+        right += powers * log.positions_rad[idx];
+    }
+    let state = normal.cholesky().map_or_else(
+        || nalgebra::Vector3::new(log.positions_rad[sample], 0.0, 0.0),
+        |factor| factor.solve(&right),
+    );
+    Start { sample, position_rad: state[0], speed_rad_per_s: state[1], acceleration_rad_per_s2: state[2] }
+}
+
+impl Domain for ActuatorDomain<'_> {
+    fn num_takes(&self) -> usize {
+        self.logs.len()
+    }
+
+    fn blocks(&self, take: usize) -> &[Range<usize>] {
+        &self.logs[take].blocks
+    }
+
+    fn observed(&self, take: usize) -> &[f64] {
+        &self.logs[take].observed
+    }
+
+    fn base(&self) -> &[BaseParameter] {
+        &self.base
+    }
+
+    fn candidates(&self) -> Vec<Effect> {
+        let joint = &self.logs[0].log.joint;
+        actuator::ACTUATOR
+            .iter()
+            .map(|kind| Effect {
+                id: kind.id().to_owned(),
+                place: Place::Joint(joint.clone()),
+                parameters: kind.parameters().into_iter().map(|p| (p.name, p.neutral)).collect(),
+                interval: Default::default(),
+                takes: Vec::new(),
+            })
+            .collect()
+    }
+
+    fn parameters(&self, effect: &Effect) -> Vec<Parameter> {
+        actuator::actuator(&effect.id).map_or_else(Vec::new, |kind| kind.parameters())
+    }
+
+    fn num_units(&self) -> usize {
+        ROWS
+    }
+
+    fn unit(&self, row: usize) -> usize {
+        row % ROWS
+    }
+
+    fn support(&self, _effect: &Effect, _parameter: &str) -> Vec<bool> {
+        vec![true; ROWS]
+    }
+
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+        let prepared = &self.logs[take];
+        let rows = prepared.rows(&prepared.shoot(&self.plant(model)?));
+        match rows.iter().position(|row| !row.is_finite()) {
+            Some(row) => Err(DiagnosisError::Input(format!(
+                "the model leaves all bounds at sample {} of log {:?}: {:?}",
+                row / ROWS,
+                prepared.log.id,
+                model
+            ))),
+            None => Ok(rows),
+        }
+    }
+
+    fn weights(&self, take: usize, _prediction: &[f64]) -> Vec<f64> {
+        self.logs[take].weights.clone()
+    }
+}

@@ -1,0 +1,372 @@
+//! The report on an actuator.
+
+use std::collections::BTreeMap;
+
+use palpate_sim::actuator;
+use palpate_sim::effects::Effect;
+use palpate_wire::api::{
+    Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, NextExperiment, Rival, Unexplained, Verdict,
+    WaterfallStep,
+};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{ACTUATOR_BAR, ACTUATOR_MISFIT, ActuatorConfig, ActuatorDomain};
+use crate::DiagnosisError;
+use crate::engine::{Domain as _, Model, Naming};
+use crate::job::interval;
+
+/// Speed below which a joint holds, rad/s.
+const HOLDING_RAD_PER_S: f64 = 0.05;
+/// Share of the excess that the reported cells hold.
+const CELLS_SHARE: f64 = 0.8;
+/// The three states of motion.
+const PHASES: [&str; 3] = ["moving", "holding", "reversing"];
+
+/// Everything that a report is made of.
+pub(super) struct Evidence<'a> {
+    pub(super) config: &'a ActuatorConfig,
+    pub(super) domain: &'a ActuatorDomain<'a>,
+    pub(super) naming: &'a Naming,
+    pub(super) nominal: &'a Model,
+    /// Calibrated, then with one more effect each.
+    pub(super) steps: &'a [Model],
+    pub(super) fitted: &'a [usize],
+    pub(super) confirm: &'a [usize],
+    pub(super) misfit: f64,
+    pub(super) seconds: f64,
+}
+
+pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, DiagnosisError> {
+    let Evidence { config, domain, naming, nominal, steps, fitted, confirm, misfit, .. } = *evidence;
+    let judged_on = if confirm.is_empty() { fitted } else { confirm };
+    let mut models = vec![nominal];
+    models.extend(steps);
+    let errors: Vec<Vec<f64>> =
+        models.iter().map(|model| log_errors(domain, model, judged_on)).collect::<Result<_, _>>()?;
+    let fitted_errors: Vec<f64> = [nominal, &steps[0], &steps[steps.len() - 1]]
+        .into_iter()
+        .map(|model| Ok(mean(&log_errors(domain, model, fitted)?)))
+        .collect::<Result<_, DiagnosisError>>()?;
+    let last = errors.len() - 1;
+    let gap =
+        |gaps: [f64; 3]| Gap { nominal: gaps[0], calibrated: gaps[1], diagnosed: gaps[2], noise_floor: None };
+    let held_out = gap([mean(&errors[0]), mean(&errors[1]), mean(&errors[last])]);
+    let effects: Vec<NamedEffect> = steps[steps.len() - 1]
+        .effects
+        .iter()
+        .enumerate()
+        .map(|(idx, effect)| named(evidence, effect, idx, &errors[idx + 1], &errors[idx + 2]))
+        .collect();
+    let left = misfit > ACTUATOR_MISFIT;
+    let verdict = match (effects.is_empty(), left) {
+        (true, true) => Verdict::Unexplained,
+        (true, false) => Verdict::NoDiscrepancy,
+        (false, true) => Verdict::PartlyExplained,
+        (false, false) => Verdict::Explained,
+    };
+    let waterfall = errors
+        .iter()
+        .enumerate()
+        .map(|(idx, errors)| WaterfallStep {
+            step: match idx {
+                0 => "nominal".to_owned(),
+                1 => "calibrated".to_owned(),
+                _ => effects[idx - 2].id.clone(),
+            },
+            gap: mean(errors),
+            interval_95: bootstrap(errors, config),
+        })
+        .collect();
+    let cells_after = cells(domain, &steps[steps.len() - 1], judged_on, config)?;
+    let mut notes = vec![format!(
+        "what is left of the positions over windows of the fitted logs is {misfit:.2} variances; above \
+         {ACTUATOR_MISFIT} something is unexplained"
+    )];
+    if confirm.is_empty() {
+        notes.push("no log is held out: the figures are from the logs that were fitted".to_owned());
+    }
+    for effect in &naming.dropped {
+        notes.push(format!(
+            "{} was named at first and dropped when later effects accounted for it",
+            effect.id
+        ));
+    }
+    for effect in &effects {
+        if effect.gap_after >= effect.gap_before && effect.id != "integer_wrap" {
+            notes.push(format!(
+                "{} is needed to explain short windows of the fitted logs, but does not lower the open-loop error on \
+                 the held-out logs: treat its size with care",
+                effect.id
+            ));
+        }
+    }
+    let first = &naming.rounds[0];
+    let ids = |takes: &[usize]| takes.iter().map(|&take| domain.log(take).id.clone()).collect::<Vec<_>>();
+    Ok(DiagnosisReport {
+        verdict,
+        sentence: sentence(verdict, &effects, &held_out),
+        candidates: first
+            .tried
+            .iter()
+            .enumerate()
+            .filter(|&(idx, _)| first.named != Some(idx))
+            .map(|(_, tried)| Candidate {
+                id: tried.effect.id.clone(),
+                place: tried.effect.place.clone(),
+                parameters: tried.effect.parameters.clone(),
+                evidence: tried.evidence,
+                share_removed: tried.share,
+                explanation: explain(&tried.effect),
+            })
+            .collect(),
+        next_experiment: next_experiment(evidence)?,
+        effects,
+        cells: cells(domain, &steps[0], judged_on, config)?,
+        gap: gap([fitted_errors[0], fitted_errors[1], fitted_errors[2]]),
+        unexplained: Unexplained {
+            fraction: if held_out.calibrated > 0.0 {
+                (held_out.diagnosed / held_out.calibrated).clamp(0.0, 1.0)
+            } else {
+                0.0
+            },
+            significant: left,
+            cells: cells_after,
+        },
+        held_out,
+        waterfall,
+        metrics: BTreeMap::new(),
+        residual_map: Vec::new(),
+        takes: BTreeMap::from([
+            ("fit".to_owned(), ids(fitted)),
+            ("select".to_owned(), ids(fitted)),
+            ("confirm".to_owned(), ids(judged_on)),
+        ]),
+        bar: Bar { evidence: config.bar.unwrap_or(ACTUATOR_BAR), ..Bar::default() },
+        notes,
+        seconds: evidence.seconds,
+    })
+}
+
+/// Mean absolute position error of an open-loop rollout of each log, rad.
+fn log_errors(
+    domain: &ActuatorDomain<'_>,
+    model: &Model,
+    takes: &[usize],
+) -> Result<Vec<f64>, DiagnosisError> {
+    takes
+        .iter()
+        .map(|&take| {
+            let measured = &domain.log(take).positions_rad;
+            let predicted = domain.open_loop(take, model)?;
+            let sum: f64 = measured.iter().zip(&predicted).map(|(m, p)| (m - p).abs()).sum();
+            Ok(sum / measured.len() as f64)
+        })
+        .collect()
+}
+
+fn named(evidence: &Evidence<'_>, effect: &Effect, idx: usize, before: &[f64], after: &[f64]) -> NamedEffect {
+    let Evidence { domain, naming, .. } = *evidence;
+    let round = naming.rounds.iter().find_map(|round| {
+        let named = round.named.filter(|&named| round.tried[named].effect.id == effect.id)?;
+        Some((round, named))
+    });
+    let (mut class, mut rivals) = (vec![effect.id.clone()], Vec::new());
+    let (gap_before, gap_after) = (mean(before), mean(after));
+    if let Some((round, named)) = round {
+        for &member in round.class.iter().filter(|&&member| member != named) {
+            let rival = &round.tried[member];
+            let share = rival.held_out_gain / round.tried[named].held_out_gain.max(f64::MIN_POSITIVE);
+            class.push(rival.effect.id.clone());
+            rivals.push(Rival {
+                id: rival.effect.id.clone(),
+                place: rival.effect.place.clone(),
+                gap_after: gap_before - share * (gap_before - gap_after),
+            });
+        }
+    }
+    let strength = naming.evidence.get(idx).copied().unwrap_or(0.0);
+    let improved = before.iter().zip(after).filter(|(before, after)| after < before).count();
+    NamedEffect {
+        id: effect.id.clone(),
+        place: effect.place.clone(),
+        parameters: effect.parameters.clone(),
+        interval: naming
+            .standard_errors
+            .get(idx)
+            .map_or_else(BTreeMap::new, |errors| interval(domain, effect, errors)),
+        gap_before,
+        gap_after,
+        p_value: p_value(strength),
+        evidence: strength,
+        takes_improved: format!("{improved}/{}", before.len()),
+        class,
+        rivals,
+        explanation: explain(effect),
+    }
+}
+
+/// Bound of Bonferroni on the normal tail (Mills' ratio), over the effects of the library.
+fn p_value(evidence: f64) -> f64 {
+    let z = evidence.max(0.0).sqrt();
+    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+    (2.0 * actuator::ACTUATOR.len() as f64 * density / z.max(1.0)).min(1.0)
+}
+
+fn explain(effect: &Effect) -> String {
+    actuator::actuator(&effect.id).map_or_else(String::new, |kind| kind.explain(effect))
+}
+
+fn sentence(verdict: Verdict, effects: &[NamedEffect], gap: &Gap) -> String {
+    let removed = if gap.calibrated > 0.0 { 100.0 * (1.0 - gap.diagnosed / gap.calibrated) } else { 0.0 };
+    let names: Vec<&str> = effects.iter().map(|effect| effect.id.as_str()).collect();
+    let found = format!(
+        "Missing from the model: {}. Position error on logs not fitted to: {:.1} mrad instead of {:.1} mrad ({removed:.0} % less)",
+        names.join(", "),
+        gap.diagnosed * 1e3,
+        gap.calibrated * 1e3
+    );
+    match verdict {
+        Verdict::Explained => format!("{found}."),
+        Verdict::PartlyExplained => format!("{found}; something is left that no effect accounts for."),
+        Verdict::Unexplained => {
+            "Model and servo differ in a way that no effect of the library accounts for.".to_owned()
+        }
+        Verdict::NoDiscrepancy => "Model and servo agree within what the encoder can tell.".to_owned(),
+    }
+}
+
+/// Excess by state of motion: absolute error that windows of `takes` gather, and its sign along the motion.
+fn cells(
+    domain: &ActuatorDomain<'_>,
+    model: &Model,
+    takes: &[usize],
+    config: &ActuatorConfig,
+) -> Result<Vec<Cell>, DiagnosisError> {
+    let mut excess = [0.0; PHASES.len()];
+    let mut signed: [Vec<f64>; PHASES.len()] = Default::default();
+    let mut seen: [Vec<String>; PHASES.len()] = Default::default();
+    for &take in takes {
+        let log = domain.log(take);
+        let shot = domain.shot(take, model)?;
+        let starts: Vec<_> = domain.windows(take).collect();
+        for (idx, (samples, start)) in starts.iter().enumerate() {
+            let next = starts.get(idx + 1).map_or(start.speed_rad_per_s, |(_, next)| next.speed_rad_per_s);
+            let speed = start.speed_rad_per_s;
+            let phase = if speed.abs().max(next.abs()) < HOLDING_RAD_PER_S {
+                1
+            } else if speed * next < 0.0 {
+                2
+            } else {
+                0
+            };
+            let residuals = samples.clone().map(|idx| log.positions_rad[idx] - shot[idx]);
+            let sum: f64 = residuals.clone().sum();
+            excess[phase] += residuals.map(f64::abs).sum::<f64>();
+            signed[phase].push(sum / samples.len() as f64 * if speed + next < 0.0 { -1.0 } else { 1.0 });
+            if !seen[phase].contains(&log.id) {
+                seen[phase].push(log.id.clone());
+            }
+        }
+    }
+    let total: f64 = excess.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let mut order: Vec<usize> = (0..PHASES.len()).collect();
+    order.sort_by(|&a, &b| excess[b].total_cmp(&excess[a]));
+    let (mut cells, mut held) = (Vec::new(), 0.0);
+    for phase in order {
+        if held >= CELLS_SHARE || signed[phase].len() < 2 {
+            continue;
+        }
+        held += excess[phase] / total;
+        let values = &signed[phase];
+        let deviation =
+            (values.iter().map(|v| (v - mean(values)).powi(2)).sum::<f64>() / values.len() as f64).sqrt();
+        cells.push(Cell {
+            stream: None,
+            channels: vec!["position".to_owned()],
+            joints: vec![domain.log(0).joint.clone()],
+            phase: PHASES[phase].to_owned(),
+            takes: seen[phase].clone(),
+            excess: excess[phase] / total,
+            effect_size: if deviation > 0.0 { mean(values) / deviation } else { 0.0 },
+            p_value: sign_flips(values, config),
+        });
+    }
+    Ok(cells)
+}
+
+/// Probability of a mean this far from zero if signs were chance.
+fn sign_flips(values: &[f64], config: &ActuatorConfig) -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    let found = mean(values).abs();
+    let num_flips = config.resamples.max(1);
+    let as_far = (0..num_flips)
+        .filter(|_| {
+            let flipped: f64 = values.iter().map(|v| if rng.random_bool(0.5) { -v } else { *v }).sum();
+            (flipped / values.len() as f64).abs() >= found
+        })
+        .count();
+    (1 + as_far) as f64 / (1 + num_flips) as f64
+}
+
+/// 95 % interval of the mean over logs; `None` for fewer than four.
+fn bootstrap(errors: &[f64], config: &ActuatorConfig) -> Option<[f64; 2]> {
+    if errors.len() < 4 || config.resamples < 100 {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    let mut means: Vec<f64> = (0..config.resamples)
+        .map(|_| {
+            errors.iter().map(|_| errors[rng.random_range(0..errors.len())]).sum::<f64>()
+                / errors.len() as f64
+        })
+        .collect();
+    means.sort_by(f64::total_cmp);
+    let at = |share: f64| means[((means.len() - 1) as f64 * share).round() as usize];
+    Some([at(0.025), at(0.975)])
+}
+
+/// The motion, among those that were recorded, in which the members of the first ambiguous class differ most.
+fn next_experiment(evidence: &Evidence<'_>) -> Result<Option<NextExperiment>, DiagnosisError> {
+    let Evidence { domain, naming, .. } = *evidence;
+    let Some(round) = naming.rounds.iter().find(|round| round.class.len() > 1) else { return Ok(None) };
+    let with = |member: usize| {
+        let mut model = round.before.clone();
+        model.effects.push(round.tried[member].effect.clone());
+        model
+    };
+    let (a, b) = (with(round.class[0]), with(round.class[1]));
+    let mut best: Option<(f64, usize)> = None;
+    for take in 0..domain.num_takes() {
+        let weights = domain.weights(take, &[]);
+        let (of_a, of_b) = (domain.predict(take, &a)?, domain.predict(take, &b)?);
+        let square: f64 =
+            of_a.iter().zip(&of_b).zip(&weights).map(|((a, b), weight)| ((a - b) * weight).powi(2)).sum();
+        if best.is_none_or(|(most, _)| square > most) {
+            best = Some((square, take));
+        }
+    }
+    let Some((square, take)) = best else { return Ok(None) };
+    let log = domain.log(take);
+    let field = |name: &str| log.fields.get(name).cloned().unwrap_or_default();
+    let primitive = field("trajectory");
+    let separates: Vec<String> =
+        round.class[..2].iter().map(|&member| round.tried[member].effect.id.clone()).collect();
+    Ok(Some(NextExperiment {
+        sentence: format!(
+            "Record {primitive} at position gain {} again, several times: of the recorded motions it differs most \
+             between {} and {}.",
+            field("kp"),
+            separates[0],
+            separates[1]
+        ),
+        primitive,
+        object: String::new(),
+        separates,
+        expected_gain: square.sqrt(),
+    }))
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}

@@ -1,0 +1,107 @@
+//! The measured logs of a Dynamixel XL330, where they are at hand.
+
+use std::path::PathBuf;
+
+use palpate_recording::ServoLog;
+use palpate_sim::job::{Cancel, NoProgress};
+
+use super::*;
+
+/// The measured logs; `None`, with a message, where the folder is absent.
+fn measured() -> Option<Vec<ServoLog>> {
+    let folder =
+        std::env::var_os("PALPATE_DATA").map_or_else(|| PathBuf::from("../../../shared/data"), PathBuf::from);
+    let folder = folder.join("bam_xl330/raw");
+    if !folder.is_dir() {
+        eprintln!(
+            "skipped: no measured logs in {folder:?}; PALPATE_DATA names the folder that holds bam_xl330"
+        );
+        return None;
+    }
+    Some(ServoLog::read_folder(&folder).expect("the measured logs"))
+}
+
+fn holding_out(value: &str) -> ActuatorConfig {
+    ActuatorConfig {
+        hold_out: LogHoldOut::Field { field: "kp".to_owned(), value: value.to_owned() },
+        ..ActuatorConfig::default()
+    }
+}
+
+#[test]
+#[ignore = "prints figures of the measured logs"]
+fn figures() {
+    let Some(logs) = measured() else { return };
+    for gain in ["100", "200", "400"] {
+        let start = std::time::Instant::now();
+        let outcome =
+            diagnose_actuator(&holding_out(gain), &logs, &NoProgress, &Cancel::default(), &|| 0.0).unwrap();
+        let report = &outcome.report;
+        eprintln!(
+            "== kp={gain} {:.1} s, {} misfit {:.2} base {:?}",
+            start.elapsed().as_secs_f64(),
+            report.sentence,
+            outcome.misfit,
+            outcome.model.base
+        );
+        for step in &report.waterfall {
+            eprintln!("   {:<24} {:.1} mrad {:?}", step.step, step.gap * 1e3, step.interval_95);
+        }
+        for effect in &report.effects {
+            eprintln!(
+                "   {} {:?} {:?} e {:.0} p {:.1e} {} class {:?}",
+                effect.id,
+                effect.parameters,
+                effect.interval,
+                effect.evidence,
+                effect.p_value,
+                effect.takes_improved,
+                effect.class
+            );
+        }
+        for c in &report.candidates {
+            eprintln!(
+                "     cand {} {:?} e {:.0} share {:.3}",
+                c.id, c.parameters, c.evidence, c.share_removed
+            );
+        }
+        eprintln!("   gap {:?}\n   notes {:?}", report.gap, report.notes);
+    }
+}
+
+#[test]
+fn measured_servo_stores_pwm_unsigned_and_its_gear_loses_torque() {
+    let Some(logs) = measured() else { return };
+    for gain in ["100", "200", "400"] {
+        let outcome =
+            diagnose_actuator(&holding_out(gain), &logs, &NoProgress, &Cancel::default(), &|| 0.0).unwrap();
+        let report = outcome.report;
+        let size = |id: &str, parameter: &str| {
+            let effect = report.effects.iter().find(|effect| effect.id == id);
+            effect
+                .unwrap_or_else(|| panic!("{id} is named with kp={gain} held out: {}", report.sentence))
+                .parameters[parameter]
+        };
+        assert!(size("integer_wrap", "wrapped") > 0.95);
+        assert!((0.3..0.6).contains(&size("load_dependent_friction", "load_friction")));
+        let held_out = &report.held_out;
+        assert!(held_out.diagnosed < 0.5 * held_out.calibrated, "kp={gain}: {held_out:?}");
+        assert!(report.takes["confirm"].len() == 4 && report.takes["fit"].len() == 8);
+    }
+}
+
+#[test]
+fn hold_out_that_leaves_nothing_is_refused() {
+    let log = |gain: f64| ServoLog {
+        fields: [("kp".to_owned(), gain.to_string())].into(),
+        position_gain_register: Some(gain),
+        ..ServoLog::default()
+    };
+    let logs = [log(100.0), log(200.0)];
+    let field = |value: &str| LogHoldOut::Field { field: "kp".to_owned(), value: value.to_owned() };
+    assert_eq!(held_out(&field("200.0"), &logs).unwrap(), [1]);
+    let message = held_out(&field("300"), &logs).expect_err("there is no such gain").to_string();
+    assert!(message.contains("choose among: kp=100, kp=200"), "{message}");
+    assert!("kp".parse::<LogHoldOut>().is_err());
+    assert_eq!("kp=200".parse::<LogHoldOut>().unwrap(), field("200"));
+}
