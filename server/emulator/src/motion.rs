@@ -14,6 +14,7 @@ use palpate_robot_model::JointKind;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+pub(crate) use ik::{Goal as ReachGoal, solve as reach};
 pub(crate) use path::JointPath;
 pub(crate) use scene::Scene;
 
