@@ -5,6 +5,7 @@
 //! the geometry with `palpate_sim`, never the tactile model: what it hides must not be found by inverting the code that
 //! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
 
+pub mod devices;
 mod live;
 mod motion;
 mod primitive;
