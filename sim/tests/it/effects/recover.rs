@@ -95,18 +95,46 @@ fn squares(seen: &[f64], measured: &[f64]) -> f64 {
     seen.iter().zip(measured).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
+/// The takes in which an effect shows; in all others any fit of it or a rival stays as it is.
+struct Shown {
+    takes: Vec<Take>,
+    geometries: Vec<Geometry>,
+}
+
+impl Shown {
+    fn new(effect: &Effect) -> Self {
+        let station = &BENCH.station;
+        let hard = |take: &Take, effects: &[Effect]| {
+            sense(station, std::slice::from_ref(take), false, effects, &[], None)
+        };
+        let (takes, geometries) = BENCH
+            .takes
+            .iter()
+            .zip(&BENCH.geometries)
+            .filter(|(take, _)| hard(take, std::slice::from_ref(effect)) != hard(take, &[]))
+            .map(|(take, geometry)| (take.clone(), geometry.clone()))
+            .unzip();
+        Self { takes, geometries }
+    }
+
+    fn seen(&self, effects: &[Effect], load_weight: f64, cached: bool) -> Vec<f64> {
+        let cache = cached.then_some(&self.geometries[..]);
+        seen(&sense(&BENCH.station, &self.takes, true, effects, &SOFT, cache), load_weight)
+    }
+}
+
 /// An effect being fitted.
 struct Fit<'a> {
+    shown: &'a Shown,
     parameters: Vec<Parameter>,
     measured: &'a [f64],
     load_weight: f64,
-    cache: Option<&'a [Geometry]>,
+    cached: bool,
 }
 
 impl Fit<'_> {
     fn seen(&self, effect: &Effect) -> Vec<f64> {
-        let effects = std::slice::from_ref(effect);
-        seen(&sense(&BENCH.station, &BENCH.takes, true, effects, &SOFT, self.cache), self.load_weight)
+        self.shown.seen(std::slice::from_ref(effect), self.load_weight, self.cached)
     }
 
     fn cost(&self, effect: &Effect) -> f64 {
@@ -188,10 +216,11 @@ impl Fit<'_> {
 }
 
 /// The best `id` at `place` for `measured`, all its parameters free within their bounds.
-fn fit(id: &str, place: &Place, measured: &[f64], load_weight: f64) -> (Effect, f64) {
+fn fit(shown: &Shown, id: &str, place: &Place, measured: &[f64], load_weight: f64) -> (Effect, f64) {
     let kind = tactile(id).expect("in the library");
-    let cache = (kind.stage() != Stage::Kinematics).then_some(&BENCH.geometries[..]);
-    let fit = Fit { parameters: kind.parameters(place, &BENCH.station), measured, load_weight, cache };
+    let cached = kind.stage() != Stage::Kinematics;
+    let parameters = kind.parameters(place, &BENCH.station);
+    let fit = Fit { shown, parameters, measured, load_weight, cached };
     let mut best = effect(id, place, &[]);
     let mut least = fit.cost(&best);
     fit.scan(&mut best, &mut least);
@@ -220,17 +249,16 @@ fn recovers_from(
     tolerances: &[(&str, f64)],
     rivals: &[(&str, Place)],
 ) {
-    let bench = &*BENCH;
     for values in strengths {
         let truth = effect(id, place, values);
+        let shown = Shown::new(&truth);
         let effects = std::slice::from_ref(&truth);
-        let measured = seen(&sense(&bench.station, &bench.takes, false, effects, &[], None), load_weight);
-        let plain = sense(&bench.station, &bench.takes, true, &[], &SOFT, Some(&bench.geometries));
-        let gap = squares(&seen(&plain, load_weight), &measured);
-        let (found, left) = fit(id, place, &measured, load_weight);
+        let measured = seen(&sense(&BENCH.station, &shown.takes, false, effects, &[], None), load_weight);
+        let gap = squares(&shown.seen(&[], load_weight, true), &measured);
+        let (found, left) = fit(&shown, id, place, &measured, load_weight);
         println!("{id} {values:?}: found {:?}, cost {gap:.2} -> {left:.2}", found.parameters);
         for (rival, rival_place) in rivals {
-            let (best, rival_left) = fit(rival, rival_place, &measured, load_weight);
+            let (best, rival_left) = fit(&shown, rival, rival_place, &measured, load_weight);
             println!("    rival {rival} {:?}: {rival_left:.2}", best.parameters);
             assert!(
                 rival_left > left,
