@@ -5,15 +5,21 @@
 //! the geometry with `palpate_sim`, never the tactile model: what it hides must not be found by inverting the code that
 //! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
 
+pub mod actuator;
 pub mod devices;
+mod hidden;
 mod live;
 mod motion;
 mod primitive;
+mod secrets;
 mod session;
+mod stage;
 mod truth;
 mod world;
 
+pub use hidden::Hidden;
 pub use live::{LiveSample, LiveStation};
 pub use session::{EmulationError, record_session};
+pub use stage::Stage;
 pub use truth::{Elastomer, FrontEnd, JointTruth, MotionConfig, MountOffset, StreamTruth, TakeTruth, Truth};
 pub use world::TruthWorld;

@@ -21,6 +21,8 @@ pub struct LiveStation {
     emulation: Emulation,
     motions: Vec<TakeMotion>,
     poses: Vec<Isometry3<f64>>,
+    /// Where a station would believe the objects to be.
+    recorded_poses: Vec<Isometry3<f64>>,
     seed: u64,
     world: TruthWorld,
     /// Takes gone through since the start.
@@ -61,6 +63,9 @@ impl LiveStation {
             .map(|take_idx| plan_take(&emulation, &scenes[&takes[take_idx].object], take_idx))
             .collect::<Result<_, _>>()?;
         let poses: Vec<_> = takes.iter().map(|take| scenes[&take.object].base_from_object).collect();
+        let recorded = takes.iter().zip(&poses);
+        let recorded_poses: Vec<_> =
+            recorded.map(|(take, pose)| emulation.secrets.recorded_pose(&take.object, pose)).collect();
         drop(scenes);
         let world = world(&emulation, &poses, seed, 0)?;
         let num_channels = emulation.station.layout.num_channels();
@@ -70,11 +75,22 @@ impl LiveStation {
             active: vec![false; num_channels],
             raw: vec![0.0; num_channels],
             activity: String::new(),
-            object: Some((emulation.truth.takes[0].object.clone(), poses[0])),
+            object: Some((emulation.truth.takes[0].object.clone(), recorded_poses[0])),
             samples: vec![0; 1 + emulation.station.layout.streams.len()],
         };
         let references = vec![0.0; num_channels];
-        Ok(Self { emulation, motions, poses, seed, world, round: 0, take_start_s: 0.0, references, sample })
+        Ok(Self {
+            emulation,
+            motions,
+            poses,
+            recorded_poses,
+            seed,
+            world,
+            round: 0,
+            take_start_s: 0.0,
+            references,
+            sample,
+        })
     }
 
     /// The station.
@@ -97,7 +113,7 @@ impl LiveStation {
             }
             take_idx = self.take_idx();
             self.sample.object =
-                Some((self.emulation.truth.takes[take_idx].object.clone(), self.poses[take_idx]));
+                Some((self.emulation.truth.takes[take_idx].object.clone(), self.recorded_poses[take_idx]));
         }
         let now_s = self.sample.time_s - self.take_start_s;
         let station = Arc::clone(&self.emulation.station);

@@ -14,14 +14,14 @@ use palpate_robot_model::JointKind;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-pub(crate) use ik::{Goal as ReachGoal, solve as reach};
+pub(crate) use ik::{Goal as ReachGoal, chain_dofs, solve as reach};
 pub(crate) use path::JointPath;
 pub(crate) use scene::Scene;
 
 use crate::EmulationError;
 use crate::primitive::{Actuator, Primitive};
 use crate::truth::{Emulation, TakeTruth};
-use contact::{Contact, Postures, find_contacts, limb_dofs};
+use contact::{Postures, find_contacts, limb_dofs};
 use path::Segment;
 use touch::{Strokes, travel_s};
 
@@ -44,6 +44,12 @@ pub(crate) struct TakeMotion {
 /// A touch that has a posture, strokes and a way there.
 struct PlannedTouch {
     channel: usize,
+    /// Index among the touches of the take; the same from both sides.
+    touch_idx: usize,
+    /// The touching link.
+    link: usize,
+    /// Whether joints flex that can settle from one side or the other.
+    settles: bool,
     strokes: Strokes,
     /// From the end of the touch before to this one's hover.
     way_in: Vec<Segment>,
@@ -88,7 +94,13 @@ impl Planner<'_> {
                 ))
             })?;
             here = touch.strokes.hover().to_vec();
+            let other_side = (self.primitive.both_sides && touch.settles).then(|| {
+                let from_above = !touch.from_above;
+                let way_in = self.way_in(&here, touch.link, &touch.strokes, from_above)?;
+                Some(PlannedTouch { strokes: touch.strokes.clone(), way_in, from_above, ..touch })
+            });
             touches.push(touch);
+            touches.extend(other_side.flatten());
         }
         let way_home =
             self.way(&here, &self.rest).ok_or_else(|| self.error("found no way back to rest".into()))?;
@@ -121,7 +133,7 @@ impl Planner<'_> {
             activities: vec![(0.0, "baseline".to_owned())],
         };
         take.path.push(Segment::still(&self.rest, baseline_s));
-        for (touch_idx, touch) in touches.iter().enumerate() {
+        for touch in touches {
             let place = &self.scene.station.layout.channels[touch.channel].id;
             take.activities.push((take.path.duration_s(), format!("to {place}")));
             if let Some(first) = touch.way_in.first() {
@@ -132,7 +144,8 @@ impl Planner<'_> {
             }
             take.activities.push((take.path.duration_s(), format!("{}, {place}", self.primitive.label)));
             for (speed_idx, speed) in self.primitive.speeds.iter().enumerate() {
-                if self.primitive.speeds_in_turn && speed_idx != touch_idx % self.primitive.speeds.len() {
+                if self.primitive.speeds_in_turn && speed_idx != touch.touch_idx % self.primitive.speeds.len()
+                {
                     continue;
                 }
                 let by = match touch.strokes.actuator {
@@ -193,8 +206,18 @@ impl Planner<'_> {
                 let Some(strokes) = Strokes::plan(self.scene, contact, self.primitive, actuator) else {
                     continue;
                 };
-                if let Some(way_in) = self.way_in(here, contact, &strokes, from_above) {
-                    return Some(PlannedTouch { channel, strokes, way_in, from_above });
+                if let Some(way_in) = self.way_in(here, contact.link, &strokes, from_above) {
+                    let link = contact.link;
+                    let settles = !limb_dofs(self.scene, link).is_empty() && motion.settle_rad > 0.0;
+                    return Some(PlannedTouch {
+                        channel,
+                        touch_idx,
+                        link,
+                        settles,
+                        strokes,
+                        way_in,
+                        from_above,
+                    });
                 }
             }
             if actuator == Actuator::Carrier {
@@ -205,13 +228,7 @@ impl Planner<'_> {
     }
 
     /// From `here` to the hover of `strokes`, arriving from one side of the flexing joints.
-    fn way_in(
-        &self,
-        here: &[f64],
-        contact: &Contact,
-        strokes: &Strokes,
-        from_above: bool,
-    ) -> Option<Vec<Segment>> {
+    fn way_in(&self, here: &[f64], link: usize, strokes: &Strokes, from_above: bool) -> Option<Vec<Segment>> {
         let motion = &self.emulation.truth.motion;
         let robot = &self.scene.station.robot;
         let hover = strokes.hover();
@@ -220,7 +237,7 @@ impl Planner<'_> {
         for share in [1.0, 0.5, 0.0] {
             let settle = share * if from_above { motion.settle_rad } else { -motion.settle_rad };
             let mut side = apart.clone();
-            for dof in limb_dofs(self.scene, contact.link) {
+            for dof in limb_dofs(self.scene, link) {
                 if robot.dofs().nth(dof).is_some_and(|joint| joint.kind == JointKind::Revolute) {
                     let (lower, upper) = ik::range(robot, dof);
                     side[dof] = (side[dof] + settle).clamp(lower, upper);

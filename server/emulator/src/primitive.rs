@@ -29,6 +29,9 @@ pub(crate) struct Primitive {
     pub(crate) repetitions: usize,
     /// Whether a touch goes through every speed, or takes turns with the other touches of the take.
     pub(crate) speeds_in_turn: bool,
+    /// Whether each touch is made twice, with the flexing joints settled from one side and then from the other.
+    #[serde(default)]
+    pub(crate) both_sides: bool,
     /// What presses: touches take turns.
     pub(crate) pressed_by: Vec<Actuator>,
     /// Speeds, slow first.

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::TruthWorld;
 use crate::motion::{Scene, plan_take};
-use crate::truth::Emulation;
+use crate::truth::{Emulation, TakeTruth};
 use crate::world::Event;
 
 /// Time between the end of one take and the start of the next, s.
@@ -120,8 +120,7 @@ struct Recorder<'a> {
 impl Recorder<'_> {
     fn record(&self, path: &Path, seed: u64, done: &mut dyn FnMut(f64)) -> Result<(), EmulationError> {
         self.check_cancel()?;
-        let truth = &self.emulation.truth;
-        let take = &truth.takes[self.take_idx];
+        let take = &self.emulation.truth.takes[self.take_idx];
         let object = &self.emulation.station.objects[&take.object];
         let base_from_object = self.scene.base_from_object;
         // The world first: it refuses impossible elastomers at once, while planning takes a moment.
@@ -129,17 +128,14 @@ impl Recorder<'_> {
             TruthWorld::new(self.emulation, object, &base_from_object, seed, self.take_idx as u64)?;
         let motion = plan_take(self.emulation, self.scene, self.take_idx)?;
         self.check_cancel()?;
-        let meta = TakeMeta {
-            object: take.object.clone(),
-            base_from_object,
-            primitive: take.primitive.clone(),
-            fixture_trusted: true,
-            operator: truth.operator.clone(),
-            software: concat!("palpate emulator ", env!("CARGO_PKG_VERSION")).to_owned(),
-        };
+        let meta = take_meta(self.emulation, take, &base_from_object);
         let sink = File::create(path).map_err(|source| io_error("write", path, source))?;
-        let mut writer =
-            TakeWriter::new(BufWriter::new(sink), &self.emulation.station, &meta, self.start_unix_ns())?;
+        let mut writer = TakeWriter::new(
+            BufWriter::new(sink),
+            &self.emulation.station,
+            &meta,
+            start_unix_ns(self.emulation, self.take_idx),
+        )?;
         for span in &motion.spans {
             writer.span(span)?;
         }
@@ -169,16 +165,32 @@ impl Recorder<'_> {
         Ok(())
     }
 
-    /// Takes follow one another with a fixed break.
-    fn start_unix_ns(&self) -> u64 {
-        let before = &self.emulation.truth.takes[..self.take_idx];
-        let after_s: f64 = before.iter().map(|take| take.duration_s + BETWEEN_TAKES_S).sum();
-        self.emulation.start_unix_ns + (after_s * 1e9).round() as u64
-    }
-
     fn check_cancel(&self) -> Result<(), EmulationError> {
         if self.cancel.is_cancelled() { Err(EmulationError::Cancelled) } else { Ok(()) }
     }
+}
+
+/// What is written about a take whose object stands at `base_from_object`.
+pub(crate) fn take_meta(
+    emulation: &Emulation,
+    take: &TakeTruth,
+    base_from_object: &Isometry3<f64>,
+) -> TakeMeta {
+    TakeMeta {
+        object: take.object.clone(),
+        base_from_object: emulation.secrets.recorded_pose(&take.object, base_from_object),
+        primitive: take.primitive.clone(),
+        fixture_trusted: true,
+        operator: emulation.truth.operator.clone(),
+        software: concat!("palpate emulator ", env!("CARGO_PKG_VERSION")).to_owned(),
+    }
+}
+
+/// When a take starts, ns since 1970: takes follow one another with a fixed break.
+pub(crate) fn start_unix_ns(emulation: &Emulation, take_idx: usize) -> u64 {
+    let before = &emulation.truth.takes[..take_idx];
+    let after_s: f64 = before.iter().map(|take| take.duration_s + BETWEEN_TAKES_S).sum();
+    emulation.start_unix_ns + (after_s * 1e9).round() as u64
 }
 
 fn io_error(action: &'static str, path: &Path, source: std::io::Error) -> EmulationError {

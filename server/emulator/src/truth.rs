@@ -9,7 +9,9 @@ use palpate_robot_model::{PoseConfig, SensorKind, Station};
 use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
+use crate::hidden::Hidden;
 use crate::primitive::Primitive;
+use crate::secrets::{Secrets, StreamSecrets};
 
 /// What the emulated world is like, and what it hides.
 ///
@@ -47,6 +49,9 @@ pub struct Truth {
     /// Pose of each object in the base frame, by object id.
     #[serde(rename = "object")]
     pub objects: BTreeMap<String, PoseConfig>,
+    /// What the world has beside all this; see [`Hidden`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub hidden: Vec<Hidden>,
     /// The takes, in order.
     #[serde(rename = "take")]
     pub takes: Vec<TakeTruth>,
@@ -201,6 +206,31 @@ pub(crate) struct Emulation {
     pub(crate) primitives: BTreeMap<String, Primitive>,
     /// Start of the first take, ns since 1970.
     pub(crate) start_unix_ns: u64,
+    /// What the truth's hidden effects come to.
+    pub(crate) secrets: Secrets,
+}
+
+impl Elastomer {
+    /// The layer that has what is hidden in it.
+    pub(crate) fn with(mut self, hidden: &StreamSecrets) -> Self {
+        self.coupling_m += hidden.coupling_m;
+        if let Some((fraction, time_s)) = hidden.release {
+            // Let go, the spring is held at r / (1 + r) of the dent by the relaxing branch, which then yields with
+            // (1 + r) times its own time constant.
+            self.relaxing_ratio = fraction / (1.0 - fraction);
+            self.relaxing_s = time_s * (1.0 - fraction);
+        }
+        self
+    }
+}
+
+impl FrontEnd {
+    /// The same with a longer time constant of its filter.
+    pub(crate) fn slower_by(mut self, more_s: f64) -> Self {
+        let (Self::Barometer { low_pass_s, .. } | Self::ForceResistor { low_pass_s, .. }) = &mut self;
+        *low_pass_s += more_s;
+        self
+    }
 }
 
 impl Emulation {
@@ -233,7 +263,17 @@ impl Emulation {
             primitives.insert(take.primitive.clone(), primitive);
         }
         check(&truth, &station).map_err(|(place, problem)| fail(&place, problem))?;
-        Ok(Self { file, truth, station: Arc::new(station), primitives, start_unix_ns })
+        let secrets = secrets(&file, &truth.hidden, &station, truth.world_seed)?;
+        Ok(Self { file, truth, station: Arc::new(station), primitives, start_unix_ns, secrets })
+    }
+
+    /// The same world with `more` hidden in it.
+    pub(crate) fn hiding(&self, more: &[Hidden]) -> Result<Self, EmulationError> {
+        let mut emulation = self.clone();
+        emulation.truth.hidden.extend_from_slice(more);
+        emulation.secrets =
+            secrets(&self.file, &emulation.truth.hidden, &self.station, self.truth.world_seed)?;
+        Ok(emulation)
     }
 
     /// An error in the truth file.
@@ -259,6 +299,17 @@ impl Emulation {
     pub(crate) fn channel(&self, touch: &str) -> Option<usize> {
         channel_named(&self.station, touch)
     }
+}
+
+fn secrets(
+    file: &str,
+    hidden: &[Hidden],
+    station: &Station,
+    world_seed: u64,
+) -> Result<Secrets, EmulationError> {
+    Secrets::new(hidden, station, world_seed).map_err(|(entry, problem)| {
+        truth_error(file, &format!("hidden {} ({})", entry + 1, hidden[entry].id), problem)
+    })
 }
 
 fn truth_error(file: &str, place: &str, problem: String) -> EmulationError {

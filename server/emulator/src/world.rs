@@ -1,23 +1,28 @@
 //! The truth world: soft layers, sensors and electronics around a moving robot, stepped at 1 kHz.
 
+mod cabling;
 mod device;
 mod elastomer;
 mod front_end;
+mod linkage;
+mod spans;
 
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::{JointKind, ObjectModel, Station};
 use palpate_sim::geometry::SignedDistance;
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::EmulationError;
 use crate::truth::Emulation;
-pub(crate) use device::Arrival;
-use device::{Device, gaussian};
+use cabling::Cabling;
+use device::Device;
+pub(crate) use device::{Arrival, gaussian};
 use elastomer::Layer;
 use front_end::Sensors;
+use linkage::Linkage;
 
 /// Steps of the soft layers, s.
 const STEP_S: f64 = 1e-3;
@@ -27,6 +32,8 @@ const STEPS_PER_BLOCK: i64 = 5;
 const PRE_ROLL_BLOCKS: i64 = 240;
 /// Joint positions are read in steps of one turn over this.
 const ENCODER_STEPS_PER_TURN: f64 = 65_536.0;
+/// Part of a take's noise that the phase of the mains comes from.
+const HUM_PART: u64 = 0xffff;
 
 /// The world behind the emulated sensors, for one take.
 ///
@@ -38,6 +45,8 @@ pub struct TruthWorld {
     object_from_base: Isometry3<f64>,
     layers: Vec<Layer>,
     sensors: Vec<Sensors>,
+    linkage: Linkage,
+    cabling: Vec<Cabling>,
     devices: Vec<Device>,
     /// Measured less true position, per degree of freedom.
     joint_offsets: Vec<f64>,
@@ -49,6 +58,7 @@ pub struct TruthWorld {
     num_joint_samples: u64,
     frames: Vec<Isometry3<f64>>,
     positions: Vec<f64>,
+    analog_raw: Vec<f64>,
 }
 
 /// Something that reached the host.
@@ -84,27 +94,29 @@ impl TruthWorld {
         take_idx: u64,
     ) -> Result<Self, EmulationError> {
         let station = Arc::clone(&emulation.station);
-        let truth = &emulation.truth;
-        let distance = SignedDistance::new(&object.shape)
+        let (truth, secrets) = (&emulation.truth, &emulation.secrets);
+        let scaled = secrets.object_scales.get(&object.id).map(|&factor| object.shape.scaled(factor));
+        let distance = SignedDistance::new(scaled.as_ref().unwrap_or(&object.shape))
             .map_err(|problem| emulation.error(format!("object {:?}", object.id), problem))?;
         let mut world_rng = ChaCha8Rng::seed_from_u64(truth.world_seed);
         let gains: Vec<f64> = station
             .layout
             .channels
             .iter()
-            .map(|channel| {
+            .zip(&secrets.channels)
+            .map(|(channel, secret)| {
                 let id = &station.layout.streams[channel.stream].id;
                 let spread = truth
                     .streams
                     .iter()
                     .find(|stream| stream.id == *id)
                     .map_or(0.0, |s| s.sensitivity_spread);
-                (spread * gaussian(&mut world_rng)).exp()
+                secret.gain * (spread * gaussian(&mut world_rng)).exp()
             })
             .collect();
         let mut layers = Vec::new();
         let mut sensors = Vec::new();
-        for patch in &station.layout.patches {
+        for (patch, patch_secrets) in station.layout.patches.iter().zip(&secrets.patches) {
             let id = &station.layout.streams[patch.stream].id;
             let stream = truth
                 .streams
@@ -117,14 +129,23 @@ impl TruthWorld {
                 let rotation = UnitQuaternion::new(Vector3::from(mount.rotation_rad));
                 offset = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
             }
-            let layer = Layer::new(patch, &stream.elastomer, &offset, STEP_S)
-                .map_err(|problem| emulation.error(format!("stream {id:?}"), problem))?;
+            if let Some(mount) = patch_secrets.mount {
+                offset = Isometry3::from_parts(
+                    Translation3::from(offset.translation.vector + mount.translation.vector),
+                    mount.rotation * offset.rotation,
+                );
+            }
+            let hidden = &secrets.streams[patch.stream];
+            let elastomer = stream.elastomer.with(hidden);
+            let layer = Layer::new(patch, &elastomer, &offset, STEP_S)
+                .map_err(|problem| emulation.error(format!("stream {id:?}"), problem))?
+                .with(patch_secrets.gap_m, hidden.viscous_s);
             let patch_gains = gains[patch.channels.clone()].to_vec();
             sensors.push(Sensors::new(
                 patch,
                 &layer,
-                &stream.elastomer,
-                stream.front_end,
+                &elastomer,
+                stream.front_end.slower_by(hidden.low_pass_s),
                 &offset,
                 patch_gains,
             ));
@@ -146,11 +167,23 @@ impl TruthWorld {
                 station.streams[stream_idx].clone(),
                 stream_truth.clone(),
                 stream.rate_hz,
-                stream.channels.len(),
+                &secrets.channels[stream.channels.clone()],
+                &secrets.streams[stream_idx],
                 power_up_s,
                 next_rng(1 + stream_idx as u64),
             ));
         }
+        let cabling = (0..station.layout.streams.len())
+            .map(|stream_idx| {
+                let patches = station.layout.patches.iter().zip(&sensors);
+                let rest_raw: Vec<f64> = patches
+                    .filter(|(patch, _)| patch.stream == stream_idx)
+                    .flat_map(|(_, sensors): (_, &Sensors)| sensors.analog_raw.iter().copied())
+                    .collect();
+                let hum_phase = next_rng(HUM_PART).random::<f64>();
+                Cabling::new(&station, secrets, stream_idx, &rest_raw, hum_phase)
+            })
+            .collect();
         let joints: Vec<_> = station.robot.dofs().collect();
         let revolute = |joint: &palpate_robot_model::Joint| joint.kind == JointKind::Revolute;
         Ok(Self {
@@ -158,10 +191,13 @@ impl TruthWorld {
             object_from_base: base_from_object.inverse(),
             layers,
             sensors,
+            linkage: Linkage::new(secrets.play.clone()),
+            cabling,
             devices,
             joint_offsets: joints
                 .iter()
-                .map(|j| truth.joints.offset.get(&j.name).copied().unwrap_or(0.0))
+                .zip(&secrets.joint_offsets)
+                .map(|(j, hidden)| truth.joints.offset.get(&j.name).copied().unwrap_or(0.0) + hidden)
                 .collect(),
             joint_noise: joints
                 .iter()
@@ -180,6 +216,7 @@ impl TruthWorld {
             num_joint_samples: 0,
             frames: Vec::new(),
             positions: vec![0.0; joints.len()],
+            analog_raw: Vec::new(),
             station,
         })
     }
@@ -239,25 +276,36 @@ impl TruthWorld {
         self.devices.iter().flat_map(Device::reference).collect()
     }
 
-    /// Steps the layers, sensors and devices through one block that ends with the joints at `positions`.
+    /// Steps the layers, sensors and devices through one block that ends with the motors at `positions`.
     fn step_block(&mut self, positions: &[f64]) {
-        self.station.robot.forward_kinematics(positions, &mut self.frames);
+        let block_s = STEPS_PER_BLOCK as f64 * STEP_S;
+        self.linkage.turn(positions, block_s);
+        self.station.robot.forward_kinematics(self.linkage.links(), &mut self.frames);
+        for cabling in &mut self.cabling {
+            cabling.bend(self.linkage.links(), self.linkage.speeds(), block_s);
+        }
         for layer in &mut self.layers {
             layer.approach(&self.object, &(self.object_from_base * self.frames[layer.link]));
         }
         for step in 1..=STEPS_PER_BLOCK {
-            let fraction = step as f64 / STEPS_PER_BLOCK as f64;
+            let [from, to] = [step - 1, step].map(|step| step as f64 / STEPS_PER_BLOCK as f64);
             for (layer, sensors) in self.layers.iter_mut().zip(&mut self.sensors) {
-                layer.step(STEP_S, fraction);
+                layer.step(STEP_S, from, to);
                 sensors.step(layer, STEP_S);
             }
             let now_s = (self.block * STEPS_PER_BLOCK + step) as f64 * STEP_S;
             for (stream_idx, device) in self.devices.iter_mut().enumerate() {
-                let patches = self.station.layout.patches.iter().zip(&self.sensors);
-                let analog = patches
-                    .filter(|(patch, _)| patch.stream == stream_idx)
-                    .flat_map(|(_, sensors)| &sensors.analog_raw);
-                device.tick(now_s, analog);
+                if !device.due(now_s) {
+                    continue;
+                }
+                self.analog_raw.clear();
+                for (patch, sensors) in self.station.layout.patches.iter().zip(&self.sensors) {
+                    if patch.stream == stream_idx {
+                        self.analog_raw.extend_from_slice(&sensors.analog_raw);
+                    }
+                }
+                self.cabling[stream_idx].conduct(now_s, &mut self.analog_raw);
+                device.sample(now_s, &self.analog_raw);
             }
         }
         self.block += 1;

@@ -8,6 +8,8 @@ use crate::truth::Elastomer;
 
 /// Deformation below this is rest, m.
 const STILL_M: f64 = 1e-7;
+/// A step is divided into at most so many.
+const MOST_SUB_STEPS: f64 = 4.0;
 
 /// One patch's soft layer.
 ///
@@ -31,7 +33,15 @@ pub(crate) struct Layer {
     /// Surface that an element stands for, m2.
     pub(crate) area_m2: f64,
     /// Displacement of each element, m.
-    pub(crate) displacement_m: Vec<f64>,
+    displacement_m: Vec<f64>,
+    /// Air below the layer, which it gives before a sensor feels anything, m.
+    gap_m: f64,
+    /// Dashpot beside the slow spring, s: part of what a sensor feels.
+    viscous_s: f64,
+    /// Displacement that a sensor feels, where that is not the displacement, m.
+    felt_m: Vec<f64>,
+    /// Steps that each step is divided into, to stay stable.
+    sub_steps: usize,
     relaxed_m: Vec<f64>,
     velocity: Vec<f64>,
     depth_start_m: Vec<f64>,
@@ -86,7 +96,8 @@ impl Layer {
         }
         // Explicit steps are stable while a step times the fastest rate stays below 1 (2 is the limit).
         let rate = (1.0 + config.contact_ratio + config.relaxing_ratio + 2.0 * most_pull) / config.damping_s;
-        if dt_s * rate > 1.0 {
+        let sub_steps = (dt_s * rate).ceil().max(1.0);
+        if sub_steps > MOST_SUB_STEPS {
             return Err(format!(
                 "elastomer: an element's fastest time constant is {:.2} ms, below the step of {:.0} ms: raise damping_s \
                  or spacing_m, or lower contact_ratio or coupling_m",
@@ -115,6 +126,10 @@ impl Layer {
             area_m2: 0.93 * spacing_m * spacing_m,
             displacement_m: vec![0.0; count],
             relaxed_m: vec![0.0; count],
+            gap_m: 0.0,
+            viscous_s: 0.0,
+            felt_m: Vec::new(),
+            sub_steps: sub_steps as usize,
             velocity: vec![0.0; count],
             depth_start_m: vec![0.0; count],
             depth_end_m: vec![0.0; count],
@@ -135,11 +150,40 @@ impl Layer {
         }
     }
 
-    /// One step of `dt_s`, `fraction` of the way to where [`Layer::approach`] said.
-    pub(crate) fn step(&mut self, dt_s: f64, fraction: f64) {
-        if !self.awake {
-            return;
+    /// Puts air under the layer and a dashpot into it.
+    pub(crate) fn with(mut self, gap_m: f64, viscous_s: f64) -> Self {
+        (self.gap_m, self.viscous_s) = (gap_m, viscous_s);
+        if gap_m > 0.0 || viscous_s > 0.0 {
+            self.felt_m = vec![0.0; self.displacement_m.len()];
         }
+        self
+    }
+
+    /// Stress of each element over the stiffness of its slow spring, m, as a sensor below it feels it.
+    pub(crate) fn felt_m(&self) -> &[f64] {
+        if self.felt_m.is_empty() { &self.displacement_m } else { &self.felt_m }
+    }
+
+    /// One step of `dt_s`, from the part `from` to the part `to` of the way to where [`Layer::approach`] said.
+    pub(crate) fn step(&mut self, dt_s: f64, from: f64, to: f64) {
+        for sub_step in 1..=self.sub_steps {
+            if !self.awake {
+                break;
+            }
+            let fraction = if sub_step == self.sub_steps {
+                to
+            } else {
+                from + (to - from) * sub_step as f64 / self.sub_steps as f64
+            };
+            self.sub_step(dt_s / self.sub_steps as f64, fraction);
+        }
+        for (idx, felt) in self.felt_m.iter_mut().enumerate() {
+            let stress = self.displacement_m[idx] + self.viscous_s * self.velocity[idx];
+            *felt = if self.awake { (stress - self.gap_m).max(0.0) } else { 0.0 };
+        }
+    }
+
+    fn sub_step(&mut self, dt_s: f64, fraction: f64) {
         let config = &self.config;
         let mut largest = 0.0_f64;
         for idx in 0..self.displacement_m.len() {
@@ -220,7 +264,7 @@ mod tests {
             .map(|step| {
                 let height_m = if step < steps(press_s) { 0.02 - depth_m } else { 0.1 };
                 layer.approach(&ball, &Isometry3::translation(0.0, 0.0, -height_m));
-                layer.step(DT_S, 1.0);
+                layer.step(DT_S, 1.0, 1.0);
                 layer.displacement_m[middle]
             })
             .collect()

@@ -75,7 +75,7 @@ impl Sensors {
 
     fn target(&self, layer: &Layer, taxel: usize) -> f64 {
         let load: f64 = if layer.awake {
-            self.weights[taxel].iter().zip(&layer.displacement_m).map(|(weight, x)| weight * x).sum()
+            self.weights[taxel].iter().zip(layer.felt_m()).map(|(weight, x)| weight * x).sum()
         } else {
             0.0
         };
