@@ -6,6 +6,7 @@
 //! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
 
 pub mod actuator;
+pub mod actuator;
 pub mod devices;
 mod hidden;
 mod live;
