@@ -200,7 +200,7 @@ impl SensorModel {
 /// What is wrong with `effect` on `station`.
 fn check_effect(effect: &Effect, station: &Station) -> Result<(), String> {
     let kind = effects::tactile(&effect.id).ok_or_else(|| unknown_effect(&effect.id))?;
-    if !kind.places(station).contains(&effect.place) {
+    if !kind.places(station).iter().any(|place| same(place, &effect.place)) {
         return Err(format!(
             "it cannot act there on station {:?}; {}",
             station.id,
@@ -224,6 +224,18 @@ fn check_effect(effect: &Effect, station: &Station) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// Whether two places are the same but for the order of their parts.
+fn same(one: &Place, other: &Place) -> bool {
+    let sorted = |place: &Place| {
+        let mut place = place.clone();
+        if let Place::Channels(ids) | Place::Groups(ids) = &mut place {
+            ids.sort_unstable();
+        }
+        place
+    };
+    sorted(one) == sorted(other)
 }
 
 fn unknown_effect(id: &str) -> String {

@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_robot_model::{Place, Station};
 use palpate_sim::effects::{Effect, EffectKind, Parameter, Sensed, Stage, TACTILE};
+use palpate_sim::geometry::SignedDistance;
+use palpate_sim::replay::contact_trace;
 use palpate_sim::{SensorModel, tactile};
 
 use super::scene::{INDEX, PALM, SOFT, THETA, THUMB, Take, sense, station, take};
@@ -114,15 +116,10 @@ fn no_effects_are_the_papers_model() {
         palpate_sim::effects::Chain { theta: THETA, response: &response, effects: &[], soft_widths: &[] };
     for take in takes(&station) {
         let scene = take.scene(&station, &take.measured);
-        let object = palpate_sim::geometry::SignedDistance::new(&take.object.shape).expect("valid");
-        let trace = palpate_sim::replay::contact_trace(
-            &station.robot,
-            &station.layout,
-            &object,
-            &take.base_from_object,
-            &take.measured,
-        )
-        .expect("valid");
+        let object = SignedDistance::new(&take.object.shape).expect("valid");
+        let trace =
+            contact_trace(&station.robot, &station.layout, &object, &take.base_from_object, &take.measured)
+                .expect("valid");
         let paper = tactile::readings(&station.layout, &trace, &model);
         let active: Vec<bool> = chain
             .sense(&scene)
@@ -151,4 +148,56 @@ fn order_in_the_list_does_not_matter() {
     let reversed: Vec<Effect> = dosed.iter().rev().cloned().collect();
     assert!(bits(&sense(&station, takes, true, &reversed, &SOFT, None)) == plain);
     assert!(bits(&sense(&station, takes, true, &[], &SOFT, None)) != plain);
+}
+
+#[test]
+fn a_model_with_effects_reads_what_its_chain_senses() {
+    let station = station("xarm6_leap.toml");
+    let plain = SensorModel::plain("plain", THETA);
+    let takes = takes(&station);
+    let delay = |delay_s: f64| {
+        let late = tactile_effect("latency", &Place::Stream("fsr".into()), &station, delay_s);
+        SensorModel { effects: vec![late], ..plain.clone() }
+    };
+    let mut late_frames = 0;
+    for take in &takes {
+        let scene = take.scene(&station, &take.measured);
+        let object = SignedDistance::new(&take.object.shape).expect("valid");
+        let pose = &take.base_from_object;
+        let contact =
+            contact_trace(&station.robot, &station.layout, &object, pose, &take.measured).expect("valid");
+        let paper = tactile::readings(&station.layout, &contact, &plain);
+        assert!(plain.readings(&scene, &contact).expect("fits") == paper);
+        let on_time = delay(0.0).readings(&scene, &contact).expect("fits");
+        assert!(on_time.active == paper.active);
+        let reach_m = plain.response.reach_m(&THETA);
+        for (idx, (raw, paper_raw)) in on_time.raw.iter().zip(&paper.raw).enumerate() {
+            let stream = station.layout.channels[idx % paper.num_channels].stream;
+            let expected =
+                if station.layout.streams[stream].id == "fsr" { paper_raw.min(reach_m) } else { *paper_raw };
+            assert!((raw - expected).abs() < 1e-12, "{raw} against {expected}");
+        }
+        let late = delay(0.25).readings(&scene, &contact).expect("fits");
+        late_frames += late.active.iter().zip(&paper.active).filter(|(late, paper)| late != paper).count();
+    }
+    assert!(late_frames > 10, "{late_frames}");
+}
+
+#[test]
+fn a_model_of_another_station_is_refused_before_it_senses() {
+    let bench = station("probe_bench.toml");
+    let leap = station("xarm6_leap.toml");
+    let late = tactile_effect("latency", &Place::Stream("fsr".into()), &leap, 0.1);
+    let model = SensorModel { effects: vec![late], ..SensorModel::plain("leap", THETA) };
+    let take = &takes(&leap)[0];
+    let refused = model.sense(&take.scene(&bench, &take.measured)).expect_err("has no FSRs").to_string();
+    assert!(
+        refused.contains("effect 1 (latency, stream \"fsr\")") && refused.contains("gel, film"),
+        "{refused}"
+    );
+}
+
+/// An effect with one value for all its parameters.
+fn tactile_effect(id: &str, place: &Place, station: &Station, value: f64) -> Effect {
+    effect(palpate_sim::effects::tactile(id).expect("in the library"), place, station, |_| value)
 }
