@@ -2,6 +2,7 @@
 
 mod bench;
 mod calibrate;
+mod devices;
 mod emulate;
 mod import;
 mod output;
@@ -36,6 +37,9 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Fit the sensor model to a session
     Calibrate(calibrate::CalibrateArgs),
+    /// The hand, the arm and the tactile boards
+    #[command(subcommand)]
+    Devices(devices::DevicesCommand),
     /// Start the studio
     Serve(serve::ServeArgs),
     /// Measure a path that has to be fast
@@ -53,6 +57,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Session(command) => session::run(&command),
         Command::Replay(args) => replay::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
+        Command::Devices(command) => devices::run(&command),
         Command::Serve(args) => serve::run(args),
         Command::Bench(command) => bench::run(&command),
     };

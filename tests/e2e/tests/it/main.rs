@@ -1,6 +1,7 @@
 //! Whole-system tests; see the crate's documentation.
 
 mod calibration;
+mod devices;
 mod page;
 mod probe_bench;
 mod takes;

@@ -23,8 +23,13 @@ impl ArmBox {
             return None;
         }
         let plain = |register: u8| Reply::Other { register, params: Vec::new() };
+        let before = self.flags();
+        let mut is_queued = false;
         let answered = match Command::from_frame(request) {
-            Ok(command) => self.obey(&command),
+            Ok(command) => {
+                is_queued = matches!(command, Command::SetTcpLoad { .. } | Command::SetTcpOffset { .. });
+                self.obey(&command)
+            }
             Err(_) => {
                 self.warning = warning::BAD_PARAMETER;
                 Err(StateFlags::INVALID)
@@ -34,7 +39,9 @@ impl ArmBox {
             Ok(reply) => (reply, StateFlags::default()),
             Err(extra) => (plain(request.register), extra),
         };
-        let flags = StateFlags(self.flags().0 | extra.0);
+        // These two are answered before they take effect, which stops the arm.
+        let now = if is_queued { before } else { self.flags() };
+        let flags = StateFlags(now.0 | extra.0);
         reply.to_frame(request, flags).or_else(|_| plain(request.register).to_frame(request, flags)).ok()
     }
 
