@@ -17,10 +17,12 @@ impl EffectKind for ClockSkew {
     }
 
     fn explain(&self, effect: &Effect, station: &Station) -> String {
+        let skew = effect.parameter("skew");
+        let (falls, behind) = if skew < 0.0 { ("gets", "ahead") } else { ("falls", "behind") };
         format!(
-            "The {} falls {:+.2} ms further behind every second of a take.",
+            "The {} {falls} {:.2} ms further {behind} every second of a take.",
             places::name(&effect.place, station),
-            effect.parameter("skew") * 1e3
+            skew.abs() * 1e3
         )
     }
 

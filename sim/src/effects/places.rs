@@ -104,7 +104,7 @@ pub(super) fn name(place: &Place, station: &Station) -> String {
         Place::Group(id) => id.clone(),
         Place::Groups(ids) => ids.join(" and "),
         Place::Object(id) => match station.objects.get(id) {
-            Some(object) => format!("object {}", object.label),
+            Some(object) => format!("object \"{}\"", object.label),
             None => format!("missing object {id}"),
         },
     }

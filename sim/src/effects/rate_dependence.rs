@@ -21,7 +21,7 @@ impl EffectKind for RateDependence {
 
     fn explain(&self, effect: &Effect, station: &Station) -> String {
         format!(
-            "The skin of the {} is damped: it answers to a touch {:.0} ms ahead, the more the faster it is.",
+            "The skin of the {} pushes back against speed: it answers {:.0} ms ahead of how deep it is pressed.",
             places::name(&effect.place, station),
             effect.parameter("damping_s") * 1e3
         )
