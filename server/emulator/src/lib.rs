@@ -6,7 +6,7 @@
 //! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
 
 pub mod actuator;
-pub mod actuator;
+mod bench;
 pub mod devices;
 mod hidden;
 mod live;
@@ -18,6 +18,7 @@ mod stage;
 mod truth;
 mod world;
 
+pub use bench::{Case, Expected, Strength, cases};
 pub use hidden::Hidden;
 pub use live::{LiveSample, LiveStation};
 pub use session::{EmulationError, record_session};

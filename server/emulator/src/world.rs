@@ -5,6 +5,7 @@ mod device;
 mod elastomer;
 mod front_end;
 mod linkage;
+mod self_contact;
 mod spans;
 
 use std::sync::Arc;
@@ -45,6 +46,8 @@ pub struct TruthWorld {
     object_from_base: Isometry3<f64>,
     layers: Vec<Layer>,
     sensors: Vec<Sensors>,
+    /// Layers that press on each other.
+    touching: Vec<(usize, usize)>,
     linkage: Linkage,
     cabling: Vec<Cabling>,
     devices: Vec<Device>,
@@ -191,6 +194,7 @@ impl TruthWorld {
             object_from_base: base_from_object.inverse(),
             layers,
             sensors,
+            touching: self_contact::pairs(&station.layout, &secrets.touching),
             linkage: Linkage::new(secrets.play.clone()),
             cabling,
             devices,
@@ -287,6 +291,7 @@ impl TruthWorld {
         for layer in &mut self.layers {
             layer.approach(&self.object, &(self.object_from_base * self.frames[layer.link]));
         }
+        self_contact::press(&mut self.layers, &self.touching, &self.frames);
         for step in 1..=STEPS_PER_BLOCK {
             let [from, to] = [step - 1, step].map(|step| step as f64 / STEPS_PER_BLOCK as f64);
             for (layer, sensors) in self.layers.iter_mut().zip(&mut self.sensors) {

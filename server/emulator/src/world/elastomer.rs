@@ -8,6 +8,8 @@ use crate::truth::Elastomer;
 
 /// Deformation below this is rest, m.
 const STILL_M: f64 = 1e-7;
+/// Skins that overlap by more do not touch: one is behind the other, m.
+const MOST_OVERLAP_M: f64 = 0.006;
 /// A step is divided into at most so many.
 const MOST_SUB_STEPS: f64 = 4.0;
 
@@ -25,6 +27,10 @@ pub(crate) struct Layer {
     pub(crate) link: usize,
     /// Elements in the link's frame, where they really are.
     pub(crate) pos_in_link: Vec<Point3<f64>>,
+    /// Outward, at each element.
+    normals_in_link: Vec<Vector3<f64>>,
+    /// Distance between neighbours, m.
+    apart_m: f64,
     centre: Point3<f64>,
     radius_m: f64,
     /// Neighbours of element `i`: `neighbours[offsets[i]..offsets[i + 1]]`, with their pull.
@@ -60,9 +66,11 @@ impl Layer {
         dt_s: f64,
     ) -> Result<Self, String> {
         let mut pos_in_link: Vec<Point3<f64>> = Vec::new();
+        let mut normals_in_link = Vec::new();
         for node in &patch.nodes {
             if pos_in_link.iter().all(|pos| (pos - node.pos_in_link).norm() >= config.spacing_m) {
                 pos_in_link.push(node.pos_in_link);
+                normals_in_link.push(mount_offset.rotation * node.normal_in_link.into_inner());
             }
         }
         let count = pos_in_link.len();
@@ -118,6 +126,8 @@ impl Layer {
             config: *config,
             link: patch.link,
             pos_in_link,
+            normals_in_link,
+            apart_m: spacing_m,
             centre,
             radius_m,
             offsets,
@@ -147,6 +157,28 @@ impl Layer {
                 *depth_m = -object.distance_m(&(object_from_link * pos));
             }
             self.awake |= self.depth_end_m.iter().any(|&depth| depth > 0.0);
+        }
+    }
+
+    /// Tells where another layer will be at the end of the coming steps; to be called after [`Layer::approach`]. Two
+    /// soft skins that overlap each give way by half.
+    pub(crate) fn approach_layer(&mut self, other: &Layer, self_from_other: &Isometry3<f64>) {
+        let reach_m = self.radius_m + other.radius_m;
+        if (self_from_other * other.centre - self.centre).norm() > reach_m {
+            return;
+        }
+        for (pos, normal) in other.pos_in_link.iter().zip(&other.normals_in_link) {
+            let (pos, normal) = (self_from_other * pos, self_from_other * normal);
+            for (idx, own) in self.pos_in_link.iter().enumerate() {
+                let inside = own - pos;
+                let overlap_m = -inside.dot(&normal);
+                let beside_m = (inside + normal * overlap_m).norm();
+                let faces = self.normals_in_link[idx].dot(&normal) < 0.0;
+                if faces && (0.0..MOST_OVERLAP_M).contains(&overlap_m) && beside_m < 0.75 * self.apart_m {
+                    self.depth_end_m[idx] = self.depth_end_m[idx].max(0.5 * overlap_m);
+                    self.awake = true;
+                }
+            }
         }
     }
 
@@ -215,6 +247,7 @@ impl Layer {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Translation3;
     use palpate_robot_model::ObjectShape;
 
     use super::*;
@@ -292,6 +325,22 @@ mod tests {
             trace[1000..].iter().position(|x| *x < 0.2 * peak).expect("falls")
         };
         assert!(lag(0.9) > lag(0.2) + 50, "{} against {} ms", lag(0.9), lag(0.2));
+    }
+
+    #[test]
+    fn skins_that_overlap_give_way_by_half_each_and_others_do_not_feel() {
+        let pressed = |overlap_m: f64, turn_rad: f64| {
+            let new = || Layer::new(&pad(), &CONFIG, &Isometry3::identity(), DT_S).expect("stable");
+            let (mut layer, other) = (new(), new());
+            let facing = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), turn_rad);
+            let above = Isometry3::from_parts(Translation3::new(0.0, 0.0, -overlap_m), facing);
+            layer.approach_layer(&other, &above);
+            layer.depth_end_m.iter().copied().fold(0.0, f64::max)
+        };
+        let facing_rad = std::f64::consts::PI;
+        assert!((pressed(0.002, facing_rad) - 0.001).abs() < 1e-9);
+        assert_eq!(pressed(-0.002, facing_rad), 0.0, "apart");
+        assert_eq!(pressed(0.002, 0.0), 0.0, "back to front");
     }
 
     #[test]

@@ -4,6 +4,7 @@
 
 mod bad_truth;
 mod demo;
+mod hidden;
 mod live;
 mod session;
 
