@@ -13,6 +13,9 @@ use palpate_wire::api::{CalibrationReport, Metrics};
 
 use crate::CalibrationOutcome;
 
+/// Styles that all reports share.
+pub const STYLE: &str = include_str!("report/style.css");
+
 /// Where a report comes from.
 #[derive(Clone, Copy, Debug)]
 pub struct ReportSource<'a> {
@@ -52,12 +55,11 @@ pub fn headline(report: &CalibrationReport) -> String {
 
 fn write_page(page: &mut String, source: ReportSource<'_>, outcome: &CalibrationOutcome) -> fmt::Result {
     let report = &outcome.report;
-    let style = include_str!("report/style.css");
     write!(
         page,
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>Touch calibration of {session}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n\
+         <title>Touch calibration of {session}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n\
          <header><p class=\"kicker\">Touch calibration · session {session} · station {station}</p>\n<h1>{headline}</h1>\n",
         session = Escaped(source.session),
         station = Escaped(source.station),
@@ -156,7 +158,8 @@ fn write_provenance(
 }
 
 /// Text with the characters that mean something in HTML replaced.
-struct Escaped<'a>(&'a str);
+#[derive(Clone, Copy, Debug)]
+pub struct Escaped<'a>(pub &'a str);
 
 impl Display for Escaped<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -3,6 +3,7 @@
 mod bench;
 mod calibrate;
 mod devices;
+mod diagnose;
 mod emulate;
 mod import;
 mod output;
@@ -37,6 +38,8 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Fit the sensor model to a session
     Calibrate(calibrate::CalibrateArgs),
+    /// Name what the calibrated model lacks, and add it
+    Diagnose(diagnose::DiagnoseArgs),
     /// The hand, the arm and the tactile boards
     #[command(subcommand)]
     Devices(devices::DevicesCommand),
@@ -57,6 +60,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Session(command) => session::run(&command),
         Command::Replay(args) => replay::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
+        Command::Diagnose(args) => diagnose::run(&args),
         Command::Devices(command) => devices::run(&command),
         Command::Serve(args) => serve::run(args),
         Command::Bench(command) => bench::run(&command),

@@ -3,6 +3,7 @@
 use std::{fmt::Write as _, io, path::PathBuf};
 
 use palpate_calibration::CalibrationError;
+use palpate_diagnosis::DiagnosisError;
 use palpate_emulator::EmulationError;
 use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
@@ -33,6 +34,9 @@ pub enum Error {
     /// The calibration.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
+    /// The diagnosis.
+    #[error(transparent)]
+    Diagnosis(#[from] DiagnosisError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -102,15 +106,20 @@ impl Error {
             Self::Recording(err) | Self::Emulation(EmulationError::Recording(err)) => recording_class(err),
             Self::Emulation(EmulationError::Cancelled)
             | Self::Calibration(CalibrationError::Cancelled)
+            | Self::Diagnosis(DiagnosisError::Cancelled)
             | Self::Cancelled => Class::Cancelled,
             Self::Emulation(EmulationError::Truth { .. }) => Class::BadContent,
-            Self::Calibration(CalibrationError::Input(_)) => Class::BadContent,
+            Self::Calibration(CalibrationError::Input(_)) | Self::Diagnosis(DiagnosisError::Input(_)) => {
+                Class::BadContent
+            }
             Self::NotFound { .. } => Class::NotFound,
             Self::Conflict(_) => Class::Conflict,
             Self::TooLarge(_) => Class::TooLarge,
             Self::Io { action, source, .. } => io_class(action, source),
             // The enums of other crates may grow.
-            Self::Emulation(_) | Self::Calibration(_) | Self::Internal(_) => Class::Failed,
+            Self::Emulation(_) | Self::Calibration(_) | Self::Diagnosis(_) | Self::Internal(_) => {
+                Class::Failed
+            }
         }
     }
 

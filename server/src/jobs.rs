@@ -1,7 +1,10 @@
 //! Long work, the same for the command line and the server: inputs, progress and a way to stop it come from the caller.
 
-use std::{path::Path, time::Instant};
+mod diagnose;
 
+use std::{path::Path, sync::Arc, time::Instant};
+
+pub use diagnose::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session};
 use palpate_calibration::{CalibrationConfig, PairedTake, calibrate, report};
 use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};
 use palpate_sim::{
@@ -34,27 +37,17 @@ pub fn calibrate_session(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<CalibrationArtifacts, Error> {
-    let accepted: Vec<usize> =
-        (0..session.file.takes.len()).filter(|&take_idx| session.file.takes[take_idx].accepted).collect();
-    let Some(&first_idx) = accepted.first() else {
-        // Says what is wrong in the words of the session.
-        return Err(session.accepted_takes().map_or_else(Error::from, |_| Error::Cancelled));
-    };
-    let first = library.take(session, first_idx)?;
-    let nominal = nominal_model(&first)?;
-    let mut paired: Vec<PairedTake> = Vec::with_capacity(accepted.len());
-    for (done, &take_idx) in accepted.iter().enumerate() {
-        if cancel.is_cancelled() {
-            return Err(Error::Cancelled);
-        }
-        let id = session.file.takes[take_idx].id();
-        progress.report(0.6 * done as f64 / accepted.len() as f64, &format!("replaying {id}"));
-        // Stations of one session have the same texts as a rule; where not, the session knows what may differ.
-        if library.take(session, take_idx)?.station.files != first.station.files {
-            session.accepted_takes()?;
-        }
+    let mut takes: Vec<Arc<Take>> = Vec::new();
+    let mut paired: Vec<PairedTake> = Vec::new();
+    accepted_takes(library, session, cancel, |take_idx, share| {
+        let take = library.take(session, take_idx)?;
+        progress.report(0.6 * share, &format!("replaying {}", take.id));
         paired.push((*library.paired(session, take_idx)?).clone());
-    }
+        takes.push(take);
+        Ok(())
+    })?;
+    let first = &takes[0];
+    let nominal = nominal_model(first)?;
     let search = Section { whole: progress, start: 0.6, end: 0.97 };
     let start = Instant::now();
     let clock_s = || start.elapsed().as_secs_f64();
@@ -68,6 +61,34 @@ pub fn calibrate_session(
     model.provenance.push(format!("session {}, station {}", session.id, session.file.station));
     model.provenance.push(format!("palpate {}", env!("CARGO_PKG_VERSION")));
     Ok(CalibrationArtifacts { report: outcome.report, model, html })
+}
+
+/// Calls `read` with the index of every accepted take of `session` (at least one) and how far that is through them,
+/// having made sure that they belong together.
+fn accepted_takes(
+    library: &Library,
+    session: &Session,
+    cancel: &Cancel,
+    mut read: impl FnMut(usize, f64) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let accepted: Vec<usize> =
+        (0..session.file.takes.len()).filter(|&take_idx| session.file.takes[take_idx].accepted).collect();
+    let Some(&first_idx) = accepted.first() else {
+        // Says what is wrong in the words of the session.
+        return Err(session.accepted_takes().map_or_else(Error::from, |_| Error::Cancelled));
+    };
+    let first = library.take(session, first_idx)?;
+    for (done, &take_idx) in accepted.iter().enumerate() {
+        if cancel.is_cancelled() {
+            return Err(Error::Cancelled);
+        }
+        // Stations of one session have the same texts as a rule; where not, the session knows what may differ.
+        if library.take(session, take_idx)?.station.files != first.station.files {
+            session.accepted_takes()?;
+        }
+        read(take_idx, done as f64 / accepted.len() as f64)?;
+    }
+    Ok(())
 }
 
 /// Writes `take` to `out` with the events that `model` gives in place of the recorded ones, on the take's joint frames.

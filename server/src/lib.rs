@@ -2,7 +2,7 @@
 //!
 //! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. Long work
 //! lives in [`jobs`], which the command line and the server call alike. Data is plain files below one folder
-//! ([`Store`]): `sessions/`, `models/`, `runs/`, and `trash/` for what was deleted.
+//! ([`Store`]): `sessions/`, `models/`, `runs/`, `bars/`, and `trash/` for what was deleted.
 //!
 //! # Routes
 //!
@@ -18,7 +18,7 @@
 //! | GET | `/api/v1/sessions/{id}/check` | `CheckReport` |
 //! | GET | `/api/v1/sessions/{id}/station` | `StationDocument` |
 //! | GET | `/api/v1/sessions/{id}/takes/{take}/trace` | protobuf `TakeTrace`, `application/x-protobuf` |
-//! | GET | `/api/v1/sessions/{id}/takes/{take}/replay?model=nominal\|MODEL_ID\|run:RUN_ID` | protobuf `ReplayTrace` |
+//! | GET | `/api/v1/sessions/{id}/takes/{take}/replay?model=nominal\|MODEL_ID\|run:RUN_ID\|diagnosis:RUN_ID\|calibrated:RUN_ID` | protobuf `ReplayTrace` |
 //! | GET | `/api/v1/models` | `[ModelSummary]` |
 //! | GET, DELETE | `/api/v1/models/{id}` | TOML; DELETE moves it to the trash, 204 |
 //! | POST | `/api/v1/models/{id}/restore` | undoes the DELETE; `ModelSummary` |
@@ -28,6 +28,13 @@
 //! | POST | `/api/v1/calibrations/{id}/cancel` | `CalibrationRun` |
 //! | POST | `/api/v1/calibrations/{id}/save` | body `SaveModelRequest`; 201 `ModelSummary`, `Location` |
 //! | GET | `/api/v1/calibrations/{id}/report.html` | the self-contained report |
+//! | POST | `/api/v1/models/{id}/undo` | brings the version before the last addition back, byte for byte; `ModelSummary` |
+//! | POST | `/api/v1/diagnoses` | body `DiagnosisRequest`; 202 `DiagnosisRun`, `Location` |
+//! | GET | `/api/v1/diagnoses` | `[DiagnosisRun]`, newest first, without report and model text |
+//! | GET | `/api/v1/diagnoses/{id}` | `DiagnosisRun` |
+//! | POST | `/api/v1/diagnoses/{id}/cancel` | `DiagnosisRun` |
+//! | POST | `/api/v1/diagnoses/{id}/save` | body `SaveDiagnosisRequest`; 201 (new model) or 200 (added to one) `ModelSummary`, `Location` |
+//! | GET | `/api/v1/diagnoses/{id}/report.html` | the self-contained report |
 //! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
 //! | GET | everything else | the page |
 //!
@@ -41,6 +48,7 @@
 //! older one that still waits, and no job's state is dropped otherwise.
 
 pub mod assets;
+pub mod bars;
 mod cache;
 mod client_queue;
 mod error;

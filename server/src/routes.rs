@@ -1,6 +1,7 @@
 //! The HTTP API, route by route.
 
 mod calibrations;
+mod diagnoses;
 mod extract;
 mod models;
 mod problem;
@@ -44,6 +45,12 @@ pub fn app(state: Arc<AppState>) -> Router {
         .route("/calibrations/{run}/cancel", post(calibrations::cancel))
         .route("/calibrations/{run}/save", post(calibrations::save))
         .route("/calibrations/{run}/report.html", get(calibrations::report))
+        .route("/models/{model}/undo", post(models::undo))
+        .route("/diagnoses", get(diagnoses::list).post(diagnoses::start))
+        .route("/diagnoses/{run}", get(diagnoses::detail))
+        .route("/diagnoses/{run}/cancel", post(diagnoses::cancel))
+        .route("/diagnoses/{run}/save", post(diagnoses::save))
+        .route("/diagnoses/{run}/report.html", get(diagnoses::report))
         .route("/stream", get(stream::upgrade))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)

@@ -3,6 +3,7 @@
 //! works all of them off.
 
 mod calibrations;
+mod diagnoses;
 mod queue;
 
 use std::{
@@ -13,6 +14,7 @@ use std::{
 };
 
 pub(crate) use calibrations::Calibrations;
+pub(crate) use diagnoses::Diagnoses;
 use palpate_calibration::HoldOut;
 use palpate_recording::Session;
 use palpate_sim::{
@@ -213,6 +215,19 @@ impl<K: RunKind> Runs<K> {
             entry.run.clone()
         })?;
         self.table.store.save_run(id, &run)
+    }
+
+    /// Forgets that runs were saved as `model` (`by` names one of them, `None` all), because that was undone.
+    pub(crate) fn forget_saved(&self, model: &str, by: Option<&str>) -> Result<(), Error> {
+        let mut changed = Vec::new();
+        for entry in lock(&self.table.entries).values_mut() {
+            let meant = by.is_none_or(|by| by == entry.run.id);
+            if meant && entry.run.saved_as.as_deref() == Some(model) {
+                entry.run.saved_as = None;
+                changed.push(entry.run.clone());
+            }
+        }
+        changed.iter().try_for_each(|run| self.table.store.save_run(&run.id, run))
     }
 
     /// Where every unfinished run stands, for a client that has just come.

@@ -12,7 +12,7 @@ use crate::{
     Error, Hub, LiveFeed, Store, app,
     library::Library,
     page,
-    runs::{Calibrations, Queue, Runs},
+    runs::{Calibrations, Diagnoses, Queue, Runs},
 };
 
 /// How to serve.
@@ -32,6 +32,7 @@ pub struct AppState {
     library: Arc<Library>,
     hub: Arc<Hub>,
     calibrations: Runs<Calibrations>,
+    diagnoses: Runs<Diagnoses>,
     live: Option<LiveFeed>,
     shutdown: watch::Sender<bool>,
 }
@@ -43,9 +44,18 @@ impl AppState {
         let library = Arc::new(Library::default());
         let hub = Arc::new(Hub::default());
         let queue = Queue::start()?;
-        let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
+        let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue.clone())?;
+        let diagnoses = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
         let live = truth.map(|truth| LiveFeed::start(truth, 0, hub.clone())).transpose()?;
-        Ok(Arc::new(Self { store, library, hub, calibrations, live, shutdown: watch::Sender::new(false) }))
+        Ok(Arc::new(Self {
+            store,
+            library,
+            hub,
+            calibrations,
+            diagnoses,
+            live,
+            shutdown: watch::Sender::new(false),
+        }))
     }
 
     /// Where live frames and job updates go.
@@ -65,6 +75,10 @@ impl AppState {
         &self.calibrations
     }
 
+    pub(crate) fn diagnoses(&self) -> &Runs<Diagnoses> {
+        &self.diagnoses
+    }
+
     pub(crate) fn live(&self) -> Option<&LiveFeed> {
         self.live.as_ref()
     }
@@ -78,6 +92,7 @@ impl AppState {
     pub fn begin_shutdown(&self) {
         self.shutdown.send_replace(true);
         self.calibrations.cancel_all();
+        self.diagnoses.cancel_all();
     }
 }
 

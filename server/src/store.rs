@@ -8,7 +8,7 @@ use std::{
 
 use palpate_recording::Session;
 use palpate_sim::SensorModel;
-use palpate_wire::api::{ModelSummary, ThetaReport};
+use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{Error, cache::lock, files};
@@ -101,8 +101,8 @@ impl Store {
         let mut models = Vec::new();
         for (file_name, path) in self.entries("models")? {
             let Some(id) = file_name.strip_suffix(".toml") else { continue };
-            match self.model(id) {
-                Ok((model, _)) => models.push(model_summary(id, &model)),
+            match self.model_summary(id) {
+                Ok(summary) => models.push(summary),
                 Err(err) => {
                     tracing::warn!(path = %path.display(), err = crate::chain(&err), "left out a model");
                 }
@@ -127,10 +127,97 @@ impl Store {
         let id = std::iter::once(slug.clone())
             .chain(numbered)
             // "nominal" always means the station's own.
-            .find(|id| id != "nominal" && !self.path(Kind::Model, id).exists())
+            // Earlier versions of one that was deleted are not those of another.
+            .find(|id| {
+                id != "nominal" && !self.path(Kind::Model, id).exists() && !self.earlier_dir(id).exists()
+            })
             .unwrap_or(slug);
         files::write(&self.path(Kind::Model, &id), model.to_toml().as_bytes())?;
-        Ok(model_summary(&id, model))
+        self.model_summary(&id)
+    }
+
+    /// Puts `model` in place of the one called `id`, whose file is kept as an earlier version. `by` names the run whose
+    /// doing it is.
+    pub(crate) fn replace_model(
+        &self,
+        id: &str,
+        model: &SensorModel,
+        by: &str,
+    ) -> Result<ModelSummary, Error> {
+        files::check_id("run", by)?;
+        let path = self.existing(Kind::Model, id)?;
+        {
+            let _naming = lock(&self.naming);
+            let text = fs::read(&path).map_err(Error::io("read", &path))?;
+            let dir = self.earlier_dir(id);
+            fs::create_dir_all(&dir).map_err(Error::io("make", &dir))?;
+            let number = self.earlier_versions(id)?.len() + 1;
+            files::write(&dir.join(format!("{number:04}-{by}.toml")), &text)?;
+            files::write(&path, model.to_toml().as_bytes())?;
+        }
+        self.model_summary(id)
+    }
+
+    /// Puts the newest earlier version of model `id` back, byte for byte, and says by whose doing it had been replaced.
+    pub(crate) fn undo_model(&self, id: &str) -> Result<(ModelSummary, String), Error> {
+        let path = self.existing(Kind::Model, id)?;
+        let by = {
+            let _naming = lock(&self.naming);
+            let Some(newest) = self.earlier_versions(id)?.pop() else {
+                return Err(Error::Conflict(format!(
+                    "model {id:?} has no earlier version to go back to; delete it if it should go"
+                )));
+            };
+            fs::rename(&newest, &path).map_err(Error::io("move", &newest))?;
+            let name = newest.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            name.split_once('-').map_or(String::new(), |(_, by)| by.to_owned())
+        };
+        Ok((self.model_summary(id)?, by))
+    }
+
+    /// The entry of model `id` in the list of models.
+    pub(crate) fn model_summary(&self, id: &str) -> Result<ModelSummary, Error> {
+        let (model, _) = self.model(id)?;
+        let effects = model.effects.into_iter().map(|effect| ModelEffect {
+            id: effect.id,
+            place: effect.place,
+            parameters: effect.parameters,
+        });
+        Ok(ModelSummary {
+            id: id.to_owned(),
+            name: model.name,
+            theta: ThetaReport {
+                lambda_con_m: model.theta.lambda_con_m,
+                alpha_per_m: model.theta.alpha_per_m,
+                lambda_pre_pa: model.theta.lambda_pre_pa,
+            },
+            provenance: model.provenance,
+            effects: effects.collect(),
+            earlier_versions: self.earlier_versions(id)?.len(),
+        })
+    }
+
+    fn earlier_dir(&self, id: &str) -> PathBuf {
+        self.root.join("models/.earlier").join(id)
+    }
+
+    /// Files of the earlier versions of model `id`, oldest first.
+    fn earlier_versions(&self, id: &str) -> Result<Vec<PathBuf>, Error> {
+        let dir = self.earlier_dir(id);
+        let entries = match fs::read_dir(&dir) {
+            Ok(entries) => entries,
+            Err(err) if err.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(source) => return Err(Error::Io { action: "read", path: dir, source }),
+        };
+        let mut versions = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(Error::io("read", &dir))?.path();
+            if path.extension().is_some_and(|extension| extension == "toml") {
+                versions.push(path);
+            }
+        }
+        versions.sort();
+        Ok(versions)
     }
 
     /// Moves an entry to the trash.
@@ -246,21 +333,5 @@ impl Store {
         }
         entries.sort();
         Ok(entries)
-    }
-}
-
-/// An entry of the list of models.
-pub(crate) fn model_summary(id: &str, model: &SensorModel) -> ModelSummary {
-    ModelSummary {
-        id: id.to_owned(),
-        name: model.name.clone(),
-        theta: ThetaReport {
-            lambda_con_m: model.theta.lambda_con_m,
-            alpha_per_m: model.theta.alpha_per_m,
-            lambda_pre_pa: model.theta.lambda_pre_pa,
-        },
-        provenance: model.provenance.clone(),
-        effects: Vec::new(),
-        earlier_versions: 0,
     }
 }

@@ -21,7 +21,8 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSocketUpgrade) -> Response {
     upgrade.on_upgrade(move |socket| async move {
         let client = state.hub().join();
-        for update in state.calibrations().unfinished_updates() {
+        let unfinished = [state.calibrations().unfinished_updates(), state.diagnoses().unfinished_updates()];
+        for update in unfinished.into_iter().flatten() {
             client.push_job(update);
         }
         let mut shutdown = state.shutdown();

@@ -9,6 +9,7 @@ pub mod actuator;
 pub mod engine;
 mod job;
 mod null;
+pub mod report;
 mod show;
 pub mod tactile;
 

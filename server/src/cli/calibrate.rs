@@ -77,7 +77,8 @@ pub(super) fn run(args: &CalibrateArgs) -> Outcome {
     Ok(ExitCode::SUCCESS)
 }
 
-fn hold_out(text: &str, session: &Session) -> Result<HoldOut, Error> {
+/// What `--hold-out` asks for.
+pub(super) fn hold_out(text: &str, session: &Session) -> Result<HoldOut, Error> {
     if text == "auto" {
         return Ok(HoldOut::Auto);
     }

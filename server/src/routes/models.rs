@@ -11,10 +11,7 @@ use axum::{
 use palpate_wire::api::ModelSummary;
 
 use super::{blocking, extract::Ids, problem::Answer};
-use crate::{
-    AppState,
-    store::{Kind, model_summary},
-};
+use crate::{AppState, store::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
     blocking(move || Ok(Json(state.store().models()?))).await
@@ -29,7 +26,25 @@ pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String
 }
 
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
-    blocking(move || state.store().discard(Kind::Model, &id).map(|()| StatusCode::NO_CONTENT)).await
+    blocking(move || {
+        state.store().discard(Kind::Model, &id)?;
+        state.calibrations().forget_saved(&id, None)?;
+        state.diagnoses().forget_saved(&id, None)?;
+        Ok(StatusCode::NO_CONTENT)
+    })
+    .await
+}
+
+pub(super) async fn undo(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<ModelSummary>> {
+    blocking(move || {
+        let (summary, by) = state.store().undo_model(&id)?;
+        state.diagnoses().forget_saved(&id, Some(&by))?;
+        Ok(Json(summary))
+    })
+    .await
 }
 
 pub(super) async fn restore(
@@ -38,8 +53,7 @@ pub(super) async fn restore(
 ) -> Answer<Json<ModelSummary>> {
     blocking(move || {
         state.store().restore(Kind::Model, &id)?;
-        let (model, _) = state.store().model(&id)?;
-        Ok(Json(model_summary(&id, &model)))
+        Ok(Json(state.store().model_summary(&id)?))
     })
     .await
 }

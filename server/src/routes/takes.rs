@@ -52,10 +52,12 @@ pub(super) async fn replay(
         let session = state.store().session(&session)?;
         let take_idx = take_index(&session, &take)?;
         let take = state.library().take(&session, take_idx)?;
-        let model: SensorModel = match (model.as_str(), model.strip_prefix("run:")) {
-            ("nominal", _) => nominal_model(&take)?,
-            (_, Some(run)) => state.calibrations().model(run)?,
-            (id, None) => state.store().model(id)?.0,
+        let model: SensorModel = match model.split_once(':') {
+            None if model == "nominal" => nominal_model(&take)?,
+            Some(("run", run)) => state.calibrations().model(run)?,
+            Some(("diagnosis", run)) => state.diagnoses().model(run)?,
+            Some(("calibrated", run)) => state.diagnoses().calibrated(run)?,
+            _ => state.store().model(&model)?.0,
         };
         let paired = state.library().paired(&session, take_idx)?;
         Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)?))

@@ -158,8 +158,10 @@ fn session_of_another_station() {
     let data = Data::with_session();
     let session_dir = data.session();
     data.edit_session(|text| text.replace(STATION, "xarm6-leap"));
-    let args = ["calibrate", "--session", arg(session_dir)];
-    refuses(&data.path("."), &args, &["take-01.mcap", STATION, "xarm6-leap"]);
+    for command in ["calibrate", "diagnose"] {
+        let args = [command, "--session", arg(session_dir)];
+        refuses(&data.path("."), &args, &["take-01.mcap", STATION, "xarm6-leap"]);
+    }
 }
 
 #[test]
@@ -177,6 +179,43 @@ fn arguments_that_name_nothing() {
     refuses(&here, &args, &["nowhere"]);
     let args = ["emulate", "--truth", "nowhere.toml", "--out", arg(&nowhere)];
     refuses(&here, &args, &["nowhere.toml"]);
+}
+
+#[test]
+fn diagnosis_of_nothing() {
+    let data = Data::with_session();
+    let here = data.path(".");
+    let session = data.session();
+    let refuses = |args: &[&str], words: &[&str]| {
+        let args = [&["diagnose", "--session", arg(session)], args].concat();
+        refuses(&here, &args, words);
+    };
+    refuses(&["--hold-out", "take-01,take-55"], &["take-55", "take-04"]);
+    refuses(&["--hold-out", "take-01,take-02,take-03,take-04"], &["held out"]);
+    refuses(&["--without", "latency,gremlins"], &["gremlins", "joint_offset"]);
+    refuses(&["--max-effects", "0"], &["at least 1"]);
+    refuses(&["--null-bar", "3"], &["3 null sessions"]);
+    refuses(&["--out", arg(&data.path("nowhere/model.toml"))], &["nowhere"]);
+    refuses(&["--model", arg(&data.path("nowhere.toml"))], &["nowhere.toml"]);
+    let model = write_model(&data);
+    let text = fs::read_to_string(&model).unwrap();
+    fs::write(&model, text.replace("alpha_per_m = 80.0", "alpha_per_m = nan")).unwrap();
+    refuses(&["--model", arg(&model)], &["model.toml", "alpha_per_m"]);
+    let nowhere = data.path("nowhere");
+    crate::support::palpate_refuses(&["diagnose", "--session", arg(&nowhere)]);
+}
+
+#[test]
+fn model_of_another_station_is_no_start() {
+    let data = Data::with_session();
+    let model = write_model(&data);
+    let text = fs::read_to_string(&model).unwrap();
+    let effect = "\n[[effect]]\nid = \"latency\"\nwhere = { stream = \"twintac\" }\n\
+        parameters = { delay_s = 0.05 }\n";
+    fs::write(&model, text.replace("format = 1", "format = 2") + effect).unwrap();
+    let session = data.session();
+    let args = ["diagnose", "--session", arg(session), "--model", arg(&model)];
+    refuses(&data.path("."), &args, &["twintac"]);
 }
 
 #[test]

@@ -27,6 +27,7 @@ fn every_command_has_help() {
         &["session", "check"],
         &["replay"],
         &["calibrate"],
+        &["diagnose"],
         &["serve"],
         &["bench", "sweep"],
         &["bench", "replay"],
@@ -107,6 +108,70 @@ fn recording_is_imported_checked_calibrated_and_replayed() {
         .count();
     let expected = report["by_take"]["take-01"]["calibrated"]["l1"].as_u64().unwrap();
     assert_eq!(mismatches as u64, expected, "the replayed take is the one that the report counted");
+}
+
+#[test]
+fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
+    let data = Data::with_emulated_session();
+    let (model, report_dir) = (data.path("model.toml"), data.path("report"));
+    let (session, data_dir) = (data.session(), data.root());
+    let common =
+        ["diagnose", "--session", arg(session), "--data", arg(data_dir), "--hold-out", "take-04,take-06"];
+    let json =
+        palpate_ok(&[&common[..], &["--out", arg(&model), "--report", arg(&report_dir), "--json"]].concat());
+    let report: Value = serde_json::from_str(&json).unwrap();
+    let whole: palpate_wire::api::DiagnosisReport = serde_json::from_str(&json).unwrap();
+    assert_eq!(serde_json::to_value(&whole).unwrap(), report, "nothing beside the report");
+    for key in ["verdict", "where", "gap", "held_out", "metrics", "unexplained", "next_experiment", "seconds"]
+    {
+        assert!(report.get(key).is_some(), "{key} is missing");
+    }
+    for key in ["nominal", "calibrated", "diagnosed", "noise_floor"] {
+        assert!(report["gap"].get(key).is_some(), "gap.{key} is missing");
+    }
+    let named = &report["effects"][0];
+    assert!(named["where"].is_object() && named["parameters"].is_object(), "{named}");
+    for key in
+        ["interval", "gap_before", "gap_after", "p_value", "takes_improved", "class", "rivals", "explanation"]
+    {
+        assert!(named.get(key).is_some(), "effects.{key} is missing");
+    }
+    let stored: Value = serde_json::from_slice(&fs::read(report_dir.join("report.json")).unwrap()).unwrap();
+    assert_eq!(stored, report);
+    assert_eq!(fs::read(report_dir.join("model.toml")).unwrap(), fs::read(&model).unwrap());
+    assert!(fs::read_to_string(report_dir.join("report.html")).unwrap().contains("<svg"));
+    assert!(!data_dir.join("bars").exists(), "no bar was asked for");
+
+    let (take, out) = (session.join("take-04.mcap"), data.path("replayed.mcap"));
+    palpate_ok(&["replay", "--take", arg(&take), "--model", arg(&model), "--out", arg(&out)]);
+    let (recorded, simulated) = (Take::read(&take).unwrap(), Take::read(&out).unwrap());
+    let mismatches =
+        |events: &[bool]| events.iter().zip(recorded.active_at_frames()).filter(|(a, b)| **a != *b).count();
+    let calibrated = data.path("calibrated.toml");
+    palpate_ok(&[
+        "calibrate",
+        "--session",
+        arg(session),
+        "--hold-out",
+        "take-04,take-06",
+        "--out",
+        arg(&calibrated),
+    ]);
+    palpate_ok(&["replay", "--take", arg(&take), "--model", arg(&calibrated), "--out", arg(&out)]);
+    let without = Take::read(&out).unwrap();
+    assert!(mismatches(&simulated.active_at_frames()) < mismatches(&without.active_at_frames()));
+
+    let text = palpate_ok(&common);
+    assert!(text.starts_with(report["sentence"].as_str().unwrap()), "{text}");
+    for word in [
+        "latency, stream",
+        "Gap on the judging takes",
+        "calibrated",
+        "Unexplained",
+        "confirm: take-04, take-06",
+    ] {
+        assert!(text.contains(word), "{word:?} is missing in {text}");
+    }
 }
 
 /// The field names that scripts read.

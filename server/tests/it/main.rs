@@ -5,6 +5,7 @@ mod api;
 mod bad_input;
 mod calibrations;
 mod cli;
+mod diagnoses;
 mod stream;
 mod support;
 mod uploads;

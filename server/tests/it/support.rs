@@ -16,8 +16,10 @@ use axum::{
     http::{HeaderMap, Request, StatusCode, header},
 };
 use http_body_util::BodyExt as _;
+use palpate_emulator::record_session;
 use palpate_recording::{Session, import::import_csv};
 use palpate_server::{AppState, app, assets};
+use palpate_sim::job::{Cancel, NoProgress};
 use palpate_wire::api::ProblemDetails;
 use serde::de::DeserializeOwned;
 use tower::ServiceExt as _;
@@ -127,6 +129,16 @@ impl Data {
         write_recording(data.csv());
         let station = assets::station(STATION).unwrap();
         import_csv(&station, data.csv(), data.session()).unwrap();
+        data
+    }
+
+    /// A data folder with session `bench`: the shipped emulated probe bench, whose truth the simulator does not know.
+    pub(crate) fn with_emulated_session() -> Self {
+        let mut data = Self::empty();
+        data.session = data.root.join("sessions/bench");
+        fs::create_dir_all(data.root.join("sessions")).unwrap();
+        let (truth, _unpacked) = assets::truth(Path::new("bench")).unwrap();
+        record_session(&truth, data.session(), 0, &NoProgress, &Cancel::default()).unwrap();
         data
     }
 

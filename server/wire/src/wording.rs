@@ -9,13 +9,15 @@ pub fn words(id: &str) -> String {
     id.replace(['_', '-'], " ")
 }
 
-/// About three digits, with a true minus: `0.36`, `42.2`, `409`.
+/// Two or three digits that count, with a true minus: `409`, `42.2`, `0.36`, `0.0058`.
 pub fn number(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".to_owned(),
         size if size >= 100.0 => format!("{value:.0}"),
         size if size >= 10.0 => format!("{value:.1}"),
-        size if size >= 0.01 => format!("{value:.2}"),
+        size if size >= 0.1 => format!("{value:.2}"),
+        size if size >= 0.01 => format!("{value:.3}"),
+        size if size >= 1e-3 => format!("{value:.4}"),
         _ => format!("{value:.1e}"),
     };
     text.replace('-', "\u{2212}")
@@ -125,6 +127,16 @@ pub fn effect_sentences(effect: &NamedEffect, report: &DiagnosisReport) -> Strin
     text
 }
 
+/// Name for people of step `idx` of the waterfall: the effects follow in the order in which they were added.
+pub fn step_name(report: &DiagnosisReport, idx: usize) -> String {
+    let Some(step) = report.waterfall.get(idx) else { return String::new() };
+    let before = report.waterfall.len().saturating_sub(report.effects.len());
+    match idx.checked_sub(before).and_then(|effect_idx| report.effects.get(effect_idx)) {
+        Some(effect) if effect.id == step.step => format!("+ {}", effect_at(&effect.id, &effect.place)),
+        _ => words(&step.step),
+    }
+}
+
 /// That an effect cannot be told from others, if so: "Cannot tell latency from backlash on these takes."
 pub fn rivals_sentence(effect: &NamedEffect) -> Option<String> {
     let mut others: Vec<String> =
@@ -132,14 +144,16 @@ pub fn rivals_sentence(effect: &NamedEffect) -> Option<String> {
     let of_class = effect.class.iter().filter(|id| **id != effect.id);
     others
         .extend(of_class.filter(|id| effect.rivals.iter().all(|rival| rival.id != **id)).map(|id| words(id)));
-    (!others.is_empty())
-        .then(|| format!("Cannot tell {} from {} on these takes.", words(&effect.id), others.join(" or ")))
+    // The same effect elsewhere is a rival too: then both places are said.
+    let same = effect.rivals.iter().any(|rival| rival.id == effect.id);
+    let this = if same { effect_at(&effect.id, &effect.place) } else { words(&effect.id) };
+    (!others.is_empty()).then(|| format!("Cannot tell {this} from {} on these takes.", others.join(" or ")))
 }
 
 /// A part of the data on one line: `fsr: index.0, index.1; onset; take-01, take-03`.
 pub fn cell(cell: &Cell) -> String {
     let channels = match cell.channels.as_slice() {
-        many @ [first, .., last] if many.len() > 4 => format!("{first} to {last} ({})", many.len()),
+        [a, b, c, rest @ ..] if rest.len() > 1 => format!("{a}, {b}, {c} and {} more", rest.len()),
         few => few.join(", "),
     };
     let head = match (&cell.stream, channels.is_empty()) {
@@ -217,6 +231,10 @@ mod tests {
     fn rivals_are_named_with_their_places() {
         assert_eq!(rivals_sentence(&latency()), None);
         let rival = Rival { id: "joint_backlash".into(), place: Place::Joint("3".into()), gap_after: 0.31 };
+        let elsewhere = Rival { id: "latency".into(), place: Place::Stream("gel".into()), gap_after: 0.31 };
+        let twice = NamedEffect { rivals: vec![elsewhere], ..latency() };
+        let said = rivals_sentence(&twice).expect("a rival");
+        assert_eq!(said, "Cannot tell latency, stream fsr from latency, stream gel on these takes.");
         let effect = NamedEffect {
             class: vec!["latency".into(), "joint_backlash".into(), "low_pass".into()],
             rivals: vec![rival],
@@ -232,6 +250,10 @@ mod tests {
         assert_eq!(quantity("offset_rad", -0.008), "\u{2212}8.00 mrad");
         assert_eq!(quantity("rate_per_s", 12.0), "12.0 /s");
         assert_eq!(quantity("fraction", 0.25), "0.25");
+        assert_eq!(
+            [409.4, 42.24, 0.357, 0.0361, 0.00584].map(number),
+            ["409", "42.2", "0.36", "0.036", "0.0058"]
+        );
         assert_eq!(quantity("x_m", 0.0005), "0.50 mm");
         assert_eq!(parameter_name("rate_per_s"), "rate");
         assert_eq!(parameter_name("off_fraction"), "off fraction");

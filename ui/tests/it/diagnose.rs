@@ -236,7 +236,9 @@ fn evidence_is_one_click_away_and_rivals_are_said_plainly() {
     harness.get_by_label_contains("95 % interval 52.1 to 70.4 ms");
     harness.get_by_label_contains("88.0, the bar is 12.5 (p < 0.001)");
     // Pictures say what they show.
-    harness.get_by_label_contains("+ latency: gap 0.30  (\u{2212}40 %), 95 % interval 0.27 to 0.33");
+    harness.get_by_label_contains(
+        "+ latency, stream film: gap 0.30  (\u{2212}40 %), 95 % interval 0.27 to 0.33",
+    );
     harness.get_by_label_contains("latency, stream film: evidence 88.0, above the bar of 12.5, named");
     harness.get_by_label_contains("low pass, stream gel: evidence 6.00, below the bar of 12.5");
 }

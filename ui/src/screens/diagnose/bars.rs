@@ -68,14 +68,7 @@ pub(super) fn waterfall_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisRep
         return;
     }
     let calibrated = report.waterfall.iter().find(|step| step.step == "calibrated").map(|step| step.gap);
-    let names: Vec<String> = report
-        .waterfall
-        .iter()
-        .map(|step| match step.step.as_str() {
-            "nominal" | "calibrated" => step.step.clone(),
-            id => format!("+ {}", wording::words(id)),
-        })
-        .collect();
+    let names: Vec<String> = (0..report.waterfall.len()).map(|idx| wording::step_name(report, idx)).collect();
     let bars: Vec<Bar<'_>> = report
         .waterfall
         .iter()

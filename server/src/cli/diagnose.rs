@@ -1,0 +1,222 @@
+//! `palpate diagnose`.
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use clap::Args;
+use palpate_diagnosis::DiagnosisConfig;
+use palpate_recording::Session;
+use palpate_server::{
+    Error,
+    bars::Bars,
+    files,
+    jobs::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session},
+    library::Library,
+};
+use palpate_sim::SensorModel;
+use palpate_wire::{
+    api::{DiagnosisReport, Metrics},
+    wording,
+};
+
+use super::{
+    Outcome,
+    calibrate::hold_out,
+    output,
+    progress::{Bar, cancel_on_ctrl_c},
+};
+
+#[derive(Args)]
+pub(crate) struct DiagnoseArgs {
+    /// Folder of the session
+    #[arg(long, value_name = "SESSION")]
+    session: PathBuf,
+    /// Start from this sensor model instead of the station's nominal one
+    #[arg(long, value_name = "MODEL.toml")]
+    model: Option<PathBuf>,
+    /// Takes that nothing is fitted to, by id; `auto` keeps about a third of them
+    #[arg(long, value_name = "TAKE,...|auto", default_value = "auto")]
+    hold_out: String,
+    /// Most effects to name
+    #[arg(long, value_name = "N")]
+    max_effects: Option<usize>,
+    /// Effects to leave out of the library, by id
+    #[arg(long, value_name = "ID,...", value_delimiter = ',')]
+    without: Vec<String>,
+    /// First set the station's bar: diagnose N sessions simulated with nothing missing, and keep what chance gives there
+    /// for this and later diagnoses (200 is a good number; takes N times as long as a diagnosis)
+    #[arg(long, value_name = "N")]
+    null_bar: Option<usize>,
+    /// Where the bars of stations are kept: the data folder of `palpate serve`
+    #[arg(long, value_name = "DIR", default_value = "data")]
+    data: PathBuf,
+    /// Write the model with the named effects here
+    #[arg(long, value_name = "MODEL.toml")]
+    out: Option<PathBuf>,
+    /// Write report.json, report.html and model.toml into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Seed of the resampling behind the intervals
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
+    let session = Session::open(&args.session)?;
+    if let Some(out) = &args.out {
+        files::check_target(out)?;
+    }
+    let default = DiagnosisConfig::default();
+    let config = DiagnosisConfig {
+        hold_out: hold_out(&args.hold_out, &session)?,
+        max_effects: args.max_effects.unwrap_or(default.max_effects),
+        without: args.without.iter().map(|id| id.trim().to_owned()).collect(),
+        seed: args.seed,
+        ..default
+    };
+    check_diagnosis(&config, args.null_bar)?;
+    let start = args.model.as_ref().map(read_model).transpose()?;
+    let artifacts = {
+        let bar = Bar::new();
+        let (bars, cancel) = (Bars::of(&args.data), cancel_on_ctrl_c());
+        let null = BarConfig { bars: &bars, null_sessions: args.null_bar };
+        diagnose_session(&Library::default(), &session, &config, start.as_ref(), null, &bar, &cancel)?
+    };
+    write(args, &artifacts)?;
+    if args.json {
+        output::json(&artifacts.report)?;
+    } else {
+        output::line(&text(&artifacts.report))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn read_model(path: &PathBuf) -> Result<SensorModel, Error> {
+    let text = fs::read_to_string(path).map_err(Error::io("read", path))?;
+    Ok(SensorModel::from_toml(&path.display().to_string(), &text)?)
+}
+
+fn write(args: &DiagnoseArgs, artifacts: &DiagnosisArtifacts) -> Result<(), Error> {
+    let model = artifacts.model.to_toml();
+    if let Some(dir) = &args.report {
+        fs::create_dir_all(dir).map_err(Error::io("make", dir))?;
+        let json =
+            serde_json::to_vec_pretty(&artifacts.report).map_err(|err| Error::Internal(err.to_string()))?;
+        files::write(&dir.join("report.json"), &json)?;
+        files::write(&dir.join("report.html"), artifacts.html.as_bytes())?;
+        files::write(&dir.join("model.toml"), model.as_bytes())?;
+    }
+    match &args.out {
+        Some(out) => files::write(out, model.as_bytes()),
+        None => Ok(()),
+    }
+}
+
+/// Columns of a bar at full length.
+const BAR_COLUMNS: usize = 40;
+
+fn text(report: &DiagnosisReport) -> String {
+    let mut lines = vec![report.sentence.clone()];
+    for (idx, effect) in report.effects.iter().enumerate() {
+        lines.push(format!("\n{}. {}", idx + 1, wording::effect_sentences(effect, report)));
+        let parameters = effect.parameters.iter().map(|(name, &value)| {
+            let interval = effect
+                .interval
+                .get(name)
+                .map_or_else(String::new, |&interval| format!(" (95 % {})", wording::range(name, interval)));
+            format!("{} {}{interval}", wording::parameter_name(name), wording::quantity(name, value))
+        });
+        let at = wording::effect_at(&effect.id, &effect.place);
+        lines.push(format!("   {at}: {}", parameters.collect::<Vec<_>>().join(", ")));
+        lines.push(format!(
+            "   evidence {}, bar {}, {}",
+            wording::number(effect.evidence),
+            wording::number(report.bar.evidence),
+            wording::p_value(effect.p_value)
+        ));
+        lines.extend(wording::rivals_sentence(effect).map(|rivals| format!("   {rivals}")));
+    }
+    lines.push(format!("\nGap on the judging takes (mismatch a channel-second){}", floor_text(report)));
+    lines.extend(waterfall(report));
+    lines.extend(metrics(report));
+    if !report.cells.is_empty() {
+        lines.push("\nWhere the calibrated model and the hand disagree".to_owned());
+        lines.extend(
+            report
+                .cells
+                .iter()
+                .map(|cell| format!("  {:>5}  {}", wording::percent(cell.excess), wording::cell(cell))),
+        );
+    }
+    let left = &report.unexplained;
+    let repeats =
+        if left.significant { "and it repeats: something is missing" } else { "and it does not repeat" };
+    lines
+        .push(format!("\nUnexplained: {} of the excess is left, {repeats}", wording::percent(left.fraction)));
+    lines.extend(
+        left.cells
+            .iter()
+            .map(|cell| format!("  {:>5}  {}", wording::percent(cell.excess), wording::cell(cell))),
+    );
+    if let Some(next) = &report.next_experiment {
+        lines.push(format!("\nNext: {}", next.sentence));
+    }
+    lines.push(String::new());
+    for (part, takes) in &report.takes {
+        lines
+            .push(format!("{part}: {}", if takes.is_empty() { "none".to_owned() } else { takes.join(", ") }));
+    }
+    lines.push(match report.bar.null_sessions {
+        0 => "bar: the shipped default; --null-bar 200 sets it for this station".to_owned(),
+        sessions => format!("bar: from {sessions} simulated sessions with nothing missing"),
+    });
+    lines.push(format!("{:.1} s", report.seconds));
+    lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n")
+}
+
+fn floor_text(report: &DiagnosisReport) -> String {
+    report
+        .held_out
+        .noise_floor
+        .map_or_else(String::new, |floor| format!("; repetitions differ by {}", wording::number(floor)))
+}
+
+fn waterfall(report: &DiagnosisReport) -> Vec<String> {
+    let highest = report.waterfall.iter().map(|step| step.gap).fold(f64::MIN_POSITIVE, f64::max);
+    let rows = report.waterfall.iter().enumerate().map(|(idx, step)| {
+        let name = wording::step_name(report, idx);
+        let columns = (step.gap / highest * BAR_COLUMNS as f64).round().max(0.0) as usize;
+        let interval = step.interval_95.map_or_else(String::new, |[low, high]| {
+            format!("  ({} to {})", wording::number(low), wording::number(high))
+        });
+        let bar = "#".repeat(columns.min(BAR_COLUMNS));
+        format!("  {name:<34} {bar:<BAR_COLUMNS$} {:>7}{interval}", wording::number(step.gap))
+    });
+    rows.collect()
+}
+
+fn metrics(report: &DiagnosisReport) -> Vec<String> {
+    if report.metrics.is_empty() {
+        return Vec::new();
+    }
+    let number = |value: Option<f64>, digits: usize| {
+        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+    };
+    let mut lines =
+        vec![format!("\n  {:<24} {:>12} {:>12} {:>8} {:>9}", "", "onset (ms)", "offset (ms)", "F1", "FPR")];
+    let row = |name: &str, metrics: &Metrics| {
+        format!(
+            "  {name:<24} {:>12} {:>12} {:>8} {:>9}",
+            number(metrics.onset_error_ms, 0),
+            number(metrics.offset_error_ms, 0),
+            number(metrics.f1, 3),
+            number(metrics.fpr, 4)
+        )
+    };
+    let models = ["nominal", "calibrated", "diagnosed"];
+    lines.extend(models.iter().filter_map(|name| Some(row(name, report.metrics.get(*name)?))));
+    lines
+}

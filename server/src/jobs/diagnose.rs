@@ -1,0 +1,119 @@
+//! The diagnosis of a session: find where simulation and measurement disagree, name the missing effect, add it, show
+//! the gap shrink.
+
+use std::{sync::Arc, time::Instant};
+
+use palpate_diagnosis::{DiagnosisConfig, diagnose, report};
+use palpate_recording::{Session, Take};
+use palpate_sim::{
+    SensorModel, effects,
+    job::{Cancel, Progress},
+};
+use palpate_wire::api::DiagnosisReport;
+
+use super::{Section, accepted_takes};
+use crate::{
+    Error,
+    bars::Bars,
+    library::{Library, nominal_model},
+};
+
+/// What a diagnosis leaves.
+#[derive(Clone, Debug)]
+pub struct DiagnosisArtifacts {
+    /// The numbers and the sentences.
+    pub report: DiagnosisReport,
+    /// The calibrated model with every named effect.
+    pub model: SensorModel,
+    /// The calibrated model without them.
+    pub calibrated: SensorModel,
+    /// The self-contained report for people.
+    pub html: String,
+}
+
+/// What to diagnose against.
+#[derive(Clone, Copy, Debug)]
+pub struct BarConfig<'a> {
+    /// Where the bars of stations are kept.
+    pub bars: &'a Bars,
+    /// Sessions with nothing missing to simulate first, to set the station's bar anew.
+    pub null_sessions: Option<usize>,
+}
+
+/// Fewest null sessions that hold a 95 % point.
+const MIN_NULL_SESSIONS: usize = 20;
+
+/// Refuses what no session can be diagnosed with.
+pub fn check_diagnosis(config: &DiagnosisConfig, null_sessions: Option<usize>) -> Result<(), Error> {
+    for id in &config.without {
+        if effects::tactile(id).is_none() {
+            let known: Vec<&str> = effects::TACTILE.iter().map(|kind| kind.id()).collect();
+            return Err(Error::Argument(format!(
+                "no effect {id:?} to leave out; the library has {}",
+                known.join(", ")
+            )));
+        }
+    }
+    if config.max_effects == 0 {
+        return Err(Error::Argument("at most 0 effects can be named; allow at least 1".to_owned()));
+    }
+    match null_sessions {
+        Some(count) if count < MIN_NULL_SESSIONS => Err(Error::Argument(format!(
+            "{count} null sessions cannot set a bar; simulate at least {MIN_NULL_SESSIONS}, better 200"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Diagnoses the accepted takes of `session`, from `start` or else from the station's nominal model.
+pub fn diagnose_session(
+    library: &Library,
+    session: &Session,
+    config: &DiagnosisConfig,
+    start: Option<&SensorModel>,
+    bar: BarConfig<'_>,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<DiagnosisArtifacts, Error> {
+    let mut takes: Vec<Take> = Vec::new();
+    accepted_takes(library, session, cancel, |take_idx, share| {
+        let take: Arc<Take> = library.take(session, take_idx)?;
+        progress.report(0.05 * share, &format!("reading {}", take.id));
+        takes.push((*take).clone());
+        Ok(())
+    })?;
+    let first = &takes[0];
+    let files = &first.station.files;
+    let nominal = match start {
+        Some(model) => {
+            model.check_for(&first.station)?;
+            model.clone()
+        }
+        None => nominal_model(first)?,
+    };
+    let begun = Instant::now();
+    let clock_s = || begun.elapsed().as_secs_f64();
+    let search_from = 0.05;
+    let null = bar.bars.get(files)?;
+    let search = Section { whole: progress, start: search_from, end: 0.97 };
+    let outcome = diagnose(config, &takes, &nominal, null.as_ref(), &search, cancel, &clock_s)?;
+    progress.report(0.97, "writing the report");
+    let source = palpate_calibration::report::ReportSource {
+        session: &session.id,
+        station: &session.file.station,
+        created: "",
+    };
+    let html = report::html(source, &outcome.report, &outcome.model);
+    let about = |mut model: SensorModel, what: &str| {
+        model.name = format!("{} ({what})", session.id);
+        model.provenance.push(format!("session {}, station {}", session.id, session.file.station));
+        model.provenance.push(format!("palpate {}", env!("CARGO_PKG_VERSION")));
+        model
+    };
+    Ok(DiagnosisArtifacts {
+        report: outcome.report,
+        model: about(outcome.model, "diagnosed"),
+        calibrated: about(outcome.calibrated, "calibrated"),
+        html,
+    })
+}

@@ -1,0 +1,61 @@
+//! Diagnoses.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::State,
+    http::{StatusCode, header},
+    response::{Html, IntoResponse, Response},
+};
+use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, SaveDiagnosisRequest};
+
+use super::{
+    blocking,
+    extract::{Body, Ids},
+    problem::Answer,
+};
+use crate::AppState;
+
+pub(super) async fn start(
+    State(state): State<Arc<AppState>>,
+    Body(request): Body<DiagnosisRequest>,
+) -> Answer<Response> {
+    let run = blocking(move || state.diagnoses().start(request)).await?;
+    let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
+    Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
+}
+
+pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<DiagnosisRun>> {
+    Json(state.diagnoses().list())
+}
+
+pub(super) async fn detail(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<DiagnosisRun>> {
+    Ok(Json(state.diagnoses().get(&id)?))
+}
+
+pub(super) async fn cancel(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Json<DiagnosisRun>> {
+    blocking(move || state.diagnoses().cancel(&id).map(Json)).await
+}
+
+/// 201 for a new model, 200 for one that was added to.
+pub(super) async fn save(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    Body(request): Body<SaveDiagnosisRequest>,
+) -> Answer<Response> {
+    let status = if request.to.is_some() { StatusCode::OK } else { StatusCode::CREATED };
+    let saved = blocking(move || state.diagnoses().save(&id, &request)).await?;
+    let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
+    Ok((status, location, Json(saved)).into_response())
+}
+
+pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
+    blocking(move || Ok(Html(state.diagnoses().html(&id)?))).await
+}
