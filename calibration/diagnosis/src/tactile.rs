@@ -11,6 +11,7 @@ pub(crate) mod find;
 pub(crate) mod judge;
 mod observe;
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
@@ -33,6 +34,8 @@ enum Base {
     Band,
     Width(usize),
     Exponent(usize),
+    /// Gain of the taxel at this place, in every patch of this set of [`TactileDomain::alike`].
+    Pattern(usize, usize),
 }
 
 /// Takes of one station, as a diagnosis compares them.
@@ -42,6 +45,9 @@ pub struct TactileDomain<'a> {
     kinds: Vec<Base>,
     base: Vec<BaseParameter>,
     candidates: Vec<Effect>,
+    /// Sets of patches of the same make. How pressure spreads to a taxel at the rim of a patch is only roughly what the
+    /// model has, but it is the same for every patch of a make: such a pattern is the model's own, no discovery.
+    alike: Vec<Vec<usize>>,
     /// Per joint, by its degree of freedom: which channels it moves.
     moves: Vec<Vec<bool>>,
     /// Where everything was under the last few sets of kinematic effects, by take.
@@ -95,6 +101,13 @@ impl<'a> TactileDomain<'a> {
                 add(Base::Exponent(idx), format!("exponent.{}", stream.id), 1.0, [0.3, 3.0], 0.05);
             }
         }
+        let alike = alike(station);
+        for (set, patches) in alike.iter().enumerate() {
+            let first = &station.layout.patches[patches[0]];
+            for taxel in 1..first.channels.len() {
+                add(Base::Pattern(set, taxel), format!("gain.{}.{taxel}", first.id), 1.0, [0.2, 5.0], 0.1);
+            }
+        }
         let touched: Vec<&str> = takes.iter().map(|take| take.object.id.as_str()).collect();
         let candidates = effects::TACTILE
             .iter()
@@ -108,12 +121,13 @@ impl<'a> TactileDomain<'a> {
                     .map(|parameter| (parameter.name, parameter.neutral))
                     .collect(),
                 place,
-                interval: std::collections::BTreeMap::new(),
+                interval: BTreeMap::new(),
                 takes: Vec::new(),
             })
             .collect();
         let geometries = takes.iter().map(|_| Mutex::new(Vec::new())).collect();
-        let domain = Self { station, takes, kinds, base, candidates, moves: moves(station), geometries };
+        let domain =
+            Self { station, takes, kinds, base, candidates, alike, moves: moves(station), geometries };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
     }
 
@@ -128,10 +142,39 @@ impl<'a> TactileDomain<'a> {
                 Base::Alpha => theta.alpha_per_m = value,
                 Base::LambdaPre => theta.lambda_pre_pa = value,
                 Base::Band => response.proximity_band_m = value,
-                Base::Width(_) | Base::Exponent(_) => {}
+                Base::Width(_) | Base::Exponent(_) | Base::Pattern(..) => {}
             }
         }
         (theta, response)
+    }
+
+    /// The patterns of patches that are alike, as gains of their channels.
+    fn patterns(&self, model: &Model) -> Vec<Effect> {
+        let layout = &self.station.layout;
+        let mut by_stream: BTreeMap<usize, BTreeMap<String, f64>> = BTreeMap::new();
+        for (kind, &value) in self.kinds.iter().zip(&model.base) {
+            let Base::Pattern(set, taxel) = *kind else { continue };
+            for &patch in &self.alike[set] {
+                let patch = &layout.patches[patch];
+                let channel = &layout.channels[patch.channels.start + taxel];
+                by_stream.entry(patch.stream).or_default().insert(format!("gain_{}", channel.id), value);
+            }
+        }
+        by_stream
+            .into_iter()
+            .map(|(stream, mut parameters)| {
+                for channel in &layout.channels[layout.streams[stream].channels.clone()] {
+                    parameters.entry(format!("gain_{}", channel.id)).or_insert(1.0);
+                }
+                Effect {
+                    id: "sensitivity_spread".to_owned(),
+                    place: Place::Stream(layout.streams[stream].id.clone()),
+                    parameters,
+                    interval: BTreeMap::new(),
+                    takes: Vec::new(),
+                }
+            })
+            .collect()
     }
 
     /// Number of takes with raw readings.
@@ -175,8 +218,20 @@ impl<'a> TactileDomain<'a> {
     }
 }
 
+/// Sets of at least two patches with several taxels each that are of one make.
+fn alike(station: &Station) -> Vec<Vec<usize>> {
+    let layout = &station.layout;
+    let mut sets: BTreeMap<(usize, usize, usize), Vec<usize>> = BTreeMap::new();
+    for (idx, patch) in layout.patches.iter().enumerate() {
+        if patch.channels.len() > 1 && layout.streams[patch.stream].kind == SensorKind::Pressure {
+            sets.entry((patch.stream, patch.channels.len(), patch.nodes.len())).or_default().push(idx);
+        }
+    }
+    sets.into_values().filter(|patches| patches.len() > 1).collect()
+}
+
 /// The station's own hysteresis: known, so that it is no discovery.
-pub(crate) fn known_off_fractions(station: &Station) -> std::collections::BTreeMap<String, f64> {
+pub(crate) fn known_off_fractions(station: &Station) -> BTreeMap<String, f64> {
     let streams = station.layout.streams.iter().zip(&station.streams);
     streams.map(|(stream, config)| (stream.id.clone(), config.off_threshold / config.on_threshold)).collect()
 }
@@ -277,6 +332,8 @@ impl Domain for TactileDomain<'_> {
         let layout = &self.station.layout;
         let mut widths = vec![WIDTH; layout.streams.len()];
         let mut exponents = vec![1.0; layout.streams.len()];
+        let mut effects = self.patterns(model);
+        effects.extend(model.effects.iter().cloned());
         for (kind, &value) in self.kinds.iter().zip(&model.base) {
             match *kind {
                 Base::Width(stream) => widths[stream] = value,
@@ -284,7 +341,7 @@ impl Domain for TactileDomain<'_> {
                 _ => {}
             }
         }
-        let chain = Chain { theta, response: &response, effects: &model.effects, soft_widths: &widths };
+        let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
         let geometry = self.geometry(take, &chain, &scene)?;
         let sensed = chain.sense_contact(&scene, &geometry);
         let num_channels = layout.num_channels();

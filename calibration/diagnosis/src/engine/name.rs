@@ -1,5 +1,8 @@
 //! Rounds of screening and fitting, until nothing reaches the bar.
 
+use std::collections::BTreeMap;
+
+use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 
 use super::fit::{fit, refit};
@@ -71,6 +74,8 @@ pub struct Naming {
 const REFIT_STEPS: usize = 3;
 /// Rivals explain at least this share of what the best does.
 const RIVAL_SHARE: f64 = 0.8;
+/// Candidates that are screened again after the first round: those that promised most when they were last screened.
+const PROMISING: usize = 160;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -85,6 +90,8 @@ pub fn name<D: Domain>(
     let mut model = start.clone();
     let mut rounds = Vec::new();
     let mut dropped: Vec<Effect> = Vec::new();
+    // Held-out gain of every candidate when it was last screened.
+    let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
     loop {
         let round_idx = rounds.len();
         let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
@@ -104,11 +111,22 @@ pub fn name<D: Domain>(
                     .chain(&dropped)
                     .any(|named| named.id == candidate.id && named.place == candidate.place)
         });
+        if !known_gains.is_empty() {
+            let known = |candidate: &Effect| {
+                known_gains.get(&(candidate.id.clone(), candidate.place.clone())).copied().unwrap_or(0.0)
+            };
+            candidates.sort_by(|a, b| known(b).total_cmp(&known(a)));
+            candidates.truncate(PROMISING);
+        }
         let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
         screened.sort_by(|a, b| {
             let gain = |a: &Assessment| a.held_out_gains.iter().sum::<f64>();
             gain(&b.assessment).total_cmp(&gain(&a.assessment))
         });
+        for candidate in &screened {
+            let gain = candidate.assessment.held_out_gains.iter().sum::<f64>();
+            known_gains.insert((candidate.effect.id.clone(), candidate.effect.place.clone()), gain);
+        }
         let mut finalists: Vec<usize> = Vec::new();
         for (idx, candidate) in screened.iter().enumerate() {
             let same = finalists.iter().filter(|&&other| screened[other].effect.id == candidate.effect.id);
