@@ -352,3 +352,6 @@ impl EmulatedStation {
         wires.filter_map(Wire::next_ns).min()
     }
 }
+
+#[cfg(test)]
+mod tests;

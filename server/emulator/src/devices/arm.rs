@@ -367,3 +367,6 @@ impl ArmBox {
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,308 @@
+//! The whole station: bytes and time in, bytes out, and a world that feels the hand.
+
+use std::path::PathBuf;
+
+use palpate_device_protocol::dynamixel::{Decoder, Instruction, Request, Status};
+use palpate_device_protocol::lines::{LineDecoder, RowAssembler};
+use palpate_device_protocol::xarm::{Command, Pose, Protocol, Reply};
+
+use super::*;
+
+const MS_NS: u64 = 1_000_000;
+const S_NS: u64 = 1000 * MS_NS;
+
+fn shipped(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/truth").join(name)
+}
+
+fn station(seed: u64) -> EmulatedStation {
+    EmulatedStation::new(&shipped("demo.toml"), seed).expect("the demonstration's station")
+}
+
+fn faults(station: &EmulatedStation, text: &str) -> Faults {
+    Faults::parse("faults.toml", text, station.station()).expect("faults")
+}
+
+fn line_idx(station: &EmulatedStation, name: &str) -> usize {
+    station.lines().iter().position(|line| line == name).expect("a line of this name")
+}
+
+fn request(id: u8, instruction: Instruction) -> Vec<u8> {
+    Request { id, instruction }.encode().expect("a request")
+}
+
+fn frame(command: &Command) -> Vec<u8> {
+    command.to_frame(1, Protocol::Plain).and_then(|frame| frame.encode()).expect("a frame")
+}
+
+/// An operator's few seconds with the station: every byte that came out, by line.
+fn session(station: &mut EmulatedStation, pause_ms: u64) -> Vec<Vec<u8>> {
+    let mut heard = vec![Vec::new(); station.lines().len() + 2];
+    let client = station.connect();
+    for ms in (0..1500).step_by(pause_ms as usize) {
+        let now_ns = ms * MS_NS;
+        // What is sent does not depend on how often the clock is read.
+        match ms {
+            100 => {
+                station.line_input(0, &request(3, Instruction::Write { address: 64, data: vec![1] }), now_ns)
+            }
+            200 => {
+                let data = 2400_u32.to_le_bytes().to_vec();
+                station.line_input(0, &request(3, Instruction::Write { address: 116, data }), now_ns);
+            }
+            300 => station.arm_input(client, &frame(&Command::MotionEnable { joint: 8, on: 1 }), now_ns),
+            400 => station.arm_input(client, &frame(&Command::GetJoints { num_arrays: Some(3) }), now_ns),
+            _ if ms % 100 == 0 => {
+                let ids = (0..16).collect();
+                let read = Instruction::SyncRead { address: 126, length: 10, ids };
+                station.line_input(0, &request(254, read), now_ns);
+            }
+            _ => {}
+        }
+        for (line, heard) in heard.iter_mut().take(station.lines().len()).enumerate() {
+            heard.extend(station.line_output(line, now_ns));
+        }
+        let num_lines = station.lines().len();
+        heard[num_lines].extend(station.arm_output(client, now_ns));
+        for (_, report) in station.reports(now_ns) {
+            heard[num_lines + 1].extend(report);
+        }
+    }
+    heard
+}
+
+const TROUBLE: &str = r#"
+[[fault]]
+kind = "flip"
+device = "u2d2"
+share = 0.01
+[[fault]]
+kind = "lost"
+device = "twintac1"
+share = 0.2
+[[fault]]
+kind = "garbage"
+device = "fsr"
+share = 0.3
+[[fault]]
+kind = "delay"
+device = "xarm"
+delay_s = 0.05
+"#;
+
+#[test]
+fn same_seed_and_same_bytes_in_give_the_same_bytes_out() {
+    let trouble = |seed: u64, pause_ms: u64| {
+        let mut station = station(seed);
+        let faults = faults(&station, TROUBLE);
+        station.set_faults(faults, 0);
+        session(&mut station, pause_ms)
+    };
+    let heard = trouble(5, 1);
+    assert!(heard.iter().all(|bytes| bytes.len() > 50), "every line speaks");
+    assert!(heard == trouble(5, 1), "the same again");
+    // Reading less often gives the same bytes, up to what is not yet due at the last look.
+    for (often, seldom) in heard.iter().zip(trouble(5, 20)) {
+        assert!(often.starts_with(&seldom) && 2 * seldom.len() > often.len());
+    }
+    let other = trouble(6, 1);
+    assert!(heard[1] != other[1], "another seed, another noise");
+}
+
+#[test]
+fn boards_speak_at_their_rates_from_their_own_channels() {
+    let mut station = station(1);
+    let (mut index, mut fsr) = (LineDecoder::new(8), LineDecoder::new(4));
+    let mut rows = RowAssembler::new(3);
+    let (index_line, fsr_line) = (line_idx(&station, "twintac0"), line_idx(&station, "fsr"));
+    // What was sampled before the clients came is on its way: count from when that is over.
+    let _early = (station.line_output(index_line, S_NS), station.line_output(fsr_line, S_NS));
+    let samples = index.feed(&station.line_output(index_line, 3 * S_NS));
+    let frames: Vec<Vec<f64>> = fsr
+        .feed(&station.line_output(fsr_line, 3 * S_NS))
+        .into_iter()
+        .filter_map(|row| rows.push(row))
+        .collect();
+    assert!((195..=205).contains(&samples.len()), "{} samples in 2 s", samples.len());
+    assert!((78..=82).contains(&frames.len()), "{} frames in 2 s", frames.len());
+    assert!(samples.iter().flatten().all(|raw| (7900.0..8100.0).contains(raw)), "untouched");
+    assert_eq!((index.counters().malformed, fsr.counters().malformed, frames[0].len()), (0, 0, 12));
+}
+
+/// Lowers the flange by `down_m` from where it is, and waits until that is done.
+fn lower(station: &mut EmulatedStation, client: u64, now_ns: &mut u64, down_m: f64) {
+    station.arm_input(client, &frame(&Command::GetPose {}), *now_ns);
+    *now_ns += 10 * MS_NS;
+    let bytes = station.arm_output(client, *now_ns);
+    let answers = FrameDecoder::default().feed(&bytes);
+    let (_, reply) = Reply::from_frame(answers.last().expect("an answer")).expect("a reply");
+    let Reply::Pose { mut pose } = reply else { panic!("{reply:?}") };
+    pose.position_m[2] -= down_m;
+    let motion = Command::MoveLine {
+        pose: Pose { ..pose },
+        speed_m_per_sec: 0.1,
+        acc_m_per_sec2: 1.0,
+        time_secs: 0.0,
+        tail: None,
+    };
+    station.arm_input(client, &frame(&motion), *now_ns);
+    *now_ns += (down_m.abs() / 0.1 * 1e9) as u64 + S_NS;
+    station.advance(*now_ns);
+}
+
+/// Largest value of each line of a board in the next half second.
+fn feel(station: &mut EmulatedStation, line: usize, num_values: usize, now_ns: &mut u64) -> f64 {
+    let _before = station.line_output(line, *now_ns);
+    *now_ns += S_NS / 2;
+    let lines = LineDecoder::new(num_values).feed(&station.line_output(line, *now_ns));
+    assert!(lines.len() > 10);
+    lines.into_iter().flatten().fold(0.0, f64::max)
+}
+
+#[test]
+fn a_hand_that_is_moved_onto_the_object_feels_it_until_it_leaves() {
+    let mut station = station(2);
+    let client = station.connect();
+    let mut now_ns = 0;
+    for command in [
+        Command::MotionEnable { joint: 8, on: 1 },
+        Command::SetMode { mode: 0, detection: None },
+        Command::SetState { state: 0 },
+    ] {
+        station.arm_input(client, &frame(&command), now_ns);
+    }
+    let fsr = line_idx(&station, "fsr");
+    let before = feel(&mut station, fsr, 4, &mut now_ns);
+    assert!(before < 50.0, "untouched: {before}");
+    let start = station.positions().to_vec();
+    // The palm is above the ball; somewhere on the way down it arrives.
+    let mut pressed = 0.0;
+    let mut down_m = 0.0;
+    while pressed < 300.0 && down_m < 0.15 {
+        lower(&mut station, client, &mut now_ns, 0.01);
+        down_m += 0.01;
+        pressed = feel(&mut station, fsr, 4, &mut now_ns);
+    }
+    assert!(pressed >= 300.0, "nothing felt {down_m} m further down");
+    assert!(down_m > 0.02, "felt too soon");
+    lower(&mut station, client, &mut now_ns, -down_m);
+    let after = feel(&mut station, fsr, 4, &mut now_ns);
+    assert!(after < 50.0, "it lingers: {after}");
+    let back = station.positions().iter().zip(&start).all(|(now, then)| (now - then).abs() < 1e-4);
+    assert!(back, "{:?} against {start:?}", station.positions());
+}
+
+#[test]
+fn encoders_see_the_truths_offsets_and_arm_and_servos_begin_at_rest() {
+    let station = station(0);
+    let joint =
+        |name: &str| station.station().robot.dofs().position(|joint| joint.name == name).expect("a joint");
+    let middle = joint("middle_mcp_forward");
+    assert!((station.positions()[middle] - 0.3).abs() < 1e-9);
+    let servo = station.hand_dofs.iter().position(|&dof| dof == middle).unwrap();
+    let seen_rad = station.bus.joints_rad().nth(servo).unwrap();
+    assert!((seen_rad - 0.304).abs() < 1e-9, "{seen_rad}");
+}
+
+#[test]
+fn faults_reach_the_device_that_they_name() {
+    let mut station = station(3);
+    let (one, two) = (line_idx(&station, "twintac1"), line_idx(&station, "twintac2"));
+    let text = r#"
+        [[fault]]
+        kind = "unplug"
+        device = "twintac1"
+        [[fault]]
+        kind = "drift"
+        channel = "ring_tip.2"
+        raw_per_s = 100.0
+        [[fault]]
+        kind = "lost"
+        device = "u2d2"
+        share = 1.0
+        [[fault]]
+        kind = "stuck"
+        joint = "index_pip"
+        [[fault]]
+        kind = "emergency_stop"
+    "#;
+    let wrong = faults(&station, text);
+    station.set_faults(wrong.clone(), S_NS);
+    station.line_input(0, &request(0, Instruction::Ping), S_NS);
+    // The same file again is no new beginning of the drift.
+    station.set_faults(wrong, 2 * S_NS);
+    assert!(station.line_output(one, 4 * S_NS).is_empty() && station.line_output(0, 4 * S_NS).is_empty());
+    let samples = LineDecoder::new(8).feed(&station.line_output(two, 4 * S_NS));
+    let last = samples.last().unwrap();
+    assert!((last[2] - 8300.0).abs() < 60.0 && (last[3] - 8000.0).abs() < 60.0, "{last:?}");
+    let client = station.connect();
+    station.arm_input(client, &frame(&Command::GetError {}), 4 * S_NS);
+    let answer = station.arm_output(client, 5 * S_NS);
+    assert_eq!(answer[answer.len() - 2..], [1, 0], "the stop button's error");
+
+    station.set_faults(Faults::default(), 5 * S_NS);
+    station.line_input(0, &request(0, Instruction::Ping), 5 * S_NS);
+    let answer = Decoder::default().feed(&station.line_output(0, 6 * S_NS));
+    assert_eq!(Status::from_packet(&answer[0]).unwrap().id, 0);
+    assert!(!station.line_output(one, 6 * S_NS).is_empty());
+}
+
+#[test]
+fn damaged_lines_are_damaged_as_often_as_told_and_delays_keep_the_order() {
+    let count = |text: &str| {
+        let mut station = station(4);
+        let line = line_idx(&station, "twintac0");
+        let faults = faults(&station, text);
+        station.set_faults(faults, 0);
+        let mut decoder = LineDecoder::new(8);
+        let samples = decoder.feed(&station.line_output(line, 11 * S_NS));
+        (samples.len() as f64, decoder.counters().malformed as f64)
+    };
+    let fault =
+        |kind: &str, more: &str| format!("[[fault]]\nkind = \"{kind}\"\ndevice = \"twintac0\"\n{more}\n");
+    let (all, none) = count("");
+    assert!((1050.0..1105.0).contains(&all) && none == 0.0, "{all} {none}");
+    let (kept, _) = count(&fault("lost", "share = 0.3"));
+    assert!((kept / all - 0.7).abs() < 0.05, "{kept} of {all}");
+    let (good, bad) = count(&fault("garbage", "share = 0.5"));
+    assert!(bad > 0.3 * all && good > 0.3 * all, "{good} and {bad} of {all}");
+    let (good, bad) = count(&fault("flip", "share = 0.001"));
+    // Some flips give other digits, which no line can tell.
+    assert!(bad > 0.0 && good > 0.9 * all, "{good} and {bad} of {all}");
+    let (late, bad) = count(&fault("delay", "delay_s = 1.0"));
+    assert!((all - late - 100.0).abs() < 3.0 && bad == 0.0, "{late} of {all}");
+}
+
+#[test]
+fn wrong_faults_are_refused_with_their_place() {
+    let station = station(0);
+    for (text, expected) in [
+        (
+            "[[fault]]\nkind = \"unplug\"\ndevice = \"twintac9\"",
+            "fault 1: no device \"twintac9\"; expected one of u2d2",
+        ),
+        (
+            "[[fault]]\nkind = \"flip\"\ndevice = \"xarm\"\nshare = 0.1",
+            "is reached by TCP, which loses nothing",
+        ),
+        ("[[fault]]\nkind = \"lost\"\ndevice = \"fsr\"\nshare = 1.5", "share = 1.5 must be within 0..=1"),
+        (
+            "[[fault]]\nkind = \"stuck\"\njoint = \"joint1\"",
+            "the hand has no joint \"joint1\"; expected one of index",
+        ),
+        ("[[fault]]\nkind = \"dead_taxel\"\nchannel = \"index_tip.9\"", "the layout has no channel"),
+        ("[[fault]]\nkind = \"supply\"\nvolts = nan", "volts = NaN must be within"),
+        ("[[fault]]\nkind = \"delay\"\ndevice = \"fsr\"\ndelay_s = -1.0", "delay_s = -1 must be within"),
+        ("[[fault]]\nkind = \"unplugged\"", "faults.toml: line 2"),
+        ("[[faults]]", "faults.toml: line 1"),
+    ] {
+        let error = Faults::parse("faults.toml", text, station.station()).expect_err(text).to_string();
+        assert!(error.contains(expected), "{error}\nfor {text}");
+    }
+}
+
+#[test]
+fn a_station_without_a_hand_is_refused() {
+    let error = EmulatedStation::new(&shipped("bench.toml"), 0).map(|_| ()).expect_err("no hand").to_string();
+    assert!(error.contains("has no hand on an arm"), "{error}");
+}
