@@ -42,22 +42,23 @@ fn session(station: &mut EmulatedStation, pause_ms: u64) -> Vec<Vec<u8>> {
     for ms in (0..1500).step_by(pause_ms as usize) {
         let now_ns = ms * MS_NS;
         // What is sent does not depend on how often the clock is read.
-        match ms {
-            100 => {
-                station.line_input(0, &request(3, Instruction::Write { address: 64, data: vec![1] }), now_ns)
-            }
-            200 => {
-                let data = 2400_u32.to_le_bytes().to_vec();
-                station.line_input(0, &request(3, Instruction::Write { address: 116, data }), now_ns);
-            }
-            300 => station.arm_input(client, &frame(&Command::MotionEnable { joint: 8, on: 1 }), now_ns),
-            400 => station.arm_input(client, &frame(&Command::GetJoints { num_arrays: Some(3) }), now_ns),
+        let write = |address, data: &[u8]| request(3, Instruction::Write { address, data: data.to_vec() });
+        let (to_servos, to_arm) = match ms {
+            100 => (write(64, &[1]), Vec::new()),
+            200 => (write(116, &2400_u32.to_le_bytes()), Vec::new()),
+            300 => (Vec::new(), frame(&Command::MotionEnable { joint: 8, on: 1 })),
+            400 => (Vec::new(), frame(&Command::GetJoints { num_arrays: Some(3) })),
             _ if ms % 100 == 0 => {
                 let ids = (0..16).collect();
-                let read = Instruction::SyncRead { address: 126, length: 10, ids };
-                station.line_input(0, &request(254, read), now_ns);
+                (request(254, Instruction::SyncRead { address: 126, length: 10, ids }), Vec::new())
             }
-            _ => {}
+            _ => (Vec::new(), Vec::new()),
+        };
+        if !to_servos.is_empty() {
+            station.line_input(0, &to_servos, now_ns);
+        }
+        if !to_arm.is_empty() {
+            station.arm_input(client, &to_arm, now_ns);
         }
         for (line, heard) in heard.iter_mut().take(station.lines().len()).enumerate() {
             heard.extend(station.line_output(line, now_ns));
