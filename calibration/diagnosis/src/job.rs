@@ -63,9 +63,9 @@ pub struct DiagnosisOutcome {
 /// Steps of the first fit of the model's own parameters.
 const FIRST_STEPS: usize = 6;
 /// Candidates fitted in a round.
-const NUM_FITS: usize = 6;
+pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
-const LEAST_SHARE: f64 = 0.01;
+pub(crate) const LEAST_SHARE: f64 = 0.003;
 
 /// Diagnoses `takes` (of one station), starting from `nominal`.
 ///
@@ -88,23 +88,8 @@ pub fn diagnose(
     };
     watch(0.0, "calibrating thresholds")?;
     let station = check(config, takes)?;
-    let paired: Vec<PairedTake> = takes.par_iter().map(PairedTake::from_take).collect::<Result<_, _>>()?;
-    let calibration = CalibrationConfig {
-        hold_out: config.hold_out.clone(),
-        bootstrap_resamples: 0,
-        ..CalibrationConfig::default()
-    };
-    let outcome = calibrate(&calibration, &station.layout, nominal, &paired, &NoProgress, cancel, clock_s)?;
-    let confirm_ids = outcome.report.held_out_takes;
-    let is_confirm = |take: &Take| confirm_ids.contains(&take.id);
-    let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !is_confirm(&takes[idx])).collect();
-
-    watch(0.05, "fitting the model's own parameters")?;
-    let mut calibrated = outcome.model;
-    calibrated.effects = nominal.effects.clone();
-    calibrated.response = nominal.response.clone();
-    let (domain, start) = TactileDomain::new(station, takes, &calibrated)?;
-    let start = engine::refit(&domain, &start, &fitted, FIRST_STEPS)?;
+    let Prepared { domain, start, calibrated, fitted } = prepare(config, station, takes, nominal, cancel)?;
+    watch(0.1, "looking for what is missing")?;
     let naming_config = NamingConfig {
         max_effects: config.max_effects + nominal.effects.len(),
         bar: bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence),
@@ -136,6 +121,40 @@ pub fn diagnose(
     progress.report(1.0, "done");
     let model = steps.models.last().cloned().unwrap_or_else(|| calibrated.clone());
     Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy })
+}
+
+/// A session, calibrated and ready to be searched.
+pub(crate) struct Prepared<'a> {
+    pub(crate) domain: TactileDomain<'a>,
+    /// The model to begin with, its own parameters fitted.
+    pub(crate) start: Model,
+    pub(crate) calibrated: SensorModel,
+    /// Indices of the takes that are not kept for confirmation.
+    pub(crate) fitted: Vec<usize>,
+}
+
+pub(crate) fn prepare<'a>(
+    config: &DiagnosisConfig,
+    station: &'a Station,
+    takes: &'a [Take],
+    nominal: &SensorModel,
+    cancel: &Cancel,
+) -> Result<Prepared<'a>, DiagnosisError> {
+    let paired: Vec<PairedTake> = takes.par_iter().map(PairedTake::from_take).collect::<Result<_, _>>()?;
+    let calibration = CalibrationConfig {
+        hold_out: config.hold_out.clone(),
+        bootstrap_resamples: 0,
+        ..CalibrationConfig::default()
+    };
+    let outcome = calibrate(&calibration, &station.layout, nominal, &paired, &NoProgress, cancel, &|| 0.0)?;
+    let confirm_ids = outcome.report.held_out_takes;
+    let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !confirm_ids.contains(&takes[idx].id)).collect();
+    let mut calibrated = outcome.model;
+    calibrated.effects = nominal.effects.clone();
+    calibrated.response = nominal.response.clone();
+    let (domain, start) = TactileDomain::new(station, takes, &calibrated)?;
+    let start = engine::refit(&domain, &start, &fitted, FIRST_STEPS)?;
+    Ok(Prepared { domain, start, calibrated, fitted })
 }
 
 /// Models as deployed: calibrated, then with one more effect each.
@@ -222,7 +241,7 @@ pub(crate) fn interval<D: Domain>(domain: &D, effect: &Effect, errors: &[f64]) -
         .collect()
 }
 
-fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&'a Station, DiagnosisError> {
+pub(crate) fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&'a Station, DiagnosisError> {
     let Some(first) = takes.first() else {
         return Err(DiagnosisError::Input(
             "nothing to diagnose: the session has no accepted take; record or accept one".to_owned(),

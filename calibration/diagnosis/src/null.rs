@@ -1,8 +1,14 @@
 //! The bar that evidence must reach: what the whole pipeline finds in sessions that miss nothing.
 
+use palpate_recording::Take;
+use palpate_sim::SensorModel;
+use palpate_sim::job::{Cancel, Progress};
 use palpate_wire::api::Bar;
 use serde::{Deserialize, Serialize};
 
+use crate::DiagnosisError;
+use crate::engine::{self, NamingConfig};
+use crate::job::{DiagnosisConfig, LEAST_SHARE, NUM_FITS, Prepared, check, prepare};
 use crate::tactile::adequacy::Adequacy;
 
 /// A station's null bar.
@@ -19,10 +25,10 @@ pub struct NullBar {
 
 impl NullBar {
     /// The bar where a station has none of its own: tuned on sessions of an emulated station in which nothing is hidden.
-    pub const DEFAULT_EVIDENCE: f64 = 16.0;
+    pub const DEFAULT_EVIDENCE: f64 = 12.0;
 
     /// Limits of the adequacy statistics, tuned likewise.
-    pub const DEFAULT_ADEQUACY: Adequacy = Adequacy { repeating: 0.35, common_mode: 2.0 };
+    pub const DEFAULT_ADEQUACY: Adequacy = Adequacy { repeating: 0.6, common_mode: 1.5 };
 
     fn default_adequacy() -> Adequacy {
         Self::DEFAULT_ADEQUACY
@@ -47,4 +53,54 @@ impl NullBar {
     pub(crate) fn to_report(&self) -> Bar {
         Bar { evidence: self.evidence, null_sessions: self.maxima.len(), null_maxima: self.maxima.clone() }
     }
+}
+
+/// Share of null sessions that stay below the bar.
+const BELOW_BAR: f64 = 0.95;
+
+/// Finds the bar of the station of `takes`: simulates `sessions` sessions with the motions of `takes` from the
+/// calibrated model, with noise and nothing missing, and searches each of them for effects.
+///
+/// Simulated sessions agree with the model in everything but noise, real ones do not: so the bar is never below
+/// [`NullBar::DEFAULT_EVIDENCE`], which was tuned on sessions of a world of another make.
+pub fn null_bar(
+    config: &DiagnosisConfig,
+    takes: &[Take],
+    nominal: &SensorModel,
+    sessions: usize,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<NullBar, DiagnosisError> {
+    let station = check(config, takes)?;
+    let Prepared { domain, start, fitted, .. } = prepare(config, station, takes, nominal, cancel)?;
+    let naming = NamingConfig {
+        max_effects: 0,
+        bar: NullBar::DEFAULT_EVIDENCE,
+        least_share: LEAST_SHARE,
+        num_fits: NUM_FITS,
+        without: config.without.clone(),
+    };
+    let mut maxima = Vec::with_capacity(sessions);
+    for session in 0..sessions {
+        progress.report(
+            session as f64 / sessions as f64,
+            &format!("searching null session {} of {sessions}", session + 1),
+        );
+        let simulated = domain.simulated(&start, config.seed.wrapping_add(session as u64))?;
+        let model = engine::refit(&simulated, &start, &fitted, 2)?;
+        let found = engine::name(&simulated, &model, &fitted, &naming, &|_, _| {
+            if cancel.is_cancelled() { Err(DiagnosisError::Cancelled) } else { Ok(()) }
+        })?;
+        let tried = found.rounds[0].tried.iter().filter(|tried| tried.share > LEAST_SHARE);
+        maxima.push(tried.map(|tried| tried.evidence).fold(0.0, f64::max));
+    }
+    maxima.sort_unstable_by(f64::total_cmp);
+    let position = (BELOW_BAR * maxima.len() as f64).ceil() as usize;
+    let of_null = maxima.get(position.saturating_sub(1)).copied().unwrap_or(0.0);
+    progress.report(1.0, "done");
+    Ok(NullBar {
+        evidence: of_null.max(NullBar::DEFAULT_EVIDENCE),
+        maxima,
+        adequacy: NullBar::DEFAULT_ADEQUACY,
+    })
 }

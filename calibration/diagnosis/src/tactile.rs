@@ -20,6 +20,8 @@ use palpate_recording::Take;
 use palpate_robot_model::{Place, SensorKind, Station};
 use palpate_sim::effects::{self, Chain, Effect, Geometry, Parameter, Stage, TakeScene};
 use palpate_sim::{Response, SensorModel, Theta};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
 use crate::DiagnosisError;
 use crate::engine::{BaseParameter, Domain, Model};
@@ -175,6 +177,28 @@ impl<'a> TactileDomain<'a> {
                 }
             })
             .collect()
+    }
+
+    /// These takes as they would have been recorded if `model` were the whole truth: with noise on joints, readings
+    /// and pressures, drawn from `seed`.
+    pub(crate) fn simulated(&self, model: &Model, seed: u64) -> Result<Self, DiagnosisError> {
+        let mut takes = Vec::with_capacity(self.takes.len());
+        for (idx, take) in self.takes.iter().enumerate() {
+            let predicted = self.predict(idx, model)?;
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(idx as u64);
+            takes.push(take.simulated(self.station, &predicted, &mut rng));
+        }
+        Ok(Self {
+            station: self.station,
+            geometries: takes.iter().map(|_| Mutex::new(Vec::new())).collect(),
+            takes,
+            kinds: self.kinds.clone(),
+            base: self.base.clone(),
+            candidates: self.candidates.clone(),
+            alike: self.alike.clone(),
+            moves: self.moves.clone(),
+        })
     }
 
     /// Number of takes with raw readings.

@@ -409,6 +409,10 @@ fn dot(a: &Column, a_part: &Range<usize>, b: &Column, b_part: &Range<usize>) -> 
     sum
 }
 
+/// Directions of parameters that the data sees less than this, of what it sees of one alone, are left at rest: steps
+/// along them would be large and say nothing.
+const LEAST_SEEN: f64 = 1e-3;
+
 /// Inverse of a normal matrix, with directions that the data says nothing about left at rest.
 pub(crate) fn inverse(normal: &DMatrix<f64>) -> DMatrix<f64> {
     let n = normal.nrows();
@@ -419,7 +423,7 @@ pub(crate) fn inverse(normal: &DMatrix<f64>) -> DMatrix<f64> {
     let eigen = scaled.symmetric_eigen();
     let mut inverse = DMatrix::zeros(n, n);
     for (idx, &value) in eigen.eigenvalues.iter().enumerate() {
-        if value > 1e-6 {
+        if value > LEAST_SEEN {
             let vector = eigen.eigenvectors.column(idx);
             inverse += vector * vector.transpose() / value;
         }

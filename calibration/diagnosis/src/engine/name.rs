@@ -76,6 +76,8 @@ const REFIT_STEPS: usize = 3;
 const RIVAL_SHARE: f64 = 0.8;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
 const PROMISING: usize = 160;
+/// Numbers of parameters up to this many apart count as equally simple.
+const SIMILAR_COUNT: usize = 7;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -154,9 +156,16 @@ pub fn name<D: Domain>(
         }
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
-        let named = tried.iter().position(passes).filter(|_| model.effects.len() < config.max_effects);
+        // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
+        let best = tried.iter().position(passes).filter(|_| model.effects.len() < config.max_effects);
+        let named = best.and_then(|best| {
+            let least = RIVAL_SHARE * tried[best].held_out_gain;
+            (best..tried.len())
+                .filter(|&idx| passes(&tried[idx]) && tried[idx].held_out_gain >= least)
+                .min_by_key(|&idx| tried[idx].effect.parameters.len().div_ceil(SIMILAR_COUNT))
+        });
         let class = named.map_or_else(Vec::new, |named| {
-            let least = RIVAL_SHARE * tried[named].held_out_gain;
+            let least = RIVAL_SHARE * tried[0].held_out_gain;
             (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
         });
         rounds.push(Round { before: model.clone(), tried: tried.clone(), named, class });

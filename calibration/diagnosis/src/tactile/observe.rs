@@ -3,19 +3,35 @@
 use std::ops::Range;
 
 use palpate_recording::{SpanKind, Take};
-use palpate_robot_model::{ObjectModel, Station};
+use palpate_robot_model::{JointKind, ObjectModel, Station};
 use palpate_sim::effects::TakeScene;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 use crate::DiagnosisError;
 
 /// Rows between repetitions that are not marked are cut into blocks of this length, s.
 const BLOCK_S: f64 = 5.0;
 
+/// Standard deviation of simulated joint noise, rad: a servo's encoder and its interpolation.
+const JOINT_NOISE_RAD: f64 = 3e-4;
+/// Standard deviation of the logarithm of how hard simulated touches press a channel.
+const TOUCH_SPREAD: f64 = 0.05;
+
+/// A standard normal deviate (Box and Muller).
+fn gaussian(rng: &mut ChaCha8Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
+}
+
 /// A take, as a diagnosis compares it.
+#[derive(Clone)]
 pub(crate) struct Observed<'a> {
     pub(crate) take: &'a Take,
     pub(crate) object: &'a ObjectModel,
     pub(crate) has_raw: bool,
+    /// Measured joint positions, as in [`TakeScene::positions`].
+    pub(crate) positions: Vec<f64>,
     /// Per stream, when the sample in effect at each frame arrived, s.
     pub(crate) arrivals_s: Vec<Vec<f64>>,
     /// As [`super::TactileDomain`] numbers them.
@@ -83,7 +99,48 @@ impl<'a> Observed<'a> {
         let blocks =
             repetitions.iter().map(|(frames, _)| frames.start * stride..frames.end * stride).collect();
         let has_raw = take.has_raw();
-        Ok(Self { take, object, has_raw, arrivals_s, rows, blocks, repetitions, noise, ceilings })
+        let positions = take.joints.positions.clone();
+        Ok(Self { take, object, has_raw, positions, arrivals_s, rows, blocks, repetitions, noise, ceilings })
+    }
+
+    /// This take with what a model predicts in place of what was measured, and noise.
+    pub(crate) fn simulated(&self, station: &Station, predicted: &[f64], rng: &mut ChaCha8Rng) -> Self {
+        let num_channels = station.layout.num_channels();
+        let stride = 2 * num_channels;
+        let mut simulated = self.clone();
+        for (dof, joint) in station.robot.dofs().enumerate() {
+            if joint.kind == JointKind::Revolute {
+                for frame in simulated.positions.chunks_exact_mut(station.robot.num_dofs()) {
+                    frame[dof] += JOINT_NOISE_RAD * gaussian(rng);
+                }
+            }
+        }
+        let off_fractions: Vec<f64> = station
+            .layout
+            .channels
+            .iter()
+            .map(|channel| station.streams[channel.stream].off_fraction())
+            .collect();
+        let mut on = vec![false; num_channels];
+        for block in &self.blocks {
+            // No two touches press a channel quite alike.
+            let shares: Vec<f64> = (0..num_channels).map(|_| 1.0 + TOUCH_SPREAD * gaussian(rng)).collect();
+            for frame in block.start / stride..block.end / stride {
+                for channel in 0..num_channels {
+                    let row = frame * stride + 2 * channel;
+                    let noise = self.noise[channel] * gaussian(rng);
+                    let reading = predicted[row + 1] * shares[channel] + noise;
+                    on[channel] = reading > if on[channel] { off_fractions[channel] } else { 1.0 };
+                    if !self.rows[row].is_nan() {
+                        simulated.rows[row] = f64::from(u8::from(on[channel]));
+                    }
+                    if !self.rows[row + 1].is_nan() {
+                        simulated.rows[row + 1] = reading;
+                    }
+                }
+            }
+        }
+        simulated
     }
 
     /// What the simulation needs of it.
@@ -93,7 +150,7 @@ impl<'a> Observed<'a> {
             object: self.object,
             base_from_object: &self.take.meta.base_from_object,
             frame_times_s: &self.take.joints.times_s,
-            positions: &self.take.joints.positions,
+            positions: &self.positions,
             arrival_times_s: &self.arrivals_s,
         }
     }
