@@ -4,6 +4,7 @@
 //! for each spot of elastomer, sampled converters, firmware thresholds, transport queues. It shares the robot model and
 //! the geometry with `palpate_sim`, never the tactile model: what it hides must not be found by inverting the code that
 //! hid it. [`record_session`] moves it through the primitives and writes takes; [`LiveStation`] runs it in real time.
+//! [`devices`] are the station's servos, arm and tactile boards in the bytes of the real ones.
 
 pub mod actuator;
 mod bench;
