@@ -8,6 +8,7 @@ const screens = {
   hand: `#/hand/${session}?take=take-01&t=12.4`,
   timelines: `#/timelines/${session}?take=take-01&t=12.4`,
   calibrate: `#/calibrate/${session}`,
+  diagnose: `#/diagnose/${session}`,
   sessions: `#/sessions/${session}`,
 };
 
@@ -17,6 +18,13 @@ const run = runs.find((known) => known.state === "done" && known.request.session
 if (run) {
   screens.calibrate += `?run=${run.id}`;
   screens.timelines += `&model=run:${run.id}`;
+}
+
+const diagnoses = await (await fetch(`${url}/api/v1/diagnoses`)).json();
+const diagnosis = diagnoses.find((known) => known.state === "done" && known.request.session === session);
+if (diagnosis) {
+  screens.diagnose += `?run=${diagnosis.id}`;
+  screens.timelines += `&diagnosed=diagnosis:${diagnosis.id}`;
 }
 
 for (const [width, height] of [[1280, 800], [1920, 1080]]) {

@@ -307,7 +307,7 @@ fn ticked_effects_are_added_and_undone() {
     harness.run_steps(6);
     assert!(api.0.borrow().sent.contains(&Request::UndoModel("bench-fit".into())));
     harness.get_by_role_and_label(Role::Button, "Add to bench-fit");
-    assert!(harness.query_by_label_contains("+ latency, stream film").is_none());
+    assert!(harness.query_by_label_contains("+ latency, stream film: delay").is_none());
     assert_eq!(app(&harness).playback.diagnosed, Some(ModelRef::Diagnosis(ID.into())));
 }
 
