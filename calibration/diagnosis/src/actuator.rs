@@ -8,6 +8,7 @@ mod report;
 
 use palpate_recording::ServoLog;
 use palpate_sim::actuator::ACTUATOR;
+use palpate_sim::effects::Effect;
 use palpate_sim::job::{Cancel, Progress};
 use palpate_wire::api::DiagnosisReport;
 use rand::{RngExt as _, SeedableRng as _};
@@ -139,9 +140,18 @@ pub fn diagnose_actuator(
         num_fits: NUM_FITS,
         without: config.without.clone(),
     };
-    let naming = engine::name(&domain, &calibrated, &fitted, &naming_config, &|fraction, stage| {
-        watch(0.1 + 0.6 * fraction, stage)
-    })?;
+    let (mut naming_config, mut refused) = (naming_config, Vec::new());
+    let naming = loop {
+        let naming = engine::name(&domain, &calibrated, &fitted, &naming_config, &|fraction, stage| {
+            watch(0.1 + 0.6 * fraction, stage)
+        })?;
+        // An effect that fits only at the end of what makes sense stands in for something else.
+        let Some(at_bound) = naming.model.effects.iter().find(|effect| at_bound(&domain, effect)) else {
+            break naming;
+        };
+        refused.push(at_bound.id.clone());
+        naming_config.without.push(at_bound.id.clone());
+    };
     // The models as deployed: the motor alone, then with one more effect each, every one fitted from several starts.
     let mut steps = vec![calibrated];
     for count in 1..=naming.model.effects.len() {
@@ -163,6 +173,7 @@ pub fn diagnose_actuator(
         fitted: &fitted,
         confirm: &confirm,
         misfit,
+        refused: &refused,
         seconds: clock_s() - start_s,
     })?;
     progress.report(1.0, "done");
@@ -201,6 +212,16 @@ fn fit_well(
         .collect::<Result<_, DiagnosisError>>()?;
     let best = fits.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
     Ok(best.map_or_else(|| model.clone(), |(_, fit)| fit))
+}
+
+/// Whether a parameter of `effect` ended where it may go no further. Effects that are there or not are, at their end.
+fn at_bound(domain: &ActuatorDomain<'_>, effect: &Effect) -> bool {
+    domain.parameters(effect).iter().any(|parameter| {
+        let value = effect.parameter(&parameter.name);
+        let there_or_not = parameter.dose == parameter.upper - parameter.neutral;
+        let margin = 1e-6 * (parameter.upper - parameter.lower);
+        !there_or_not && (value >= parameter.upper - margin || value <= parameter.lower + margin)
+    })
 }
 
 /// Huber's loss of the residuals of `model`.

@@ -243,10 +243,10 @@ impl<'a> World<'a> {
 
         let gear_nm = self.gear_nm();
         let motor_nm = constant * self.current_a + truth.ripple_nm * (14.0 * self.rotor_rad).sin();
-        let friction_nm = self.friction_nm(gear_nm, motor_nm);
+        let gravity_nm = (1.0 + truth.gravity) * MASS_KG * GRAVITY_M_PER_S2 * LENGTH_M * self.joint_rad.sin();
+        let friction_nm = self.friction_nm(gravity_nm, motor_nm);
         let rotor = ROTOR_KG_M2 + truth.inertia_kg_m2;
         self.rotor_rad_per_s += STEP_S * (motor_nm - friction_nm - gear_nm) / rotor;
-        let gravity_nm = (1.0 + truth.gravity) * MASS_KG * GRAVITY_M_PER_S2 * LENGTH_M * self.joint_rad.sin();
         self.joint_rad_per_s += STEP_S * (gear_nm - gravity_nm) / (MASS_KG * LENGTH_M * LENGTH_M);
         self.rotor_rad += STEP_S * self.rotor_rad_per_s;
         self.joint_rad += STEP_S * self.joint_rad_per_s;
@@ -268,13 +268,13 @@ impl<'a> World<'a> {
     }
 
     /// Friction at the rotor: a bristle that bends until it slides.
-    fn friction_nm(&mut self, gear_nm: f64, motor_nm: f64) -> f64 {
+    fn friction_nm(&mut self, gravity_nm: f64, motor_nm: f64) -> f64 {
         let truth = self.truth;
         let speed = self.rotor_rad_per_s;
         let on_spot = (0.2..0.35).contains(&self.rotor_rad);
         let sliding_nm = truth.coulomb_nm
             + truth.stribeck_nm * (-(speed / 0.3).powi(2)).exp()
-            + truth.load_friction * 0.5 * (gear_nm + motor_nm).abs()
+            + truth.load_friction * 0.5 * (gravity_nm + motor_nm).abs()
             + if on_spot { truth.spot_nm } else { 0.0 };
         let viscous_nm = truth.viscous_nm_s_per_rad * speed;
         if sliding_nm < 1e-6 {

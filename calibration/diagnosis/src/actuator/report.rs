@@ -34,6 +34,8 @@ pub(super) struct Evidence<'a> {
     pub(super) fitted: &'a [usize],
     pub(super) confirm: &'a [usize],
     pub(super) misfit: f64,
+    /// Ids of effects that fitted only at the end of their bounds.
+    pub(super) refused: &'a [String],
     pub(super) seconds: f64,
 }
 
@@ -85,6 +87,11 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     )];
     if confirm.is_empty() {
         notes.push("no log is held out: the figures are from the logs that were fitted".to_owned());
+    }
+    for id in evidence.refused {
+        notes.push(format!(
+            "{id} fits only at the end of its bounds, which no real servo has: it stands in for something else and is not named"
+        ));
     }
     for effect in &naming.dropped {
         notes.push(format!(

@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
+use palpate_emulator::actuator::{record_servo, servo_cases};
 use palpate_recording::ServoLog;
 use palpate_sim::job::{Cancel, NoProgress};
+use palpate_wire::api::Verdict;
 
 use super::*;
 
@@ -104,4 +106,90 @@ fn hold_out_that_leaves_nothing_is_refused() {
     assert!(message.contains("choose among: kp=100, kp=200"), "{message}");
     assert!("kp".parse::<LogHoldOut>().is_err());
     assert_eq!("kp=200".parse::<LogHoldOut>().unwrap(), field("200"));
+}
+
+fn blind(label: &str, without: &[&str]) -> ActuatorOutcome {
+    let cases = servo_cases();
+    let case = cases.iter().find(|case| case.label == label).expect("a case of that label");
+    let config = ActuatorConfig {
+        starts: 2,
+        resamples: 50,
+        without: without.iter().map(|id| (*id).to_owned()).collect(),
+        ..ActuatorConfig::default()
+    };
+    let logs = record_servo(&case.truth, 1);
+    diagnose_actuator(&config, &logs, &NoProgress, &Cancel::default(), &|| 0.0).expect("a diagnosis")
+}
+
+fn ids(outcome: &ActuatorOutcome) -> Vec<&str> {
+    outcome.report.effects.iter().map(|effect| effect.id.as_str()).collect()
+}
+
+#[test]
+fn hidden_effects_are_named_and_the_held_out_gap_closes() {
+    for label in ["coulomb_friction, medium", "command_latency, weak", "load_dependent_friction, medium"] {
+        let outcome = blind(label, &[]);
+        assert_eq!(ids(&outcome), [label.split(',').next().expect("an id")], "{label}");
+        assert_eq!(outcome.report.verdict, Verdict::Explained, "{label}");
+        let gap = &outcome.report.held_out;
+        assert!(gap.diagnosed < 0.3 * gap.calibrated, "{label}: {gap:?}");
+    }
+    let mut both = blind("viscous_friction and integer_wrap", &[]);
+    both.report.effects.sort_by(|a, b| a.id.cmp(&b.id));
+    assert_eq!(ids(&both), ["integer_wrap", "viscous_friction"]);
+}
+
+#[test]
+fn nothing_hidden_is_nothing_named_and_what_no_effect_explains_is_said_so() {
+    let nothing = blind("nothing", &[]);
+    assert_eq!((ids(&nothing), nothing.report.verdict), (Vec::new(), Verdict::NoDiscrepancy));
+    let spot = blind("friction_spot (outside)", &[]);
+    assert_eq!((ids(&spot), spot.report.verdict), (Vec::new(), Verdict::Unexplained));
+}
+
+#[test]
+#[ignore = "prints what is named in every case"]
+fn blind_figures() {
+    let seeds: u64 = std::env::var("SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(1);
+    let only = std::env::var("CASE").unwrap_or_default();
+    let config = ActuatorConfig { starts: 2, resamples: 50, ..ActuatorConfig::default() };
+    for case in servo_cases().iter().filter(|case| case.label.contains(&only)) {
+        let num_seeds = if case.hidden.is_empty() { 10 * seeds } else { seeds };
+        for seed in 1..=num_seeds {
+            let logs = record_servo(&case.truth, seed);
+            let outcome =
+                diagnose_actuator(&config, &logs, &NoProgress, &Cancel::default(), &|| 0.0).unwrap();
+            let report = &outcome.report;
+            let named: Vec<String> = report
+                .effects
+                .iter()
+                .map(|effect| {
+                    format!(
+                        "{} {:?} e{:.0} c{}",
+                        effect.id,
+                        effect.parameters.values().map(|v| (v * 1e4).round() / 1e4).collect::<Vec<_>>(),
+                        effect.evidence,
+                        effect.class.len()
+                    )
+                })
+                .collect();
+            eprintln!(
+                "{:<32} {seed} {:?} misfit {:.2} first {:.0} gap {:.1}->{:.1} {named:?}",
+                case.label,
+                report.verdict,
+                outcome.misfit,
+                outcome.first_evidence,
+                report.held_out.calibrated * 1e3,
+                report.held_out.diagnosed * 1e3
+            );
+            if std::env::var("VERBOSE").is_ok() {
+                for c in &report.candidates {
+                    eprintln!(
+                        "     cand {} {:?} e {:.0} share {:.3}",
+                        c.id, c.parameters, c.evidence, c.share_removed
+                    );
+                }
+            }
+        }
+    }
 }
