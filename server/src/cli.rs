@@ -1,5 +1,6 @@
 //! The command line: arguments in, one line of error or one JSON document out.
 
+mod actuator;
 mod bench;
 mod calibrate;
 mod devices;
@@ -40,6 +41,9 @@ enum Command {
     Calibrate(calibrate::CalibrateArgs),
     /// Name what the calibrated model lacks, and add it
     Diagnose(diagnose::DiagnoseArgs),
+    /// The servo of a joint
+    #[command(subcommand)]
+    Actuator(actuator::ActuatorCommand),
     /// The hand, the arm and the tactile boards
     #[command(subcommand)]
     Devices(devices::DevicesCommand),
@@ -61,6 +65,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Actuator(command) => actuator::run(&command),
         Command::Devices(command) => devices::run(&command),
         Command::Serve(args) => serve::run(args),
         Command::Bench(command) => bench::run(&command),

@@ -1,0 +1,129 @@
+//! `palpate actuator`.
+
+use std::{path::PathBuf, process::ExitCode, time::Instant};
+
+use clap::{Args, Subcommand};
+use palpate_diagnosis::actuator::{ActuatorConfig, LogHoldOut, diagnose_actuator};
+use palpate_recording::{ServoLog, Session};
+use palpate_server::Error;
+use palpate_wire::api::DiagnosisReport;
+
+use super::{
+    Outcome, output,
+    progress::{Bar, cancel_on_ctrl_c},
+};
+
+#[derive(Subcommand)]
+pub(crate) enum ActuatorCommand {
+    /// Name what the model of a joint's servo lacks, from goals sent and positions measured
+    Diagnose(DiagnoseArgs),
+}
+
+#[derive(Args)]
+pub(crate) struct DiagnoseArgs {
+    /// Folder of servo logs (JSON), or of a session whose takes hold joint commands
+    #[arg(long, value_name = "DIR")]
+    logs: PathBuf,
+    /// Joint to diagnose, where the folder is a session
+    #[arg(long, value_name = "JOINT")]
+    joint: Option<String>,
+    /// Logs that nothing is fitted to, as in kp=400; `auto` keeps those of the middle gain
+    #[arg(long, value_name = "FIELD=VALUE|auto|none", default_value = "auto")]
+    hold_out: LogHoldOut,
+    /// Most effects to name
+    #[arg(long, value_name = "N")]
+    max_effects: Option<usize>,
+    /// Effects to leave out of the library, by id
+    #[arg(long, value_name = "ID,...", value_delimiter = ',')]
+    without: Vec<String>,
+    /// Seed of restarts and resampling
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(command: &ActuatorCommand) -> Outcome {
+    let ActuatorCommand::Diagnose(args) = command;
+    let logs = logs(args)?;
+    let default = ActuatorConfig::default();
+    let config = ActuatorConfig {
+        hold_out: args.hold_out.clone(),
+        max_effects: args.max_effects.unwrap_or(default.max_effects),
+        without: args.without.iter().map(|id| id.trim().to_owned()).collect(),
+        seed: args.seed,
+        ..default
+    };
+    let start = Instant::now();
+    let outcome = {
+        let bar = Bar::new();
+        diagnose_actuator(&config, &logs, &bar, &cancel_on_ctrl_c(), &|| start.elapsed().as_secs_f64())?
+    };
+    if args.json {
+        output::json(&outcome.report)?;
+    } else {
+        output::line(&text(&outcome.report))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn logs(args: &DiagnoseArgs) -> Result<Vec<ServoLog>, Error> {
+    if !args.logs.join("session.toml").is_file() {
+        return Ok(ServoLog::read_folder(&args.logs)?);
+    }
+    let session = Session::open(&args.logs)?;
+    let takes = session.accepted_takes()?;
+    let mut logs: Vec<ServoLog> = takes.iter().flat_map(ServoLog::from_take).collect();
+    if logs.is_empty() {
+        return Err(Error::Content(format!(
+            "the takes of session {:?} hold no joint commands, so there is nothing to compare positions with; record \
+             with commands or give a folder of servo logs",
+            session.id
+        )));
+    }
+    let mut joints: Vec<String> = Vec::new();
+    for log in &logs {
+        if !joints.contains(&log.joint) {
+            joints.push(log.joint.clone());
+        }
+    }
+    let Some(joint) = &args.joint else {
+        return Err(Error::Argument(format!("--joint: say which joint; there are {}", joints.join(", "))));
+    };
+    if !joints.contains(joint) {
+        return Err(Error::Argument(format!("--joint: no joint {joint:?}; there are {}", joints.join(", "))));
+    }
+    logs.retain(|log| log.joint == *joint);
+    Ok(logs)
+}
+
+fn text(report: &DiagnosisReport) -> String {
+    let mut lines = vec![report.sentence.clone(), String::new()];
+    for effect in &report.effects {
+        lines.push(effect.explanation.clone());
+        for (name, value) in &effect.parameters {
+            let interval = effect
+                .interval
+                .get(name)
+                .map_or_else(String::new, |[low, high]| format!("  (95 %: {low:.4} to {high:.4})"));
+            lines.push(format!("    {name} = {value:.4}{interval}"));
+        }
+        let rivals: Vec<&str> = effect.rivals.iter().map(|rival| rival.id.as_str()).collect();
+        if !rivals.is_empty() {
+            lines.push(format!("    the logs do not tell it apart from {}", rivals.join(", ")));
+        }
+    }
+    lines.push(format!("\n{:<26} {:>22}  {:>18}", "model", "position error (mrad)", "95 %"));
+    for step in &report.waterfall {
+        let interval = step
+            .interval_95
+            .map_or_else(String::new, |[low, high]| format!("{:.1} to {:.1}", low * 1e3, high * 1e3));
+        lines.push(format!("{:<26} {:>22.1}  {interval:>18}", step.step, step.gap * 1e3));
+    }
+    lines.push(String::new());
+    lines.extend(report.next_experiment.iter().map(|next| next.sentence.clone()));
+    lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
+    lines.push(format!("{:.1} s", report.seconds));
+    lines.join("\n")
+}
