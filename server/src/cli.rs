@@ -2,6 +2,7 @@
 
 mod actuator;
 mod bench;
+mod blind;
 mod calibrate;
 mod devices;
 mod diagnose;
@@ -49,6 +50,8 @@ enum Command {
     Devices(devices::DevicesCommand),
     /// Start the studio
     Serve(serve::ServeArgs),
+    /// Hide effects in emulated sessions, diagnose them blind, and score the names
+    Blind(blind::BlindArgs),
     /// Measure a path that has to be fast
     #[command(subcommand)]
     Bench(bench::BenchCommand),
@@ -65,9 +68,10 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
-        Command::Actuator(command) => actuator::run(&command),
         Command::Devices(command) => devices::run(&command),
+        Command::Actuator(command) => actuator::run(&command),
         Command::Serve(args) => serve::run(args),
+        Command::Blind(args) => blind::run(&args),
         Command::Bench(command) => bench::run(&command),
     };
     match result {

@@ -14,7 +14,7 @@ mod show;
 pub mod tactile;
 
 pub use job::{DiagnosisConfig, DiagnosisOutcome, diagnose};
-pub use null::NullBar;
+pub use null::{NullBar, null_bar};
 pub use tactile::adequacy::Adequacy;
 
 /// A diagnosis that cannot be made.

@@ -216,9 +216,10 @@ fn joint_evidence<D: Domain>(
     Ok((all, errors))
 }
 
-/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared.
+/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. An effect
+/// of many parameters must have a third of them out there: else it stands in for one that acts in fewer places.
 pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
-    parameters
+    let mut strengths: Vec<f64> = parameters
         .iter()
         .zip(standard_errors)
         .map(|(parameter, &error)| {
@@ -227,5 +228,8 @@ pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_error
             // An error of nothing is that of a direction that the data does not see.
             if error > 0.0 { (beyond / error).powi(2) } else { 0.0 }
         })
-        .fold(0.0, f64::max)
+        .collect();
+    strengths.sort_unstable_by(|a, b| b.total_cmp(a));
+    let needed = if strengths.len() > SIMILAR_COUNT { strengths.len() / 3 } else { 0 };
+    strengths.get(needed).copied().unwrap_or(0.0)
 }

@@ -16,9 +16,10 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_calibration", 3),
     ("palpate_emulator", 3),
     ("palpate_diagnosis", 4),
-    ("palpate_server", 5),
-    ("palpate_ui", 5),
-    ("e2e", 6),
+    ("palpate_blind", 5),
+    ("palpate_server", 6),
+    ("palpate_ui", 6),
+    ("e2e", 7),
     // Tools use no crate of ours and no crate of ours uses them: they must build when nothing else does.
     ("tidy", 0),
     ("xtask", 0),

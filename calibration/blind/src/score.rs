@@ -1,0 +1,233 @@
+//! Scores of the blind bench.
+
+use std::collections::BTreeMap;
+
+use palpate_emulator::Expected;
+use palpate_wire::api::Verdict;
+use serde::{Deserialize, Serialize};
+
+use crate::Answer;
+
+/// The result of the bench: `palpate blind --json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BlindReport {
+    /// With raw readings.
+    #[serde(flatten)]
+    pub scores: Scores,
+    /// The same sessions without raw readings.
+    pub binary_only: Option<Scores>,
+}
+
+/// Scores of a set of sessions.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// Sessions that hide one effect of the library.
+    pub cases: usize,
+    /// Of those, sessions whose effect was named, and first.
+    pub named_correctly: usize,
+    /// Of those, sessions in which a reported class holds the effect.
+    pub class_correct: usize,
+    /// Names in sessions that hide nothing.
+    pub false_alarms: usize,
+    /// Sessions that hide nothing.
+    pub null_cases: usize,
+    /// Sessions that hide something outside the library and were left without a name, as unexplained.
+    pub unknown_flagged: usize,
+    /// Sessions that hide something outside the library.
+    pub unknown_cases: usize,
+    /// Sessions that hide two effects.
+    pub pairs: Pairs,
+    /// Sessions whose effect was left out of the library.
+    pub left_out: LeftOut,
+    /// Median share of the removable gap that was removed on confirm takes, over sessions that were named correctly.
+    pub median_gap_removed: Option<f64>,
+    /// The first three, by strength.
+    pub by_strength: BTreeMap<String, StrengthScores>,
+    /// How often each effect (`nothing` for none) was answered with which first name.
+    pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
+}
+
+/// Sessions that hide two effects.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pairs {
+    /// Sessions.
+    pub cases: usize,
+    /// Both were named.
+    pub both: usize,
+    /// At least one was named.
+    pub one: usize,
+    /// A name that is neither.
+    pub extra: usize,
+}
+
+/// Sessions whose effect was left out of the library.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Sessions.
+    pub cases: usize,
+    /// Left without a name, as unexplained.
+    pub flagged: usize,
+    /// Something else was named.
+    pub misnamed: usize,
+}
+
+/// Sessions of one strength.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StrengthScores {
+    /// As [`Scores::cases`].
+    pub cases: usize,
+    /// As [`Scores::named_correctly`].
+    pub named_correctly: usize,
+    /// As [`Scores::class_correct`].
+    pub class_correct: usize,
+}
+
+impl BlindReport {
+    pub(crate) fn new(answers: &[Answer]) -> Self {
+        let of = |binary: bool| answers.iter().filter(move |answer| answer.binary == binary);
+        let any_binary = of(true).next().is_some();
+        Self { scores: scores(of(false)), binary_only: any_binary.then(|| scores(of(true))) }
+    }
+}
+
+fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
+    let mut scores = Scores::default();
+    // What calibration leaves where nothing is hidden: no diagnosis can be expected to go below.
+    let mut quiet_gaps: Vec<f64> =
+        answers.clone().filter(|a| a.secret.expected == Expected::Nothing).map(|a| a.gap[0]).collect();
+    let floor = median(&mut quiet_gaps);
+    let mut removed = Vec::new();
+    for answer in answers {
+        let hidden: Vec<&str> = answer.secret.hidden.iter().map(String::as_str).collect();
+        let names = |id: &str| answer.named.iter().any(|named| named == id);
+        if answer.left_out {
+            scores.left_out.cases += 1;
+            scores.left_out.misnamed += usize::from(!answer.named.is_empty());
+            scores.left_out.flagged += usize::from(answer.verdict == Verdict::Unexplained);
+            continue;
+        }
+        let first = answer.named.first().map_or_else(|| verdict_name(answer.verdict), String::clone);
+        let truth = if hidden.is_empty() { "nothing".to_owned() } else { hidden.join(" + ") };
+        *scores.confusion.entry(truth).or_default().entry(first.clone()).or_default() += 1;
+        match (answer.secret.expected, hidden.as_slice()) {
+            (Expected::Nothing, _) => {
+                scores.null_cases += 1;
+                scores.false_alarms += answer.named.len();
+            }
+            (Expected::Unexplained, _) => {
+                scores.unknown_cases += 1;
+                scores.unknown_flagged += usize::from(answer.verdict == Verdict::Unexplained);
+            }
+            (Expected::Named, [one]) => {
+                let named = first == *one;
+                let in_class = answer.class.iter().any(|id| id == one);
+                let strength = answer.secret.strength.clone().unwrap_or_default();
+                let by_strength = scores.by_strength.entry(strength).or_default();
+                for (cases, correct, class) in [
+                    (&mut scores.cases, &mut scores.named_correctly, &mut scores.class_correct),
+                    (
+                        &mut by_strength.cases,
+                        &mut by_strength.named_correctly,
+                        &mut by_strength.class_correct,
+                    ),
+                ] {
+                    *cases += 1;
+                    *correct += usize::from(named);
+                    *class += usize::from(in_class);
+                }
+                if let (true, Some(floor)) = (named, floor)
+                    && answer.gap[0] > 1.1 * floor
+                {
+                    removed.push((answer.gap[0] - answer.gap[1]) / (answer.gap[0] - floor));
+                }
+            }
+            (Expected::Named, several) => {
+                let found = several.iter().filter(|id| names(id)).count();
+                scores.pairs.cases += 1;
+                scores.pairs.both += usize::from(found == several.len());
+                scores.pairs.one += usize::from(found > 0);
+                scores.pairs.extra +=
+                    usize::from(answer.named.iter().any(|named| !several.contains(&named.as_str())));
+            }
+        }
+    }
+    scores.median_gap_removed = median(&mut removed);
+    scores
+}
+
+fn verdict_name(verdict: Verdict) -> String {
+    match verdict {
+        Verdict::Unexplained | Verdict::PartlyExplained => "unexplained",
+        Verdict::NoDiscrepancy | Verdict::Explained => "no_discrepancy",
+    }
+    .to_owned()
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Secret;
+
+    fn answer(hidden: &[&str], expected: Expected, strength: Option<&str>, named: &[&str]) -> Answer {
+        let ids = |ids: &[&str]| ids.iter().map(|id| (*id).to_owned()).collect::<Vec<_>>();
+        Answer {
+            secret: Secret {
+                label: String::new(),
+                hidden: ids(hidden),
+                strength: strength.map(str::to_owned),
+                expected,
+            },
+            left_out: false,
+            binary: false,
+            named: ids(named),
+            class: ids(named),
+            verdict: if named.is_empty() { Verdict::Unexplained } else { Verdict::Explained },
+            gap: [0.02, 0.01],
+        }
+    }
+
+    #[test]
+    fn a_right_name_counts_only_if_it_comes_first() {
+        let single = |named: &[&str]| answer(&["latency"], Expected::Named, Some("weak"), named);
+        let report = BlindReport::new(&[
+            single(&["latency"]),
+            single(&["low_pass", "latency"]),
+            single(&["low_pass"]),
+        ]);
+        let scores = report.scores;
+        assert_eq!((scores.cases, scores.named_correctly, scores.class_correct), (3, 1, 2));
+        assert_eq!(scores.by_strength["weak"].named_correctly, 1);
+        assert_eq!(scores.confusion["latency"]["low_pass"], 2);
+        assert!(report.binary_only.is_none());
+    }
+
+    #[test]
+    fn names_where_nothing_is_hidden_are_false_alarms_and_a_name_for_the_unknown_is_no_flag() {
+        let scores = BlindReport::new(&[
+            answer(&[], Expected::Nothing, None, &["latency", "low_pass"]),
+            answer(&[], Expected::Nothing, None, &[]),
+            answer(&["mains_hum"], Expected::Unexplained, Some("weak"), &[]),
+            answer(&["mains_hum"], Expected::Unexplained, Some("strong"), &["baseline_drift"]),
+        ])
+        .scores;
+        assert_eq!((scores.false_alarms, scores.null_cases), (2, 2));
+        assert_eq!((scores.unknown_flagged, scores.unknown_cases), (1, 2));
+    }
+
+    #[test]
+    fn pairs_count_both_one_and_extra_names() {
+        let pair = |named: &[&str]| answer(&["latency", "preload"], Expected::Named, None, named);
+        let scores = BlindReport::new(&[
+            pair(&["preload", "latency"]),
+            pair(&["latency", "low_pass"]),
+            pair(&["low_pass"]),
+        ])
+        .scores;
+        assert_eq!(scores.pairs, Pairs { cases: 3, both: 1, one: 2, extra: 2 });
+    }
+}

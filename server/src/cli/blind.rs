@@ -1,0 +1,133 @@
+//! `palpate blind`.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Args, ValueEnum};
+use palpate_blind::{BlindConfig, BlindError, BlindReport, Scores, actuator, tactile};
+use palpate_server::Error;
+
+use super::{
+    Outcome, output,
+    progress::{Bar, cancel_on_ctrl_c},
+};
+
+#[derive(Args)]
+pub(crate) struct BlindArgs {
+    /// What to hide effects in
+    #[arg(long, value_enum, default_value = "tactile")]
+    domain: Domain,
+    /// Rounds of the catalogue, each with places and noise of its own
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
+    /// Seed of the first round
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    first_seed: u64,
+    /// Sessions with nothing hidden in each round
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    nulls: usize,
+    /// The world of the touch sessions
+    #[arg(long, value_name = "TRUTH.toml", default_value = "assets/truth/blind_report.toml")]
+    truth: PathBuf,
+    /// Leave out the second diagnosis of each session without its raw readings
+    #[arg(long)]
+    raw_only: bool,
+    /// Leave out the diagnoses with an effect taken out of the library
+    #[arg(long)]
+    whole_library: bool,
+    /// Run only cases whose label contains this
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    only: String,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Domain {
+    Tactile,
+    Actuator,
+}
+
+pub(super) fn run(args: &BlindArgs) -> Outcome {
+    let config = BlindConfig {
+        seeds: args.seeds,
+        first_seed: args.first_seed,
+        nulls: args.nulls,
+        binary_only: !args.raw_only,
+        leave_out: !args.whole_library,
+        only: args.only.clone(),
+    };
+    let report = {
+        let bar = Bar::new();
+        let cancel = cancel_on_ctrl_c();
+        match args.domain {
+            Domain::Tactile => tactile(&args.truth, &config, &bar, &cancel),
+            Domain::Actuator => actuator(&config, &bar, &cancel),
+        }
+        .map_err(error)?
+    };
+    if args.json {
+        output::json(&report)?;
+    } else {
+        output::line(&text(&report))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// As the same trouble is reported by other commands.
+fn error(error: BlindError) -> Error {
+    match error {
+        BlindError::Emulation(source) => source.into(),
+        BlindError::Model(source) => source.into(),
+        BlindError::Cancelled => Error::Cancelled,
+        BlindError::NoCase(_) => Error::Argument(error.to_string()),
+        other => Error::Content(other.to_string()),
+    }
+}
+
+fn text(report: &BlindReport) -> String {
+    let mut lines = vec!["with raw readings".to_owned()];
+    lines.extend(scores(&report.scores));
+    if let Some(binary) = &report.binary_only {
+        lines.push("\nevents only".to_owned());
+        lines.extend(scores(binary));
+    }
+    lines.push("\nhidden -> first name".to_owned());
+    for (hidden, answers) in &report.scores.confusion {
+        let answers: Vec<String> = answers.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        lines.push(format!("  {hidden}: {}", answers.join(", ")));
+    }
+    lines.join("\n")
+}
+
+fn scores(scores: &Scores) -> Vec<String> {
+    let mut lines = vec![
+        format!(
+            "  one effect hidden: {} of {} named, {} in the reported class",
+            scores.named_correctly, scores.cases, scores.class_correct
+        ),
+        format!("  nothing hidden: {} names in {} sessions", scores.false_alarms, scores.null_cases),
+        format!(
+            "  hidden outside the library: {} of {} unexplained",
+            scores.unknown_flagged, scores.unknown_cases
+        ),
+        format!(
+            "  two hidden: both named in {} of {}, one in {}, another name in {}",
+            scores.pairs.both, scores.pairs.cases, scores.pairs.one, scores.pairs.extra
+        ),
+        format!(
+            "  left out of the library: {} of {} unexplained, {} misnamed",
+            scores.left_out.flagged, scores.left_out.cases, scores.left_out.misnamed
+        ),
+    ];
+    for (strength, of_strength) in &scores.by_strength {
+        lines.push(format!(
+            "  {strength}: {} of {} named, {} in the class",
+            of_strength.named_correctly, of_strength.cases, of_strength.class_correct
+        ));
+    }
+    if let Some(removed) = scores.median_gap_removed {
+        lines.push(format!("  median share of the removable gap that was removed: {:.0} %", 100.0 * removed));
+    }
+    lines
+}
