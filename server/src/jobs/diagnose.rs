@@ -3,7 +3,7 @@
 
 use std::{sync::Arc, time::Instant};
 
-use palpate_diagnosis::{DiagnosisConfig, diagnose, report};
+use palpate_diagnosis::{DiagnosisConfig, diagnose, null_bar, report};
 use palpate_recording::{Session, Take};
 use palpate_sim::{
     SensorModel, effects,
@@ -93,7 +93,20 @@ pub fn diagnose_session(
     };
     let begun = Instant::now();
     let clock_s = || begun.elapsed().as_secs_f64();
-    let search_from = 0.05;
+    let search_from = match bar.null_sessions {
+        Some(sessions) => {
+            // Setting the bar is the same work as many times over as there are null sessions.
+            let end = 0.05 + 0.9 * sessions as f64 / (sessions + 1) as f64;
+            let section = Section { whole: progress, start: 0.05, end };
+            // The bar is the station's, whatever this diagnosis leaves out.
+            let of_station = DiagnosisConfig { without: Vec::new(), ..config.clone() };
+            let start = nominal_model(first)?;
+            let bar_found = null_bar(&of_station, &takes, &start, sessions, &section, cancel)?;
+            bar.bars.put(files, &bar_found)?;
+            end
+        }
+        None => 0.05,
+    };
     let null = bar.bars.get(files)?;
     let search = Section { whole: progress, start: search_from, end: 0.97 };
     let outcome = diagnose(config, &takes, &nominal, null.as_ref(), &search, cancel, &clock_s)?;

@@ -174,6 +174,21 @@ fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
     }
 }
 
+#[test]
+fn bar_of_a_station_is_set_once_and_kept() {
+    let data = Data::with_session();
+    let (session, data_dir) = (data.session(), data.path("bars-of-stations"));
+    let diagnose = |more: &[&str]| -> Value {
+        let common = ["diagnose", "--session", arg(session), "--data", arg(&data_dir), "--json"];
+        serde_json::from_str(&palpate_ok(&[&common, more].concat())).unwrap()
+    };
+    assert_eq!(diagnose(&[])["bar"]["null_sessions"], 0, "the shipped default");
+    let set = diagnose(&["--null-bar", "20"]);
+    assert_eq!(set["bar"]["null_sessions"], 20);
+    assert_eq!(set["bar"]["null_maxima"].as_array().unwrap().len(), 20);
+    assert_eq!(diagnose(&[])["bar"], set["bar"], "later diagnoses use it");
+}
+
 /// The field names that scripts read.
 fn assert_contract(report: &Value) {
     let metrics = ["onset_error_ms", "offset_error_ms", "f1", "fpr", "l1"];

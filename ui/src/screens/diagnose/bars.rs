@@ -6,7 +6,7 @@ use palpate_wire::{api::DiagnosisReport, wording};
 
 use crate::theme::Palette;
 
-const NAME_WIDTH: f32 = 236.0;
+const NAME_WIDTH: f32 = 290.0;
 const NUMBER_WIDTH: f32 = 132.0;
 const ROW_HEIGHT: f32 = 26.0;
 /// Candidates shown until the operator wants them all.
@@ -26,6 +26,10 @@ struct Bar<'a> {
 /// Draws `bars` on one scale that ends at `full`; `place` turns a value into its share of the width. Gives the rectangle
 /// of the plot.
 fn bars_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64) -> f32) -> Rect {
+    ui.scope(|ui| rows_ui(ui, palette, bars, place)).inner
+}
+
+fn rows_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64) -> f32) -> Rect {
     ui.spacing_mut().item_spacing.y = 0.0;
     let width = (ui.available_width() - 12.0).max(NAME_WIDTH + NUMBER_WIDTH + 80.0);
     let mut plot = Rect::NOTHING;
