@@ -11,8 +11,18 @@ import json
 import sys
 import time
 
-from dynamixel_sdk import BROADCAST_ID, GroupBulkRead, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
+from dynamixel_sdk import (
+    BROADCAST_ID,
+    GroupBulkRead,
+    GroupSyncRead,
+    GroupSyncWrite,
+    PacketHandler,
+    PortHandler,
+    port_handler,
+)
 
+# The SDK's own setting, ms: a busy machine runs the emulation later than an adapter would answer.
+port_handler.LATENCY_TIMER = 100
 BAUD = 4_000_000
 FIRMWARE, OPERATING_MODE, TORQUE, LED = 6, 11, 64, 65
 P_GAIN, D_GAIN, GOAL_CURRENT, GOAL_POSITION, PRESENT, VOLTAGE, TEMPERATURE = 84, 80, 102, 116, 126, 144, 146

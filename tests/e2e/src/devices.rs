@@ -5,6 +5,7 @@ use std::{
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use anyhow::{Context as _, bail};
@@ -12,9 +13,13 @@ use serde_json::Value;
 
 use crate::{Tools, root};
 
+/// Emulations run in real time, so that they run one after another.
+static ALONE: Mutex<()> = Mutex::new(());
+
 /// `palpate devices emulate`; it ends when this is dropped.
 pub struct Devices {
     process: Child,
+    _alone: MutexGuard<'static, ()>,
     /// Link to the servos' line.
     pub u2d2: PathBuf,
     /// Links to the fingertips' boards.
@@ -31,6 +36,8 @@ impl Devices {
     ///
     /// `None` (with a message) where ports below 1024 may not be listened on.
     pub fn start(tools: &Tools, dir: &Path, host: u8) -> anyhow::Result<Option<Self>> {
+        // A test that failed before has nothing to do with the next one.
+        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let xarm = IpAddr::V4(Ipv4Addr::new(127, 0, 5, host));
         if let Err(err) = TcpListener::bind((xarm, 502)) {
             if err.kind() != std::io::ErrorKind::PermissionDenied {
@@ -59,6 +66,7 @@ impl Devices {
             |value: &Value| value.as_str().map(PathBuf::from).with_context(|| format!("no path: {value}"));
         Ok(Some(Self {
             process,
+            _alone: alone,
             u2d2: link(&found["u2d2"])?,
             twintac: found["twintac"].as_array().into_iter().flatten().map(link).collect::<Result<_, _>>()?,
             fsr: link(&found["fsr"])?,

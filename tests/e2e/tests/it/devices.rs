@@ -198,3 +198,36 @@ fn bad_arguments_say_what_to_do() {
     assert!(text.contains("another emulation") || text.contains("sysctl"), "{text}");
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "no links were made");
 }
+
+#[test]
+fn vendors_sdks_meet_faults_and_recover() {
+    let Some(tools) = Tools::find() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let Some(devices) = Devices::start(&tools, dir.path(), 5).unwrap() else { return };
+    let mut meet = Command::new(&tools.python);
+    meet.arg(script("meet_faults.py")).arg(dir.path()).arg(&devices.u2d2).arg(devices.xarm.to_string());
+    let seen = run_json(&mut meet).unwrap();
+
+    // Bit 5 is overload; 128 is the alert that every answer then has.
+    let overloaded = &seen["overloaded"];
+    assert_eq!(overloaded["hardware_error"], json!([32, 0, 128]));
+    assert_eq!(overloaded["torque"], json!([0, 0, 128]), "torque is cut");
+    assert!(overloaded["says"].as_str().unwrap().contains("Hardware error"), "{overloaded}");
+    assert_eq!(overloaded["neighbour"], json!([0, 0, 0]));
+    assert_eq!(seen["still_tripped"], json!([32, 0, 128]), "only a reboot helps");
+    assert_eq!(seen["after_reboot"], json!([0, 0, 0]));
+    let lost = &seen["half_lost"];
+    assert_eq!(lost["good"].as_u64().unwrap() + lost["timed_out"].as_u64().unwrap(), 40, "{lost}");
+    assert!((5..=35).contains(&lost["good"].as_u64().unwrap()), "{lost}");
+
+    for (name, code, cleared_too_soon) in [("collision", 31, 0), ("emergency_stop", 1, 1)] {
+        let fault = &seen[name];
+        assert_eq!((&fault["error"], &fault["state"]), (&json!([0, [code, 0]]), &json!([0, 4])), "{fault}");
+        assert_ne!(fault["refused"], json!(0), "{fault}");
+        assert!((0.01..1.4).contains(&fault["way"].as_f64().unwrap()), "stopped on the way: {fault}");
+        assert_eq!(fault["cleared_too_soon"], json!([0, [cleared_too_soon, 0]]), "{fault}");
+        assert_eq!(fault["cleared"], json!([0, [0, 0]]), "{fault}");
+        assert_eq!((&fault["ready"], &fault["back"]), (&json!([0, 0, 0, [0, 2]]), &json!(0)), "{fault}");
+    }
+    assert!(seen["told"].as_array().unwrap().contains(&json!(31)), "the report says so too: {seen}");
+}
