@@ -125,7 +125,11 @@ fn write_add(page: &mut String, report: &DiagnosisReport, model: &SensorModel) -
     } else {
         "The calibrated model with every named effect: replay, live twin and training load this file."
     };
-    writeln!(page, "<p>{text}</p>\n<pre>{}</pre>", Escaped(&model.to_toml()))
+    writeln!(
+        page,
+        "<p>{text}</p>\n<details><summary>The model file</summary>\n<pre>{}</pre>\n</details>",
+        Escaped(&model.to_toml())
+    )
 }
 
 fn write_show(page: &mut String, report: &DiagnosisReport) -> fmt::Result {

@@ -10,13 +10,13 @@ use palpate_wire::{
 
 pub(super) fn write_cells(page: &mut String, cells: &[Cell]) -> fmt::Result {
     page.push_str(
-        "<div class=\"scroll\"><table>\n<thead><tr><th>Where</th><th>Share of the excess</th><th>Effect size</th>\
+        "<div class=\"scroll\"><table>\n<thead><tr><th class=\"text\">Where</th><th>Share of the excess</th><th>Effect size</th>\
          <th>Against chance</th></tr></thead>\n<tbody>\n",
     );
     for cell in cells {
         writeln!(
             page,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            "<tr><td class=\"text\">{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
             Escaped(&wording::cell(cell)),
             wording::percent(cell.excess),
             wording::number(cell.effect_size),
