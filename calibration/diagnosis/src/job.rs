@@ -65,7 +65,7 @@ const FIRST_STEPS: usize = 6;
 /// Candidates fitted in a round.
 pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
-pub(crate) const LEAST_SHARE: f64 = 0.003;
+pub(crate) const LEAST_SHARE: f64 = 0.002;
 
 /// Diagnoses `takes` (of one station), starting from `nominal`.
 ///
