@@ -106,15 +106,11 @@ await step("undo brings the file back byte for byte", async () => {
 });
 
 await step("the residual map goes onto the hand", async () => {
-  // What is out of sight on the canvas cannot be clicked: the wheel brings it up, as it does for an operator.
-  await page.mouse.move(850, 400);
-  await until("the button on the screen", async () => {
-    const box = await button("Show on the hand").boundingBox();
-    if (box && box.y > 60 && box.y + box.height < 680) return true;
-    await page.mouse.wheel(0, 150);
-    return false;
-  });
+  // What is out of sight on the canvas cannot be clicked: a window that is tall enough shows all of it.
+  await page.setViewportSize({ width: 1280, height: 4000 });
+  await until("the button on the screen", async () => (await button("Show on the hand").boundingBox())?.y > 60);
   await button("Show on the hand").click({ timeout: 30_000 });
+  await page.setViewportSize({ width: 1280, height: 800 });
   await page.getByText("Mismatch").first().waitFor();
   await page.waitForTimeout(1500);
   await shot("hand-mismatch");
