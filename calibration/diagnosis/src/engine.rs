@@ -9,6 +9,8 @@ mod fit;
 mod linear;
 mod name;
 mod screen;
+#[cfg(test)]
+mod tests;
 
 pub(crate) use fit::refit;
 pub use name::{Naming, NamingConfig, Round, Tried, name};

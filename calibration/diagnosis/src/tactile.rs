@@ -53,8 +53,11 @@ pub struct TactileDomain<'a> {
     /// Per joint, by its degree of freedom: which channels it moves.
     moves: Vec<Vec<bool>>,
     /// Where everything was under the last few sets of kinematic effects, by take.
-    geometries: Vec<Mutex<Vec<(Vec<Effect>, Arc<Geometry>)>>>,
+    geometries: Vec<Mutex<Vec<KeptGeometry>>>,
 }
+
+/// Kinematic effects, and where everything is under them.
+type KeptGeometry = (Vec<Effect>, Arc<Geometry>);
 
 /// Sets of kinematic effects whose geometry is kept: that of the model, and some that are being fitted.
 const GEOMETRIES_KEPT: usize = 4;

@@ -79,7 +79,8 @@ pub(crate) fn responses<D: Domain>(
     let before = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
     let mut columns = vec![Column::default(); parameters.len()];
     // Parameters that reach different units are stepped together.
-    let mut passes: Vec<(Effect, Vec<bool>, Vec<(usize, f64, Vec<bool>)>)> = Vec::new();
+    type Pass = (Effect, Vec<bool>, Vec<(usize, f64, Vec<bool>)>);
+    let mut passes: Vec<Pass> = Vec::new();
     for (idx, parameter) in parameters.iter().enumerate() {
         let value = effect.parameter(&parameter.name);
         let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);

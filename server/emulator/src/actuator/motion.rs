@@ -46,7 +46,7 @@ impl Motion {
                 (FRAC_PI_2 * ease(3.0) - 0.3 * down, true)
             }
             Self::SinTimeSquare => ((time_s * time_s).sin(), true),
-            Self::Square => (0.7 * if (time_s / 1.5) as u32 % 2 == 0 { 1.0 } else { -1.0 }, true),
+            Self::Square => (0.7 * if ((time_s / 1.5) as u32).is_multiple_of(2) { 1.0 } else { -1.0 }, true),
         }
     }
 }

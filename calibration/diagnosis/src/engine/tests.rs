@@ -1,0 +1,185 @@
+//! The engine on a domain of sines, where everything is known.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use palpate_robot_model::Place;
+use palpate_sim::effects::{Effect, Parameter};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{BaseParameter, Domain, Model, Naming, NamingConfig, name};
+use crate::DiagnosisError;
+
+const ROWS: usize = 400;
+const TAKES: usize = 4;
+const NOISE: f64 = 0.1;
+
+/// Rows are `level + sum of size * shape(row)`; each shape is an effect.
+struct Sines {
+    observed: Vec<Vec<f64>>,
+    blocks: Vec<Range<usize>>,
+    base: Vec<BaseParameter>,
+}
+
+const SHAPES: [&str; 4] = ["slow", "fast", "nearly_fast", "square"];
+
+fn shape(id: &str, row: usize) -> f64 {
+    let phase = row as f64 * 0.05;
+    match id {
+        "slow" => phase.sin(),
+        "fast" => (3.0 * phase).sin(),
+        // Hardly to be told from the one above.
+        "nearly_fast" => (3.0 * phase).sin() + 0.05 * (7.0 * phase).sin(),
+        "square" => (0.7 * phase).sin().signum(),
+        _ => 0.0,
+    }
+}
+
+fn effect(id: &str, size: f64) -> Effect {
+    Effect {
+        id: id.to_owned(),
+        place: Place::Stream("all".to_owned()),
+        parameters: BTreeMap::from([("size".to_owned(), size)]),
+        interval: BTreeMap::new(),
+        takes: Vec::new(),
+    }
+}
+
+impl Sines {
+    fn new(hidden: &[(&str, f64)], seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut noise = || NOISE * ((0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0);
+        let observed = (0..TAKES)
+            .map(|_| {
+                let of_row = |row: usize| -> f64 {
+                    0.7 + hidden.iter().map(|(id, size)| size * shape(id, row)).sum::<f64>()
+                };
+                (0..ROWS).map(|row| of_row(row) + noise()).collect()
+            })
+            .collect();
+        Self {
+            observed,
+            blocks: (0..ROWS / 20).map(|block| block * 20..(block + 1) * 20).collect(),
+            base: vec![BaseParameter { name: "level".to_owned(), lower: -5.0, upper: 5.0, dose: 0.1 }],
+        }
+    }
+
+    fn name(&self, config: &NamingConfig) -> Naming {
+        let start = Model { base: vec![0.7], effects: Vec::new() };
+        name(self, &start, &[0, 1, 2, 3], config, &|_, _| Ok(())).expect("predictions cannot fail")
+    }
+}
+
+fn config() -> NamingConfig {
+    NamingConfig { max_effects: 4, bar: 12.0, least_share: 0.002, num_fits: 4, without: Vec::new() }
+}
+
+fn ids(naming: &Naming) -> Vec<&str> {
+    naming.model.effects.iter().map(|effect| effect.id.as_str()).collect()
+}
+
+impl Domain for Sines {
+    fn num_takes(&self) -> usize {
+        TAKES
+    }
+
+    fn blocks(&self, _take: usize) -> &[Range<usize>] {
+        &self.blocks
+    }
+
+    fn observed(&self, take: usize) -> &[f64] {
+        &self.observed[take]
+    }
+
+    fn base(&self) -> &[BaseParameter] {
+        &self.base
+    }
+
+    fn candidates(&self) -> Vec<Effect> {
+        SHAPES.iter().map(|id| effect(id, 0.0)).collect()
+    }
+
+    fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
+        let name = "size".to_owned();
+        vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+    }
+
+    fn num_units(&self) -> usize {
+        1
+    }
+
+    fn unit(&self, _row: usize) -> usize {
+        0
+    }
+
+    fn support(&self, _effect: &Effect, _parameter: &str) -> Vec<bool> {
+        vec![true]
+    }
+
+    fn predict(&self, _take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+        let of_row = |row: usize| -> f64 {
+            let effects = model.effects.iter();
+            model.base[0] + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
+        };
+        Ok((0..ROWS).map(of_row).collect())
+    }
+
+    fn weights(&self, _take: usize, prediction: &[f64]) -> Vec<f64> {
+        vec![1.0 / NOISE; prediction.len()]
+    }
+}
+
+#[test]
+fn two_hidden_shapes_are_named_with_their_sizes() {
+    let naming = Sines::new(&[("slow", 0.3), ("square", -0.2)], 1).name(&config());
+    assert_eq!(ids(&naming), ["slow", "square"]);
+    for (effect, (size, errors)) in
+        naming.model.effects.iter().zip([0.3, -0.2].iter().zip(&naming.standard_errors))
+    {
+        let error = (effect.parameter("size") - size).abs();
+        assert!(error < 4.0 * errors[0], "{effect:?} is {error} off, standard error {}", errors[0]);
+    }
+}
+
+#[test]
+fn what_the_data_cannot_tell_apart_is_one_class() {
+    let naming = Sines::new(&[("fast", 0.3)], 2).name(&config());
+    let round = &naming.rounds[0];
+    let mut class: Vec<&str> = round.class.iter().map(|&idx| round.tried[idx].effect.id.as_str()).collect();
+    class.sort_unstable();
+    assert_eq!(class, ["fast", "nearly_fast"]);
+    assert_eq!(naming.model.effects.len(), 1, "the rival is not named beside it");
+}
+
+#[test]
+fn an_effect_that_is_left_out_is_not_named() {
+    let without = NamingConfig { without: vec!["slow".to_owned()], ..config() };
+    let naming = Sines::new(&[("slow", 0.3)], 3).name(&without);
+    assert!(!ids(&naming).contains(&"slow"));
+}
+
+#[test]
+fn a_stop_is_passed_on() {
+    let sines = Sines::new(&[], 4);
+    let start = Model { base: vec![0.7], effects: Vec::new() };
+    let stopped = name(&sines, &start, &[0], &config(), &|_, _| Err(DiagnosisError::Cancelled));
+    assert!(matches!(stopped, Err(DiagnosisError::Cancelled)));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn noise_is_given_no_name(seed in any::<u64>()) {
+        let naming = Sines::new(&[], seed).name(&config());
+        prop_assert!(naming.model.effects.is_empty(), "{:?}", naming.model.effects);
+    }
+
+    #[test]
+    fn a_shape_below_the_size_that_matters_is_given_no_name(seed in any::<u64>(), size in -0.02..0.02) {
+        let naming = Sines::new(&[("slow", size)], seed).name(&config());
+        prop_assert!(naming.model.effects.is_empty(), "{:?}", naming.model.effects);
+    }
+}
