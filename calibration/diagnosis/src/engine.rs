@@ -13,6 +13,7 @@ mod screen;
 mod tests;
 
 pub(crate) use fit::refit;
+pub(crate) use linear::inverse;
 pub use name::{Naming, NamingConfig, Round, Tried, name};
 
 use std::ops::Range;

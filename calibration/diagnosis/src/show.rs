@@ -16,6 +16,7 @@ use crate::null::NullBar;
 use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
 use crate::tactile::judge::{Judged, gap, gap_interval, metrics, noise_floor};
+use crate::tactile::next::next_experiment;
 use crate::tactile::{Observed, TactileDomain};
 
 /// Everything that a report is made of.
@@ -109,7 +110,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             ("diagnosed".to_owned(), metrics(&judged[last])),
         ]),
         unexplained,
-        next_experiment: None,
+        next_experiment: next_experiment(station, domain, naming, fitted)?,
         residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
         takes: BTreeMap::from([
             ("fit".to_owned(), ids(fitted)),

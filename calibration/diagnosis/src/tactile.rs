@@ -9,6 +9,7 @@
 pub(crate) mod adequacy;
 pub(crate) mod find;
 pub(crate) mod judge;
+pub(crate) mod next;
 mod observe;
 
 use std::collections::BTreeMap;
