@@ -13,5 +13,6 @@ mod report;
 pub use command::{Command, LineTail, NUM_JOINT_SLOTS, Pose, Reply, Text};
 pub use frame::{Frame, FrameDecoder, FrameError, MAX_LENGTH, Protocol, StateFlags};
 pub use report::{
-    Realtime, Report, ReportDecoder, ReportKind, ReportLimits, ReportRest, ReportSafety, ReportTools, Wrenches,
+    Realtime, Report, ReportDecoder, ReportKind, ReportLimits, ReportRest, ReportSafety, ReportTools,
+    Wrenches,
 };

@@ -151,7 +151,8 @@ fn taken_from(krate: &str, tokens: &[TokenTree], taken: &mut Vec<String>) {
 
 #[test]
 fn the_search_for_imports_sees_every_spelling() {
-    let text = "use palpate_sim::{job::{Cancel, Progress}, SignedDistance, effects::Chain, tactile::readings};
+    let text =
+        "use palpate_sim::{job::{Cancel, Progress}, SignedDistance, effects::Chain, tactile::readings};
         fn f() { palpate_sim::replay::contact_trace() } use palpate_sim as hidden; use palpate_sim::*;";
     let mut taken = Vec::new();
     let tokens: Vec<TokenTree> = TokenStream::from_str(text).expect("tokens").into_iter().collect();
