@@ -76,6 +76,8 @@ const REFIT_STEPS: usize = 3;
 const RIVAL_SHARE: f64 = 0.8;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
 const PROMISING: usize = 160;
+/// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
+const MOST_DROPPED: usize = 2;
 /// Numbers of parameters up to this many apart count as equally simple.
 const SIMILAR_COUNT: usize = 7;
 /// Places of one effect that are fitted in a round.
@@ -157,7 +159,8 @@ pub fn name<D: Domain>(
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
         // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
-        let best = tried.iter().position(passes).filter(|_| model.effects.len() < config.max_effects);
+        let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
+        let best = tried.iter().position(passes).filter(|_| more);
         let named = best.and_then(|best| {
             let least = RIVAL_SHARE * tried[best].held_out_gain;
             (best..tried.len())
