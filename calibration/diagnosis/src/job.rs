@@ -67,6 +67,12 @@ pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
 pub(crate) const LEAST_SHARE: f64 = 0.002;
 
+/// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
+/// the moments at which channels switch, with no reading to tell it by: sessions of an emulated station that hide nothing
+/// reach evidence 115 and a share of 0.05, strong effects 1600 and 0.08.
+const EVENTS_EVIDENCE: f64 = 150.0;
+const EVENTS_SHARE: f64 = 0.06;
+
 /// Diagnoses `takes` (of one station), starting from `nominal`.
 ///
 /// `bar` is the station's null bar, see [`crate::null_bar`]; without one a shipped default applies and the report says
@@ -90,10 +96,16 @@ pub fn diagnose(
     let station = check(config, takes)?;
     let Prepared { domain, start, calibrated, fitted } = prepare(config, station, takes, nominal, cancel)?;
     watch(0.1, "looking for what is missing")?;
+    let of_station = bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence);
+    let (least_evidence, least_share) = if domain.num_raw_takes() == 0 {
+        (of_station.max(EVENTS_EVIDENCE), EVENTS_SHARE)
+    } else {
+        (of_station, LEAST_SHARE)
+    };
     let naming_config = NamingConfig {
         max_effects: config.max_effects + nominal.effects.len(),
-        bar: bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence),
-        least_share: LEAST_SHARE,
+        bar: least_evidence,
+        least_share,
         num_fits: NUM_FITS,
         without: config.without.clone(),
     };
@@ -116,6 +128,7 @@ pub fn diagnose(
         fitted: &fitted,
         adequacy,
         bar,
+        least_evidence,
         seconds: clock_s() - start_s,
     })?;
     progress.report(1.0, "done");

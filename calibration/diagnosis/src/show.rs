@@ -30,6 +30,8 @@ pub(crate) struct Evidence<'a> {
     pub(crate) fitted: &'a [usize],
     pub(crate) adequacy: Adequacy,
     pub(crate) bar: Option<&'a NullBar>,
+    /// What a name needed.
+    pub(crate) least_evidence: f64,
     pub(crate) seconds: f64,
 }
 
@@ -75,7 +77,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let first = &naming.rounds[0];
     let mut notes = Vec::new();
     if domain.num_raw_takes() == 0 {
-        notes.push("these takes hold events only; raw readings would tell more effects apart".to_owned());
+        notes.push("these takes hold events only: only plain effects can be named; raw readings would tell more".to_owned());
     }
     if steps.confirm.len() == fitted.len() && steps.confirm == fitted {
         notes.push("no take is held out: the figures are from the takes that were fitted".to_owned());
@@ -117,10 +119,10 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             ("select".to_owned(), ids(fitted)),
             ("confirm".to_owned(), ids(&steps.confirm)),
         ]),
-        bar: evidence.bar.map_or_else(
-            || Bar { evidence: NullBar::DEFAULT_EVIDENCE, ..Bar::default() },
-            NullBar::to_report,
-        ),
+        bar: Bar {
+            evidence: evidence.least_evidence,
+            ..evidence.bar.map_or_else(Bar::default, NullBar::to_report)
+        },
         notes,
         seconds: evidence.seconds,
     })
