@@ -77,7 +77,10 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let first = &naming.rounds[0];
     let mut notes = Vec::new();
     if domain.num_raw_takes() == 0 {
-        notes.push("these takes hold events only: only plain effects can be named; raw readings would tell more".to_owned());
+        notes.push(
+            "these takes hold events only: only plain effects can be named; raw readings would tell more"
+                .to_owned(),
+        );
     }
     if steps.confirm.len() == fitted.len() && steps.confirm == fitted {
         notes.push("no take is held out: the figures are from the takes that were fitted".to_owned());
