@@ -8,6 +8,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let files = [
         "proto/foxglove/JointStates.proto",
         "proto/foxglove/Log.proto",
+        "proto/palpate/control.proto",
         "proto/palpate/tactile.proto",
         "proto/palpate/trace.proto",
     ];

@@ -1,10 +1,12 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
 mod diagnosis;
+mod recording;
 
 use std::collections::BTreeMap;
 
 pub use diagnosis::*;
+pub use recording::*;
 use serde::{Deserialize, Serialize};
 
 /// `GET /api/v1/info`.

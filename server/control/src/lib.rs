@@ -1,0 +1,1 @@
+//! Runs a station: devices, safety layer, recording, guided sessions and the live twin.

@@ -1,0 +1,1 @@
+//! Host side of the station's devices: ports, bus threads, clocks, health, reconnection.

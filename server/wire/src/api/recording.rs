@@ -1,0 +1,185 @@
+//! Guided recording: the checklist of a calibration session and what can be done with its steps.
+
+use serde::{Deserialize, Serialize};
+
+/// Body of `POST /api/v1/recording`: begins a session, or goes on with one that was begun.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StartRecording {
+    /// Plan: the id of one that the station has.
+    pub plan: String,
+    /// Id of the session; one that is there is resumed if it has the same plan, and refused otherwise.
+    pub session: String,
+    /// Who records.
+    #[serde(default)]
+    pub operator: String,
+}
+
+/// `GET /api/v1/recording`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordingDocument {
+    /// Changes whenever anything below does.
+    pub revision: u64,
+    /// Plans that the live station has.
+    pub plans: Vec<PlanSummary>,
+    /// The session under way, if there is one.
+    pub session: Option<RecordingSession>,
+}
+
+/// A plan of a calibration session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanSummary {
+    /// Id: the stem of its file.
+    pub id: String,
+    /// Name for people.
+    pub label: String,
+    /// Number of takes.
+    pub takes: usize,
+    /// How long its motions take together, s.
+    pub duration_s: f64,
+}
+
+/// A session that is being recorded.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordingSession {
+    /// Id of the session.
+    pub session: String,
+    /// Plan it follows.
+    pub plan: String,
+    /// Who records.
+    pub operator: String,
+    /// The checklist, in order.
+    pub steps: Vec<RecordingStep>,
+    /// Index of the step under way; `None` once every step is done.
+    pub current: Option<usize>,
+    /// What the step under way waits for.
+    pub phase: RecordingPhase,
+    /// Why the last thing did not work, and what to do; empty when all is well.
+    pub problem: String,
+    /// Channels that no accepted take has touched, by id.
+    pub untouched: Vec<String>,
+    /// Whether the last discard can be taken back.
+    pub can_undo: bool,
+}
+
+/// One take of the checklist.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordingStep {
+    /// Object id and its name for people.
+    pub object: String,
+    /// Name of the object.
+    pub object_label: String,
+    /// Primitive id.
+    pub primitive: String,
+    /// Name of the primitive.
+    pub primitive_label: String,
+    /// What to do with the body before the motion runs.
+    pub instruction: String,
+    /// Channels that the motion means to touch, by id.
+    pub touches: Vec<String>,
+    /// How long the motion takes, s.
+    pub duration_s: f64,
+    /// Where it stands.
+    pub state: StepState,
+    /// Take id once it is recorded.
+    pub take: Option<String>,
+    /// The quality check of the newest recording of this step.
+    pub verdict: Option<TakeVerdict>,
+}
+
+/// Where a step stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StepState {
+    /// Nothing recorded.
+    Open,
+    /// Recorded and checked; neither accepted nor discarded.
+    Review,
+    /// Accepted: part of the session.
+    Accepted,
+}
+
+/// What the step under way waits for or does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingPhase {
+    /// The operator confirms object and fixture.
+    PlaceObject,
+    /// The operator brings the robot to the start pose: [`RecordingAction::GoToStart`], jogging or lead-through.
+    StartPose,
+    /// The robot moves to the start pose.
+    GoingToStart,
+    /// Nothing touches: the baseline is captured.
+    Baseline,
+    /// The countdown runs.
+    Countdown,
+    /// The motion runs.
+    Running,
+    /// The take is checked.
+    Checking,
+    /// The operator accepts, records again or discards.
+    Review,
+    /// Every step is done.
+    Done,
+}
+
+/// The automatic quality check of a take.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TakeVerdict {
+    /// Whether it can be accepted without a second look.
+    pub good: bool,
+    /// One sentence.
+    pub summary: String,
+    /// What is wrong, each with what to do.
+    pub problems: Vec<String>,
+    /// Channels that were touched, by id.
+    pub covered: Vec<String>,
+    /// Planned channels that were not, by id.
+    pub missed: Vec<String>,
+    /// Samples per second of joints and of each stream, by name.
+    pub rates_hz: Vec<(String, f64)>,
+}
+
+/// Body of `POST /api/v1/recording/act`: what the operator does; answered by [`RecordingDocument`].
+///
+/// What moves the robot needs the lease and an armed station.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "action")]
+pub enum RecordingAction {
+    /// Object and fixture are as the step says.
+    ConfirmObject {
+        /// Whether the fixture holds the object where the plan says.
+        fixture_trusted: bool,
+    },
+    /// Moves to the start pose of the step.
+    GoToStart {
+        /// The lease.
+        lease: u64,
+    },
+    /// Captures the baseline, counts down and runs the motion.
+    Run {
+        /// The lease.
+        lease: u64,
+    },
+    /// Stops the motion; what was recorded is kept for review.
+    Cancel,
+    /// The take becomes part of the session.
+    Accept,
+    /// The take is set aside and the step starts over.
+    Again,
+    /// The take is set aside and the step is open again.
+    Discard,
+    /// Takes the last discard back.
+    Undo,
+    /// Goes to another step.
+    Select {
+        /// Its index.
+        step: usize,
+    },
+    /// A remark at this moment of the take.
+    Note {
+        /// The remark; empty for a bare mark.
+        text: String,
+    },
+    /// Leaves the session; what was accepted stays, and it can be resumed.
+    Leave,
+}

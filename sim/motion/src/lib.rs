@@ -1,0 +1,1 @@
+//! Plans motions that touch every channel: contact postures, primitives, joint paths.
