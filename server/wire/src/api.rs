@@ -1,11 +1,13 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
 mod diagnosis;
+mod live;
 mod recording;
 
 use std::collections::BTreeMap;
 
 pub use diagnosis::*;
+pub use live::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 
