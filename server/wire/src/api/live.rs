@@ -49,3 +49,10 @@ pub struct LiveDevice {
     /// Times connected again.
     pub reconnects: u64,
 }
+
+/// Body of `POST /api/v1/emulator/object`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PlaceObject {
+    /// Object id of the station; nothing stands there without one.
+    pub object: Option<String>,
+}
