@@ -31,7 +31,7 @@ use arm::{ArmBox, ArmModel};
 use boards::Board;
 pub use faults::{Fault, Faults};
 #[cfg(unix)]
-pub use ports::{DevicePorts, PortsConfig, PortsError, serve_devices};
+pub use ports::{ArmPortNumbers, ArmPorts, DevicePorts, PortsConfig, PortsError, serve_devices};
 use servo::ServoFaults;
 use servo_bus::ServoBus;
 use wire::Wire;

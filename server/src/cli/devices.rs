@@ -20,12 +20,21 @@ pub(crate) struct EmulateArgs {
     /// Folder for the links to the serial devices; a `faults.toml` there says what is wrong with them, at any time
     #[arg(long, value_name = "DIR")]
     dir: PathBuf,
-    /// Address for the arm's ports 502 and 30000 to 30003
+    /// Address of the arm
     #[arg(long, value_name = "IP", default_value = "127.0.0.1")]
     xarm_ip: IpAddr,
+    /// Ports of the arm: 502 and 30000 to 30003 as the real one, or any that are free
+    #[arg(long, value_enum, default_value_t = XarmPorts::Standard)]
+    xarm_ports: XarmPorts,
     /// Same truth, same seed, same requests at the same times: same bytes
     #[arg(long, default_value_t = 0)]
     seed: u64,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum XarmPorts {
+    Standard,
+    Any,
 }
 
 pub(super) fn run(command: &DevicesCommand) -> Outcome {
@@ -43,12 +52,16 @@ fn emulate(_args: &EmulateArgs) -> Outcome {
 
 #[cfg(unix)]
 fn emulate(args: &EmulateArgs) -> Outcome {
-    use palpate_emulator::devices::{EmulatedStation, PortsConfig, PortsError, serve_devices};
+    use palpate_emulator::devices::{ArmPorts, EmulatedStation, PortsConfig, PortsError, serve_devices};
     use palpate_server::{Error, assets, chain};
 
     let (truth, _unpacked) = assets::truth(&args.truth)?;
     let mut station = EmulatedStation::new(&truth, args.seed)?;
-    let config = PortsConfig { dir: args.dir.clone(), arm_ip: args.xarm_ip };
+    let arm_ports = match args.xarm_ports {
+        XarmPorts::Standard => ArmPorts::Standard,
+        XarmPorts::Any => ArmPorts::Any,
+    };
+    let config = PortsConfig { dir: args.dir.clone(), arm_ip: args.xarm_ip, arm_ports };
     let stop = unix::stop_requested()?;
     let mut printed = Ok(());
     let served = serve_devices(
@@ -85,7 +98,20 @@ mod unix {
             links.map(|(_, link)| link.as_path()).collect()
         };
         let one = |prefix: &str| named(prefix).first().copied();
-        json!({ "u2d2": one("u2d2"), "twintac": named("twintac"), "fsr": one("fsr"), "xarm": ports.arm_ip })
+        let arm = &ports.arm_ports;
+        json!({
+            "u2d2": one("u2d2"),
+            "twintac": named("twintac"),
+            "fsr": one("fsr"),
+            "xarm": ports.arm_ip,
+            "xarm_ports": {
+                "command": arm.command,
+                "realtime": arm.realtime,
+                "normal": arm.normal,
+                "rich": arm.rich,
+                "real": arm.real,
+            },
+        })
     }
 
     /// A flag that Ctrl-C, the end of the terminal and the termination signal of service managers set.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::faults::Faults;
-use super::{ARM, EmulatedStation};
+use super::{ARM, EmulatedStation, ReportPort};
 use arm_sockets::ArmSockets;
 use terminal::Terminal;
 
@@ -20,6 +20,8 @@ use terminal::Terminal;
 const LONGEST_WAIT: Duration = Duration::from_millis(2);
 /// The file of faults is looked at this often.
 const FAULTS_EVERY: Duration = Duration::from_millis(100);
+/// Ports that the arm could not have again are tried this often.
+const LISTEN_EVERY: Duration = Duration::from_millis(200);
 /// Time that may be made up for after a pause of the process; what is missing beyond it has not happened.
 const MOST_BEHIND: Duration = Duration::from_millis(500);
 /// The file of faults in the folder of the links.
@@ -32,6 +34,63 @@ pub struct PortsConfig {
     pub dir: PathBuf,
     /// Address of the arm's box.
     pub arm_ip: IpAddr,
+    /// Ports of the arm's box.
+    pub arm_ports: ArmPorts,
+}
+
+/// Which TCP ports the arm's box shall have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ArmPorts {
+    /// Those of the real box; the port of requests needs a permission on most systems.
+    #[default]
+    Standard,
+    /// Any that are free; [`DevicePorts`] says which.
+    Any,
+}
+
+/// TCP ports of the arm's box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ArmPortNumbers {
+    /// Requests and responses.
+    pub command: u16,
+    /// Reports at 250 Hz.
+    pub realtime: u16,
+    /// Short reports at 5 Hz.
+    pub normal: u16,
+    /// Long reports at 5 Hz.
+    pub rich: u16,
+    /// Reports at 100 Hz.
+    pub real: u16,
+}
+
+impl ArmPortNumbers {
+    /// Those of the real box.
+    pub const STANDARD: Self = Self {
+        command: 502,
+        realtime: ReportPort::Realtime.number(),
+        normal: ReportPort::Normal.number(),
+        rich: ReportPort::Rich.number(),
+        real: ReportPort::Real.number(),
+    };
+
+    /// Where a kind of report comes from.
+    pub fn report(&self, port: ReportPort) -> u16 {
+        match port {
+            ReportPort::Realtime => self.realtime,
+            ReportPort::Normal => self.normal,
+            ReportPort::Rich => self.rich,
+            ReportPort::Real => self.real,
+        }
+    }
+
+    fn report_mut(&mut self, port: ReportPort) -> &mut u16 {
+        match port {
+            ReportPort::Realtime => &mut self.realtime,
+            ReportPort::Normal => &mut self.normal,
+            ReportPort::Rich => &mut self.rich,
+            ReportPort::Real => &mut self.real,
+        }
+    }
 }
 
 /// Where the devices are.
@@ -41,6 +100,8 @@ pub struct DevicePorts {
     pub links: Vec<(String, PathBuf)>,
     /// Address of the arm's box.
     pub arm_ip: IpAddr,
+    /// Ports of the arm's box; they stay the same when it is unplugged and comes back.
+    pub arm_ports: ArmPortNumbers,
 }
 
 /// Why the devices cannot be reached.
@@ -100,7 +161,8 @@ pub fn serve_devices(
 ) -> Result<(), PortsError> {
     std::fs::create_dir_all(&config.dir)
         .map_err(|source| PortsError::io("make the folder", &config.dir, source))?;
-    let sockets = ArmSockets::listen(config.arm_ip)?;
+    let sockets = ArmSockets::open(config.arm_ip, config.arm_ports)?;
+    let arm_ports = sockets.numbers()?;
     let mut terminals = Vec::new();
     for name in station.lines() {
         terminals.push(Some(Terminal::open(&config.dir.join(name))?));
@@ -108,18 +170,22 @@ pub fn serve_devices(
     let links = station.lines().iter().map(|name| (name.clone(), config.dir.join(name))).collect();
     let mut ports = Ports {
         config,
+        arm_ports,
         terminals,
         sockets: Some(sockets),
+        listening_failed: None,
         faults: FaultsFile { path: config.dir.join(FAULTS_FILE), modified: None, looked: None },
         epoch: Instant::now(),
         now_ns: 0,
     };
-    ports.read_faults(station, notice)?;
-    ready(&DevicePorts { links, arm_ip: config.arm_ip });
+    ports.read_faults(station, notice);
+    ports.plug(station, notice)?;
+    ready(&DevicePorts { links, arm_ip: config.arm_ip, arm_ports });
     while !stop.load(Ordering::Relaxed) {
         ports.wait(station)?;
         ports.read_clock(notice);
-        ports.read_faults(station, notice)?;
+        ports.read_faults(station, notice);
+        ports.plug(station, notice)?;
         ports.exchange(station);
     }
     Ok(())
@@ -127,9 +193,13 @@ pub fn serve_devices(
 
 struct Ports<'a> {
     config: &'a PortsConfig,
+    arm_ports: ArmPortNumbers,
     /// `None` for a line that is unplugged.
     terminals: Vec<Option<Terminal>>,
+    /// `None` while the arm is unplugged.
     sockets: Option<ArmSockets>,
+    /// When listening on the arm's ports was last in vain.
+    listening_failed: Option<Instant>,
     faults: FaultsFile,
     /// When the station's time began.
     epoch: Instant,
@@ -192,19 +262,15 @@ impl Ports<'_> {
     }
 
     /// Reads the file of faults if it changed; a wrong one changes nothing and is noticed.
-    fn read_faults(
-        &mut self,
-        station: &mut EmulatedStation,
-        notice: &mut dyn FnMut(String),
-    ) -> Result<(), PortsError> {
+    fn read_faults(&mut self, station: &mut EmulatedStation, notice: &mut dyn FnMut(String)) {
         if self.faults.looked.is_some_and(|looked| looked.elapsed() < FAULTS_EVERY) {
-            return Ok(());
+            return;
         }
         self.faults.looked = Some(Instant::now());
         let path = &self.faults.path;
         let modified = std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
         if modified == self.faults.modified {
-            return Ok(());
+            return;
         }
         self.faults.modified = modified;
         let faults = match std::fs::read_to_string(path) {
@@ -213,18 +279,21 @@ impl Ports<'_> {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Faults::default()),
             Err(error) => {
                 notice(format!("failed to read {path:?}: {error}"));
-                return Ok(());
+                return;
             }
         };
         match faults {
             Ok(faults) => station.set_faults(faults, self.now_ns),
             Err(error) => notice(error.to_string()),
         }
-        self.plug(station)
     }
 
     /// Takes unplugged devices away and brings others back.
-    fn plug(&mut self, station: &EmulatedStation) -> Result<(), PortsError> {
+    fn plug(
+        &mut self,
+        station: &mut EmulatedStation,
+        notice: &mut dyn FnMut(String),
+    ) -> Result<(), PortsError> {
         for (name, terminal) in station.lines().iter().zip(&mut self.terminals) {
             let unplugged = station.faults().unplugged(name);
             if unplugged {
@@ -234,10 +303,28 @@ impl Ports<'_> {
             }
         }
         if station.faults().unplugged(ARM) {
-            self.sockets = None;
-        } else if self.sockets.is_none() {
-            self.sockets = Some(ArmSockets::listen(self.config.arm_ip)?);
+            if let Some(sockets) = self.sockets.take() {
+                sockets.close(station);
+            }
+        } else if self.sockets.is_none()
+            && self.listening_failed.is_none_or(|failed| failed.elapsed() >= LISTEN_EVERY)
+        {
+            // Clients look for it where it was. Somebody else may have one of the ports for the moment.
+            match ArmSockets::listen(self.config.arm_ip, &self.arm_ports) {
+                Ok(sockets) => {
+                    self.sockets = Some(sockets);
+                    self.listening_failed = None;
+                }
+                Err(error) => {
+                    if self.listening_failed.replace(Instant::now()).is_none() {
+                        notice(format!("the arm does not come back yet: {error}"));
+                    }
+                }
+            }
         }
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -29,8 +29,8 @@ impl ReportPort {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Realtime, Self::Normal, Self::Rich, Self::Real];
 
-    /// The TCP port.
-    pub fn number(self) -> u16 {
+    /// The TCP port of the real box.
+    pub const fn number(self) -> u16 {
         match self {
             Self::Realtime => 30_000,
             Self::Normal => 30_001,

@@ -4,11 +4,9 @@ use std::io::{self, Read as _, Write as _};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::os::fd::{AsFd as _, BorrowedFd};
 
-use super::PortsError;
+use super::{ArmPortNumbers, ArmPorts, PortsError};
 use crate::devices::{EmulatedStation, ReportPort};
 
-/// The port of requests and responses.
-const COMMAND_PORT: u16 = 502;
 /// Bytes that a client may leave unread before it is let go.
 const MOST_UNREAD: usize = 256 * 1024;
 const CHUNK: usize = 4096;
@@ -29,11 +27,43 @@ struct Client {
 }
 
 impl ArmSockets {
-    pub(super) fn listen(ip: IpAddr) -> Result<Self, PortsError> {
-        let commands = listener(ip, COMMAND_PORT)?;
-        let report = |port: ReportPort| Ok((port, listener(ip, port.number())?));
+    /// Listens on the box's own ports, or on any that are free.
+    pub(super) fn open(ip: IpAddr, ports: ArmPorts) -> Result<Self, PortsError> {
+        Self::listen(
+            ip,
+            &match ports {
+                ArmPorts::Standard => ArmPortNumbers::STANDARD,
+                // Port 0 lets the system choose.
+                ArmPorts::Any => ArmPortNumbers { command: 0, realtime: 0, normal: 0, rich: 0, real: 0 },
+            },
+        )
+    }
+
+    /// Listens on these ports.
+    pub(super) fn listen(ip: IpAddr, ports: &ArmPortNumbers) -> Result<Self, PortsError> {
+        let commands = listener(ip, ports.command)?;
+        let report = |port: ReportPort| Ok((port, listener(ip, ports.report(port))?));
         let reports = ReportPort::ALL.into_iter().map(report).collect::<Result<_, PortsError>>()?;
         Ok(Self { commands, reports, command_clients: Vec::new(), report_clients: Vec::new() })
+    }
+
+    /// The ports that it listens on.
+    pub(super) fn numbers(&self) -> Result<ArmPortNumbers, PortsError> {
+        let number = |listener: &TcpListener| {
+            listener.local_addr().map(|address| address.port()).map_err(PortsError::Wait)
+        };
+        let mut numbers = ArmPortNumbers { command: number(&self.commands)?, ..ArmPortNumbers::STANDARD };
+        for (port, listener) in &self.reports {
+            *numbers.report_mut(*port) = number(listener)?;
+        }
+        Ok(numbers)
+    }
+
+    /// Everybody hangs up; the station forgets who was connected.
+    pub(super) fn close(self, station: &mut EmulatedStation) {
+        for (connection, _) in &self.command_clients {
+            station.disconnect(*connection);
+        }
     }
 
     pub(super) fn for_each_fd<'a>(&'a self, visit: &mut dyn FnMut(BorrowedFd<'a>)) {
