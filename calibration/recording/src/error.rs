@@ -46,6 +46,24 @@ impl RecordingError {
         Self::Content { path: path.as_ref().to_owned(), place: place.into(), problem: problem.into() }
     }
 
+    /// The same about the file at `path`, where what noticed it did not know the file's name.
+    pub(crate) fn about(mut self, path: &Path) -> Self {
+        match &mut self {
+            Self::Io { path: named, .. }
+            | Self::Content { path: named, .. }
+            | Self::Station { path: named, .. } => {
+                path.clone_into(named);
+            }
+        }
+        self
+    }
+
+    /// Whether the disk is full: nothing can be written until something else goes.
+    pub fn is_disk_full(&self) -> bool {
+        use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+        matches!(self, Self::Io { source, .. } if matches!(source.kind(), StorageFull | QuotaExceeded | FileTooLarge))
+    }
+
     /// For `map_err`: the operating system refused to `action` `path`.
     pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         move |source| Self::Io { action, path: path.to_owned(), source }

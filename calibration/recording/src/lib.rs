@@ -13,18 +13,26 @@
 //! | `/markers` | `palpate.Marker` | baseline, repetitions, notes |
 //! | `/log` | `foxglove.Log` | lines for people |
 //!
+//! While hardware is recorded, [`LiveTake`] writes takes that survive the process, and a [`GrowingSession`] is a session
+//! whose takes are accepted or set aside one by one; what only the recording needs lies in its `recording.toml`
+//! ([`RecordingFile`]).
+//!
 //! All messages are protobuf. A message's log time is the host's, its publish time the device's own where the device
 //! gives one. The station's files are attached under the names the station file uses, the station file itself as
 //! `station.toml`; what the take is about is the metadata record `palpate.take`. Chunks are compressed with zstd.
 //!
 //! What is read is checked when it is read, so that later stages can index without looking: times increase, numbers are
-//! finite, each sample has its stream's channels. Nothing here repairs data; [`Take::recover`] says what it left out.
+//! finite, each sample has its stream's channels. Nothing here repairs data; [`Take::recover`] says what it left out, and
+//! [`close_partial`] gives a take that was cut off an end.
 
 mod check;
 mod decode;
 mod error;
 mod format;
+mod growing;
 pub mod import;
+mod live;
+mod repair;
 mod servo_log;
 mod session;
 mod station_io;
@@ -33,6 +41,11 @@ mod writer;
 
 pub use check::check_session;
 pub use error::RecordingError;
+pub use growing::{
+    GrowingSession, PlannedStep, RecordedTake, RecordingFile, SessionPlan, TakeEnd, TakeState,
+};
+pub use live::LiveTake;
+pub use repair::{Closed, close_partial};
 pub use servo_log::ServoLog;
 pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;

@@ -1,7 +1,8 @@
 //! A session: a folder of takes with a `session.toml`.
 
 use std::{
-    fs,
+    fs::{self, File},
+    io::Write as _,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
 };
@@ -11,6 +12,9 @@ use serde::{Deserialize, Serialize};
 use crate::{RecordingError, Take};
 
 const SESSION_FILE: &str = "session.toml";
+/// Beside `session.toml` while a session is recorded step by step, and afterwards: see
+/// [`RecordingFile`](crate::RecordingFile).
+pub(crate) const RECORDING_FILE: &str = "recording.toml";
 const SESSION_FORMAT: u32 = 1;
 
 /// `session.toml`.
@@ -60,7 +64,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Reads `session.toml` in `dir`. A session without takes is refused.
+    /// Reads `session.toml` in `dir`. A session without takes is refused, unless it is being recorded: a
+    /// `recording.toml` lies beside it.
     pub fn open(dir: &Path) -> Result<Self, RecordingError> {
         let path = dir.join(SESSION_FILE);
         let text = fs::read_to_string(&path).map_err(RecordingError::io("read", &path))?;
@@ -94,7 +99,7 @@ impl Session {
             return Err(RecordingError::content(
                 self.dir.join(SESSION_FILE),
                 "take",
-                "no take is accepted; set `accepted = true` for the good ones",
+                "no take is accepted; accept good ones, or set `accepted = true` for them",
             ));
         }
         Ok(takes)
@@ -122,9 +127,7 @@ impl Session {
         check_file(&path, &self.file)?;
         let text = toml::to_string(&self.file)
             .map_err(|error| RecordingError::content(&path, "file", error.to_string()))?;
-        let partial = sibling(&path);
-        fs::write(&partial, text).map_err(RecordingError::io("write", &partial))?;
-        fs::rename(&partial, &path).map_err(RecordingError::io("write", &path))
+        replace_file(&path, &text)
     }
 
     /// Where a take of this session lies.
@@ -239,13 +242,14 @@ pub(crate) fn refuse_existing(dir: &Path) -> Result<(), RecordingError> {
     Ok(())
 }
 
-fn check_file(path: &Path, file: &SessionFile) -> Result<(), RecordingError> {
+pub(crate) fn check_file(path: &Path, file: &SessionFile) -> Result<(), RecordingError> {
     if file.format != SESSION_FORMAT {
         let problem =
             format!("{}, expected {SESSION_FORMAT}; read it with the palpate that wrote it", file.format);
         return Err(RecordingError::content(path, "format", problem));
     }
-    if file.takes.is_empty() {
+    let growing = path.with_file_name(RECORDING_FILE).is_file();
+    if file.takes.is_empty() && !growing {
         let problem = "the session has no takes; record or import at least one";
         return Err(RecordingError::content(path, "take", problem));
     }
@@ -263,11 +267,32 @@ fn check_file(path: &Path, file: &SessionFile) -> Result<(), RecordingError> {
     Ok(())
 }
 
-fn folder_name(dir: &Path) -> String {
+pub(crate) fn folder_name(dir: &Path) -> String {
     // `sessions/demo/..` and `.` have no name of their own.
     let resolved = if dir.file_name().is_none() { dir.canonicalize().ok() } else { None };
     let named = resolved.as_deref().unwrap_or(dir);
     named.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Puts `text` at `path`: whoever reads it, and whatever happens, finds the old text or the new one.
+pub(crate) fn replace_file(path: &Path, text: &str) -> Result<(), RecordingError> {
+    let partial = sibling(path);
+    let written = File::create_new(&partial)
+        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
+        .and_then(|()| fs::rename(&partial, path));
+    if let Err(source) = written {
+        // The old text is still in place; a leftover beside it helps nobody.
+        let _ = fs::remove_file(&partial);
+        return Err(RecordingError::io("write", path)(source));
+    }
+    sync_folder(path);
+    Ok(())
+}
+
+/// Makes names that appeared or changed beside `path` survive a power cut, where the file system can.
+pub(crate) fn sync_folder(path: &Path) {
+    // Some file systems refuse to sync a folder; the names are right all the same unless the power fails now.
+    let _ = path.parent().and_then(|dir| File::open(dir).ok()).map(|dir| dir.sync_all());
 }
 
 /// A hidden name beside `path` that nobody else uses.

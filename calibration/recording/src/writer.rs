@@ -88,7 +88,10 @@ impl<W: Write + Seek> TakeWriter<W> {
         let options = WriteOptions::new()
             .library(format!("palpate_recording {}", env!("CARGO_PKG_VERSION")))
             // The bytes of a take depend on its content only, not on how many cores wrote it.
-            .compression_threads(0);
+            .compression_threads(0)
+            // A chunk goes out in one piece once it is complete, not as a stub whose lengths follow later: what a killed
+            // process leaves is whole chunks.
+            .disable_seeking(true);
         let mut writer = options.create(sink).map_err(write_error(TAKE_METADATA))?;
 
         // Attachments and metadata come first, so that a file that was cut off still says what it is.

@@ -1,7 +1,9 @@
 //! Takes and sessions on disk, through the public API only.
 #![expect(clippy::unwrap_used, reason = "helpers of tests stop at what they do not expect, as tests do")]
 
+mod growing;
 mod import;
+mod live;
 mod session;
 mod shipped_stations;
 mod support;

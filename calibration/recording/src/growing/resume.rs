@@ -1,0 +1,275 @@
+//! Begins a session, or goes on with one: what a crash interrupted is finished first.
+
+use std::{
+    fs::{self, File, TryLockError},
+    path::Path,
+};
+
+use super::{
+    DISCARDED, GrowingSession, LOCK_FILE, PARTIAL, RECORDING_FORMAT, RecordingFile, SessionPlan, TakeState,
+    chain, move_file, new_session_file,
+};
+use crate::{
+    RecordingError, Session, close_partial,
+    session::{RECORDING_FILE, check_file, folder_name},
+};
+
+impl GrowingSession {
+    /// Begins the session at `dir` or goes on with it; the second value says in sentences what was found and mended.
+    ///
+    /// `station` is the station's id and `recorded` when the session begins (RFC 3339). A session that follows another
+    /// plan, belongs to another station, was not recorded step by step, or is open in another process is refused.
+    pub fn open(
+        dir: &Path,
+        station: &str,
+        plan: &SessionPlan,
+        operator: &str,
+        recorded: &str,
+    ) -> Result<(Self, Vec<String>), RecordingError> {
+        let recording_path = dir.join(RECORDING_FILE);
+        if !recording_path.is_file() && !is_empty(dir)? {
+            let problem = "is there already and was not recorded step by step, so it cannot be gone on with; choose another id";
+            return Err(RecordingError::content(dir, "session", problem));
+        }
+        if dir.file_name().is_none() {
+            return Err(RecordingError::content(
+                dir,
+                "session",
+                "names no folder; give the folder to be made",
+            ));
+        }
+        if plan.steps.is_empty() {
+            let problem = format!("the plan {:?} has no steps; add takes to it", plan.plan);
+            return Err(RecordingError::content(dir, "plan", problem));
+        }
+        fs::create_dir_all(dir).map_err(RecordingError::io("make", dir))?;
+        let lock = lock(dir)?;
+        let resumed = recording_path.is_file();
+        let recording = if resumed {
+            read_recording(&recording_path)?
+        } else {
+            RecordingFile {
+                format: RECORDING_FORMAT,
+                plan: plan.plan.clone(),
+                operator: operator.to_owned(),
+                steps: plan.steps.clone(),
+                takes: Vec::new(),
+            }
+        };
+        check_plan(&recording_path, &recording, plan)?;
+        // What is accepted follows from `recording.toml`; only station and time come from the session's own file.
+        let file = if dir.join("session.toml").is_file() {
+            Session::open(dir)?.file
+        } else {
+            new_session_file(station, recorded)
+        };
+        if file.station != station {
+            let problem = format!(
+                "{:?}, but this station is {station:?}; choose another id for the session",
+                file.station
+            );
+            return Err(RecordingError::content(dir.join("session.toml"), "station", problem));
+        }
+        let session = Session { dir: dir.to_owned(), id: folder_name(dir), file };
+        let mut growing = Self { session, recording, _lock: lock };
+        let mut report = Vec::new();
+        if resumed {
+            growing.reconcile(&mut report)?;
+        }
+        let mut recording = growing.recording.clone();
+        if !operator.is_empty() {
+            operator.clone_into(&mut recording.operator);
+        }
+        growing.save(recording)?;
+        check_file(&dir.join("session.toml"), &growing.session.file)?;
+        Ok((growing, report))
+    }
+
+    /// Makes the folder what `recording.toml` says it is.
+    fn reconcile(&mut self, report: &mut Vec<String>) -> Result<(), RecordingError> {
+        let mut lost = Vec::new();
+        for take_idx in 0..self.recording.takes.len() {
+            let take = &self.recording.takes[take_idx];
+            let (file, id) = (take.file.clone(), take.id().to_owned());
+            let place = self.session.dir.join(&file);
+            let (partial, discarded) = (self.partial_path(&file), self.discarded_path(&file));
+            match take.state {
+                TakeState::Recording if place.is_file() => {
+                    report.push(format!("{id} is complete; it waits for a decision"));
+                    self.recording.takes[take_idx].state = TakeState::Review;
+                }
+                TakeState::Recording if partial.is_file() => self.recover(take_idx, report)?,
+                TakeState::Recording => {
+                    report.push(format!("{id} was begun, but nothing of it was written"));
+                    lost.push(take_idx);
+                }
+                TakeState::Review | TakeState::Accepted if place.is_file() => {}
+                TakeState::Review | TakeState::Accepted if discarded.is_file() => {
+                    report.push(format!("{id} was about to be moved; it is back in its place"));
+                    move_file(&discarded, &place)?;
+                }
+                TakeState::Review | TakeState::Accepted => {
+                    report.push(format!(
+                        "{id} is gone: {} is not there any more; record it again",
+                        place.display()
+                    ));
+                    lost.push(take_idx);
+                }
+                TakeState::Discarded if discarded.is_file() => {}
+                TakeState::Discarded => {
+                    let from = [place, partial].into_iter().find(|path| path.is_file());
+                    match from {
+                        Some(from) => {
+                            self.make_discarded()?;
+                            move_file(&from, &discarded)?;
+                            report.push(format!("{id} was about to be set aside; now it is"));
+                        }
+                        // Somebody tidied up; the entry keeps the name from being used again.
+                        None => {}
+                    }
+                }
+            }
+        }
+        for take_idx in lost.into_iter().rev() {
+            self.recording.takes.remove(take_idx);
+        }
+        self.sweep_partials(report)
+    }
+
+    /// A take whose recording ended with the process.
+    fn recover(&mut self, take_idx: usize, report: &mut Vec<String>) -> Result<(), RecordingError> {
+        let take = &self.recording.takes[take_idx];
+        let (file, id) = (take.file.clone(), take.id().to_owned());
+        let partial = self.partial_path(&file);
+        match close_partial(&partial) {
+            Ok(closed) => {
+                let recovered = format!("{id}-recovered.mcap");
+                move_file(&partial, &self.session.dir.join(&recovered))?;
+                let seconds = closed.take.duration_s();
+                let damage = closed.damage.unwrap_or_else(|| "the file is whole".to_owned());
+                report.push(format!(
+                    "{id} was being recorded when the program ended; {seconds:.1} s of it are kept as {recovered}, \
+                     which waits for a decision ({damage})"
+                ));
+                let take = &mut self.recording.takes[take_idx];
+                take.file = recovered;
+                take.state = TakeState::Review;
+                take.broken_off = format!("the program ended while it was recorded; {seconds:.1} s are kept");
+            }
+            Err(error) => {
+                self.make_discarded()?;
+                move_file(&partial, &self.discarded_path(&file))?;
+                report.push(format!(
+                    "{id} was being recorded when the program ended, and no take can be made of it; the file is in \
+                     {DISCARDED}/{file} ({})",
+                    chain(&error)
+                ));
+                let newest = self.recording.takes.iter().map(|take| take.set_aside).max().unwrap_or_default();
+                let take = &mut self.recording.takes[take_idx];
+                take.state = TakeState::Discarded;
+                take.set_aside = newest + 1;
+                take.readable = Some(false);
+                take.broken_off = "the program ended before anything could be kept".to_owned();
+            }
+        }
+        Ok(())
+    }
+
+    /// Partial takes that nothing knows go where they harm nothing.
+    fn sweep_partials(&mut self, report: &mut Vec<String>) -> Result<(), RecordingError> {
+        let dir = self.session.dir.clone();
+        let entries = fs::read_dir(&dir).map_err(RecordingError::io("list", &dir))?;
+        let mut strays: Vec<String> = entries
+            .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+            .filter(|name| name.starts_with("take-") && name.ends_with(PARTIAL))
+            .collect();
+        strays.sort();
+        for name in strays {
+            self.make_discarded()?;
+            move_file(&dir.join(&name), &self.discarded_path(&name))?;
+            report.push(format!("{name} belongs to no take of this session; it is in {DISCARDED} now"));
+        }
+        Ok(())
+    }
+
+    fn make_discarded(&self) -> Result<(), RecordingError> {
+        let discarded = self.session.dir.join(DISCARDED);
+        fs::create_dir_all(&discarded).map_err(RecordingError::io("make", &discarded))
+    }
+}
+
+fn lock(dir: &Path) -> Result<File, RecordingError> {
+    let path = dir.join(LOCK_FILE);
+    let file = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path)
+        .map_err(RecordingError::io("make", &path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            let problem = "is being recorded by another process; end that one, or choose another id";
+            Err(RecordingError::content(dir, "session", problem))
+        }
+        Err(TryLockError::Error(source)) => Err(RecordingError::io("lock", &path)(source)),
+    }
+}
+
+/// Whether nothing is at `dir`, or only what beginning a session leaves if it is interrupted at once.
+fn is_empty(dir: &Path) -> Result<bool, RecordingError> {
+    let entries = match fs::read_dir(dir) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(true),
+        Err(error) => return Err(RecordingError::io("list", dir)(error)),
+    };
+    Ok(entries.filter_map(Result::ok).all(|entry| entry.file_name().to_string_lossy().starts_with('.')))
+}
+
+fn read_recording(path: &Path) -> Result<RecordingFile, RecordingError> {
+    let text = fs::read_to_string(path).map_err(RecordingError::io("read", path))?;
+    let recording: RecordingFile = toml::from_str(&text).map_err(RecordingError::toml(path, &text))?;
+    if recording.format != RECORDING_FORMAT {
+        let problem = format!(
+            "{}, expected {RECORDING_FORMAT}; go on with the palpate that wrote it",
+            recording.format
+        );
+        return Err(RecordingError::content(path, "format", problem));
+    }
+    for (take_idx, take) in recording.takes.iter().enumerate() {
+        let place = format!("take {}", take_idx + 1);
+        if Path::new(&take.file).file_name().is_none_or(|name| name != take.file.as_str())
+            || !take.file.ends_with(".mcap")
+        {
+            let problem =
+                format!("file {:?} must be the name of an .mcap file in the session's folder", take.file);
+            return Err(RecordingError::content(path, place, problem));
+        }
+        if recording.takes[..take_idx].iter().any(|other| other.file == take.file) {
+            return Err(RecordingError::content(path, place, format!("{:?} is listed twice", take.file)));
+        }
+        if take.step >= recording.steps.len() {
+            let problem = format!("step {} of a plan with {} steps", take.step, recording.steps.len());
+            return Err(RecordingError::content(path, place, problem));
+        }
+    }
+    Ok(recording)
+}
+
+fn check_plan(path: &Path, recording: &RecordingFile, plan: &SessionPlan) -> Result<(), RecordingError> {
+    if recording.plan != plan.plan {
+        let problem = format!(
+            "the session follows {:?}, not {:?}; go on with that plan, or choose another id",
+            recording.plan, plan.plan
+        );
+        return Err(RecordingError::content(path, "plan", problem));
+    }
+    let changed = (0..recording.steps.len().max(plan.steps.len()))
+        .find(|&step| recording.steps.get(step) != plan.steps.get(step));
+    if let Some(step) = changed {
+        let problem =
+            "the plan was changed since the session was begun; choose another id, or change the plan back";
+        return Err(RecordingError::content(path, format!("step {}", step + 1), problem));
+    }
+    Ok(())
+}
