@@ -275,18 +275,18 @@ impl Draw<'_> {
     }
 
     fn rest(&self, joint: &str) -> f64 {
-        self.stage.truth().motion.rest.get(joint).copied().unwrap_or(0.0)
+        self.stage.plan().motion.rest.get(joint).copied().unwrap_or(0.0)
     }
 
     fn object(&mut self) -> String {
-        let takes = &self.stage.truth().takes;
+        let takes = &self.stage.plan().takes;
         takes[self.below(takes.len())].object.clone()
     }
 
     /// A shift of `size_m` in a direction that shows: a cylinder moved along its axis is where it was.
     fn shift(&mut self, object: &str, size_m: f64) -> Vec<(&'static str, f64)> {
         let mut at = nalgebra::Vector3::from_fn(|_, _| gaussian(&mut self.rng));
-        let pose = self.stage.truth().objects.get(object).and_then(|pose| pose.to_isometry().ok());
+        let pose = self.stage.plan().objects.get(object).and_then(|pose| pose.to_isometry().ok());
         if let (Some(pose), ObjectShape::Cylinder { .. }) = (pose, &self.station.objects[object].shape) {
             let axis = pose.rotation * nalgebra::Vector3::z();
             at -= axis * at.dot(&axis);

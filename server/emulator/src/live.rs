@@ -57,12 +57,12 @@ impl LiveStation {
     pub fn new(truth_path: &Path, seed: u64) -> Result<Self, EmulationError> {
         let emulation = Emulation::read(truth_path)?;
         let scenes = scenes(&emulation)?;
-        let takes = &emulation.truth.takes;
+        let takes = &emulation.plan.takes;
         let motions: Vec<TakeMotion> = (0..takes.len())
             .into_par_iter()
             .map(|take_idx| plan_take(&emulation, &scenes[&takes[take_idx].object], take_idx))
             .collect::<Result<_, _>>()?;
-        let poses: Vec<_> = takes.iter().map(|take| scenes[&take.object].base_from_object).collect();
+        let poses: Vec<_> = takes.iter().map(|take| scenes[&take.object].base_from_object()).collect();
         let recorded = takes.iter().zip(&poses);
         let recorded_poses: Vec<_> =
             recorded.map(|(take, pose)| emulation.secrets.recorded_pose(&take.object, pose)).collect();
@@ -75,7 +75,7 @@ impl LiveStation {
             active: vec![false; num_channels],
             raw: vec![0.0; num_channels],
             activity: String::new(),
-            object: Some((emulation.truth.takes[0].object.clone(), recorded_poses[0])),
+            object: Some((emulation.plan.takes[0].object.clone(), recorded_poses[0])),
             samples: vec![0; 1 + emulation.station.layout.streams.len()],
         };
         let references = vec![0.0; num_channels];
@@ -103,7 +103,7 @@ impl LiveStation {
         let dt_secs = if dt_secs.is_finite() { dt_secs.clamp(0.0, LONGEST_STEP_S) } else { 0.0 };
         self.sample.time_s += dt_secs;
         let mut take_idx = self.take_idx();
-        let duration_s = self.emulation.truth.takes[take_idx].duration_s;
+        let duration_s = self.emulation.plan.takes[take_idx].duration_s;
         if self.sample.time_s - self.take_start_s >= duration_s {
             self.take_start_s += duration_s;
             // A world that could be made once can be made again; staying in the old one would be the lesser evil.
@@ -113,7 +113,7 @@ impl LiveStation {
             }
             take_idx = self.take_idx();
             self.sample.object =
-                Some((self.emulation.truth.takes[take_idx].object.clone(), self.recorded_poses[take_idx]));
+                Some((self.emulation.plan.takes[take_idx].object.clone(), self.recorded_poses[take_idx]));
         }
         let now_s = self.sample.time_s - self.take_start_s;
         let station = Arc::clone(&self.emulation.station);
@@ -121,12 +121,12 @@ impl LiveStation {
         let sample = &mut self.sample;
         if self.world.time_s() < 0.0 {
             // Nothing reaches the host before the take starts; what the devices learn until then is their reference.
-            let warmed_up = self.world.advance(0.0, |time_s, at| motion.path.at(time_s, at), &mut |_| Ok(()));
+            let warmed_up = self.world.advance(0.0, |time_s, at| motion.at(time_s, at), &mut |_| Ok(()));
             debug_assert!(warmed_up.is_ok(), "the sink cannot fail");
             self.references = self.world.references();
         }
         let references = &self.references;
-        let advanced = self.world.advance(now_s, |time_s, at| motion.path.at(time_s, at), &mut |event| {
+        let advanced = self.world.advance(now_s, |time_s, at| motion.at(time_s, at), &mut |event| {
             match event {
                 Event::Joints { positions, .. } => {
                     sample.positions = positions;
@@ -144,10 +144,7 @@ impl LiveStation {
             Ok(())
         });
         debug_assert!(advanced.is_ok(), "the sink cannot fail");
-        let doing = motion.activities.partition_point(|(from_s, _)| *from_s <= now_s).saturating_sub(1);
-        if let Some((_, activity)) = motion.activities.get(doing) {
-            sample.activity.clone_from(activity);
-        }
+        motion.activity(now_s).clone_into(&mut sample.activity);
         sample.clone()
     }
 
@@ -163,6 +160,6 @@ fn world(
     round: u64,
 ) -> Result<TruthWorld, EmulationError> {
     let take_idx = (round % poses.len() as u64) as usize;
-    let object = &emulation.station.objects[&emulation.truth.takes[take_idx].object];
+    let object = &emulation.station.objects[&emulation.plan.takes[take_idx].object];
     TruthWorld::new(emulation, object, &poses[take_idx], seed, round)
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use nalgebra::Isometry3;
+use palpate_motion::{PlanError, PlannedTake, Scene};
 use palpate_recording::{
     RecordingError, Session, SessionDraft, SessionFile, SessionTake, TactileSampleRef, TakeMeta, TakeWriter,
 };
@@ -14,8 +15,8 @@ use palpate_sim::job::{Cancel, Progress};
 use rayon::prelude::*;
 
 use crate::TruthWorld;
-use crate::motion::{Scene, plan_take};
-use crate::truth::{Emulation, TakeTruth};
+use crate::motion::plan_take;
+use crate::truth::Emulation;
 use crate::world::Event;
 
 /// Time between the end of one take and the start of the next, s.
@@ -27,7 +28,7 @@ const SLICE_S: f64 = 1.0;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EmulationError {
-    /// The truth file is wrong.
+    /// The truth file, its plan or a primitive is wrong, or a motion cannot be.
     #[error("{file}: {place}: {problem}")]
     Truth {
         /// Which file.
@@ -45,6 +46,13 @@ pub enum EmulationError {
     Cancelled,
 }
 
+impl From<PlanError> for EmulationError {
+    fn from(error: PlanError) -> Self {
+        let PlanError { file, place, problem } = error;
+        Self::Truth { file, place, problem }
+    }
+}
+
 /// Records the session that the truth file at `truth_path` describes into `out_dir`, which must not exist.
 /// Same truth, same seed: same bytes.
 ///
@@ -59,7 +67,7 @@ pub fn record_session(
     let emulation = Emulation::read(truth_path)?;
     let draft = SessionDraft::new(out_dir)?;
     let scenes = scenes(&emulation)?;
-    let takes = &emulation.truth.takes;
+    let takes = &emulation.plan.takes;
     let total_s: f64 = takes.iter().map(|take| take.duration_s).sum();
     // Milliseconds of take that are done: a number that threads can add to.
     let done_ms = AtomicU64::new(0);
@@ -91,23 +99,11 @@ pub fn record_session(
     Ok(draft.commit(file)?)
 }
 
-/// A scene for each object that the truth poses.
+/// A scene for each object that the plan poses.
 pub(crate) fn scenes(emulation: &Emulation) -> Result<BTreeMap<String, Scene<'_>>, EmulationError> {
-    let mut scenes = BTreeMap::new();
-    for (id, pose) in &emulation.truth.objects {
-        let place = || format!("object {id:?}");
-        let base_from_object: Isometry3<f64> =
-            pose.to_isometry().map_err(|problem| emulation.error(place(), problem))?;
-        let object = emulation
-            .station
-            .objects
-            .get(id)
-            .ok_or_else(|| emulation.error(place(), "the station has no such object"))?;
-        let scene = Scene::new(&emulation.station, object, base_from_object)
-            .map_err(|problem| emulation.error(place(), problem))?;
-        scenes.insert(id.clone(), scene);
-    }
-    Ok(scenes)
+    let plan = &emulation.plan;
+    let scene = |id: &String| Ok((id.clone(), plan.scene(&emulation.station, id)?));
+    plan.objects.keys().map(scene).collect()
 }
 
 struct Recorder<'a> {
@@ -120,9 +116,9 @@ struct Recorder<'a> {
 impl Recorder<'_> {
     fn record(&self, path: &Path, seed: u64, done: &mut dyn FnMut(f64)) -> Result<(), EmulationError> {
         self.check_cancel()?;
-        let take = &self.emulation.truth.takes[self.take_idx];
+        let take = &self.emulation.plan.takes[self.take_idx];
         let object = &self.emulation.station.objects[&take.object];
-        let base_from_object = self.scene.base_from_object;
+        let base_from_object = self.scene.base_from_object();
         // The world first: it refuses impossible elastomers at once, while planning takes a moment.
         let mut world =
             TruthWorld::new(self.emulation, object, &base_from_object, seed, self.take_idx as u64)?;
@@ -144,7 +140,7 @@ impl Recorder<'_> {
             self.check_cancel()?;
             let slice_s = SLICE_S.min(take.duration_s - now_s);
             now_s += slice_s;
-            world.advance(now_s, |time_s, positions| motion.path.at(time_s, positions), &mut |event| {
+            world.advance(now_s, |time_s, positions| motion.at(time_s, positions), &mut |event| {
                 match event {
                     Event::Joints { host_ns, positions } => {
                         writer.joints(host_ns.unsigned_abs(), &positions)?;
@@ -173,7 +169,7 @@ impl Recorder<'_> {
 /// What is written about a take whose object stands at `base_from_object`.
 pub(crate) fn take_meta(
     emulation: &Emulation,
-    take: &TakeTruth,
+    take: &PlannedTake,
     base_from_object: &Isometry3<f64>,
 ) -> TakeMeta {
     TakeMeta {
@@ -188,7 +184,7 @@ pub(crate) fn take_meta(
 
 /// When a take starts, ns since 1970: takes follow one another with a fixed break.
 pub(crate) fn start_unix_ns(emulation: &Emulation, take_idx: usize) -> u64 {
-    let before = &emulation.truth.takes[..take_idx];
+    let before = &emulation.plan.takes[..take_idx];
     let after_s: f64 = before.iter().map(|take| take.duration_s + BETWEEN_TAKES_S).sum();
     emulation.start_unix_ns + (after_s * 1e9).round() as u64
 }

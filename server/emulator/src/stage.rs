@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
+use palpate_motion::Plan;
 use palpate_recording::{JointLog, Span, SpanKind, StreamLog, Take};
 use palpate_robot_model::Station;
 use rayon::prelude::*;
@@ -31,12 +32,12 @@ impl Stage {
     pub fn read(truth_path: &Path) -> Result<Self, EmulationError> {
         let emulation = Emulation::read(truth_path)?;
         let scenes = scenes(&emulation)?;
-        let takes = &emulation.truth.takes;
+        let takes = &emulation.plan.takes;
         let motions: Vec<TakeMotion> = (0..takes.len())
             .into_par_iter()
             .map(|take_idx| plan_take(&emulation, &scenes[&takes[take_idx].object], take_idx))
             .collect::<Result<_, _>>()?;
-        let poses = takes.iter().map(|take| scenes[&take.object].base_from_object).collect();
+        let poses = takes.iter().map(|take| scenes[&take.object].base_from_object()).collect();
         drop(scenes);
         Ok(Self { emulation, motions, poses })
     }
@@ -44,6 +45,11 @@ impl Stage {
     /// The truth that was read.
     pub fn truth(&self) -> &Truth {
         &self.emulation.truth
+    }
+
+    /// Its plan.
+    pub fn plan(&self) -> &Plan {
+        &self.emulation.plan
     }
 
     /// The station.
@@ -63,15 +69,15 @@ impl Stage {
     }
 
     fn record_take(&self, emulation: &Emulation, seed: u64, take_idx: usize) -> Result<Take, EmulationError> {
-        let truth = &emulation.truth.takes[take_idx];
+        let planned = &emulation.plan.takes[take_idx];
         let motion = &self.motions[take_idx];
         let base_from_object = self.poses[take_idx];
         let station = &emulation.station;
-        let object = &station.objects[&truth.object];
+        let object = &station.objects[&planned.object];
         let mut world = TruthWorld::new(emulation, object, &base_from_object, seed, take_idx as u64)?;
         let mut joints = JointLog::default();
         let mut streams = vec![StreamLog::default(); station.layout.streams.len()];
-        world.advance(truth.duration_s, |time_s, at| motion.path.at(time_s, at), &mut |event| {
+        world.advance(planned.duration_s, |time_s, at| motion.at(time_s, at), &mut |event| {
             match event {
                 Event::Joints { host_ns, positions } => {
                     joints.times_s.push(secs_from_ns(host_ns.unsigned_abs()));
@@ -92,7 +98,7 @@ impl Stage {
         }
         Ok(Take {
             id: format!("take-{:02}", take_idx + 1),
-            meta: take_meta(emulation, truth, &base_from_object),
+            meta: take_meta(emulation, planned, &base_from_object),
             start_unix_ns: start_unix_ns(emulation, take_idx),
             station: Station::clone(station),
             joints,

@@ -4,19 +4,22 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use palpate_motion::{MotionConfig, Plan, PlannedTake, Primitives};
 use palpate_recording::{RecordingError, load_station};
 use palpate_robot_model::{PoseConfig, SensorKind, Station};
 use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
 use crate::hidden::Hidden;
-use crate::primitive::Primitive;
 use crate::secrets::{Secrets, StreamSecrets};
 
 /// What the emulated world is like, and what it hides.
 ///
 /// Everything that a calibration has to find, or to live with, is written here: the elastomers, the sensors' front
 /// ends, the spread between channels, delays, mounting errors. `assets/truth/demo.toml` is a commented example.
+///
+/// What moves and touches is a [`Plan`], a file of its own that the truth names. A truth may hold the sections of a plan
+/// (`primitives`, `[motion]`, `[object.ID]`, `[[take]]`) itself instead; the plan's seed is then the world's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Truth {
@@ -26,8 +29,10 @@ pub struct Truth {
     pub name: String,
     /// Station file, relative to the truth file.
     pub station: String,
-    /// Folder of the primitives, relative to the truth file.
-    pub primitives: String,
+    /// Plan file, relative to the truth file; absent where the truth holds the plan's sections.
+    pub plan: Option<String>,
+    /// Folder of the primitives, relative to the truth file; only beside the sections of a plan.
+    pub primitives: Option<String>,
     /// When the first take starts, with its offset from UTC. Emulated sessions never read a clock.
     pub recorded: toml::value::Datetime,
     /// Who is said to have recorded it.
@@ -35,8 +40,8 @@ pub struct Truth {
     pub operator: String,
     /// Draws what differs from channel to channel in this world; the seed of a recording draws only its noise.
     pub world_seed: u64,
-    /// How the robot moves.
-    pub motion: MotionConfig,
+    /// How the robot moves; only where no plan file is named.
+    pub motion: Option<MotionConfig>,
     /// How joint positions are measured.
     #[serde(default)]
     pub joints: JointTruth,
@@ -46,36 +51,15 @@ pub struct Truth {
     /// Patches that do not sit where the layout says.
     #[serde(rename = "mount_offset", default)]
     pub mount_offsets: Vec<MountOffset>,
-    /// Pose of each object in the base frame, by object id.
-    #[serde(rename = "object")]
+    /// Pose of each object in the base frame, by object id; those of the plan file where one is named.
+    #[serde(rename = "object", default)]
     pub objects: BTreeMap<String, PoseConfig>,
     /// What the world has beside all this; see [`Hidden`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub hidden: Vec<Hidden>,
-    /// The takes, in order.
-    #[serde(rename = "take")]
-    pub takes: Vec<TakeTruth>,
-}
-
-/// How the robot moves between and during touches.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MotionConfig {
-    /// Position of every moving joint where a take starts and ends, rad or m, by joint name: clear of every object.
-    pub rest: BTreeMap<String, f64>,
-    /// Positions of joints that are not part of the touching limb, by joint name; `rest` where absent.
-    #[serde(default)]
-    pub away: BTreeMap<String, f64>,
-    /// Fraction of a joint's speed limit that is used between touches, 0..=1.
-    pub speed_fraction: f64,
-    /// Still time before the first touch; its first part is the take's baseline span, s.
-    pub baseline_s: f64,
-    /// Distance from the object at which the robot moves from one touch to the next, m.
-    pub safe_clearance_m: f64,
-    /// How far the orientation at a touch may differ from the one at rest, rad.
-    pub tilt_rad: f64,
-    /// Flexing joints arrive at a touch from this far above, or below, their final position, rad.
-    pub settle_rad: f64,
+    /// The takes, in order; those of the plan file where one is named.
+    #[serde(rename = "take", default)]
+    pub takes: Vec<PlannedTake>,
 }
 
 /// How joint positions are measured.
@@ -181,20 +165,6 @@ pub struct MountOffset {
     pub rotation_rad: [f64; 3],
 }
 
-/// One take.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TakeTruth {
-    /// Object id.
-    pub object: String,
-    /// Primitive id: the stem of a file in the folder of primitives.
-    pub primitive: String,
-    /// Duration, s.
-    pub duration_s: f64,
-    /// What is touched, in order: channel ids, or patch ids for a patch's middle taxel.
-    pub touch: Vec<String>,
-}
-
 /// A truth file with everything it names, read and checked.
 #[derive(Clone, Debug)]
 pub(crate) struct Emulation {
@@ -202,8 +172,8 @@ pub(crate) struct Emulation {
     pub(crate) file: String,
     pub(crate) truth: Truth,
     pub(crate) station: Arc<Station>,
-    /// Primitives by id.
-    pub(crate) primitives: BTreeMap<String, Primitive>,
+    /// What moves and touches, with its primitives.
+    pub(crate) plan: Plan,
     /// Start of the first take, ns since 1970.
     pub(crate) start_unix_ns: u64,
     /// What the truth's hidden effects come to.
@@ -234,10 +204,10 @@ impl FrontEnd {
 }
 
 impl Emulation {
-    /// Reads the truth file at `path`, its station and its primitives.
+    /// Reads the truth file at `path`, its station, its plan and its primitives.
     pub(crate) fn read(path: &Path) -> Result<Self, EmulationError> {
         let file = path.display().to_string();
-        let truth: Truth = parse(path)?;
+        let mut truth: Truth = parse(path)?;
         let fail = |place: &str, problem: String| truth_error(&file, place, problem);
         if truth.format != 1 {
             return Err(fail("format", format!("is {}, expected 1", truth.format)));
@@ -250,21 +220,13 @@ impl Emulation {
                 format!("{} needs date, time and offset, e.g. 2026-03-02T09:30:00Z", truth.recorded),
             )
         })?;
-        let mut primitives = BTreeMap::new();
-        for take in &truth.takes {
-            if primitives.contains_key(&take.primitive) {
-                continue;
-            }
-            let primitive_path = dir.join(&truth.primitives).join(format!("{}.toml", take.primitive));
-            let primitive: Primitive = parse(&primitive_path)?;
-            primitive.check().map_err(|(place, problem)| {
-                truth_error(&primitive_path.display().to_string(), &place, problem)
-            })?;
-            primitives.insert(take.primitive.clone(), primitive);
-        }
+        let plan = plan(path, &truth)?;
+        plan.check(&station)?;
         check(&truth, &station).map_err(|(place, problem)| fail(&place, problem))?;
+        truth.objects.clone_from(&plan.objects);
+        truth.takes.clone_from(&plan.takes);
         let secrets = secrets(&file, &truth.hidden, &station, truth.world_seed)?;
-        Ok(Self { file, truth, station: Arc::new(station), primitives, start_unix_ns, secrets })
+        Ok(Self { file, truth, station: Arc::new(station), plan, start_unix_ns, secrets })
     }
 
     /// The same world with `more` hidden in it.
@@ -292,12 +254,7 @@ impl Emulation {
 
     /// Where takes start and end.
     pub(crate) fn rest(&self) -> Vec<f64> {
-        self.positions(&self.truth.motion.rest, &vec![0.0; self.station.robot.num_dofs()])
-    }
-
-    /// The channel that `touch` names: a channel id, or a patch id for the taxel nearest to the patch's middle.
-    pub(crate) fn channel(&self, touch: &str) -> Option<usize> {
-        channel_named(&self.station, touch)
+        self.plan.rest(&self.station)
     }
 }
 
@@ -333,67 +290,54 @@ fn parse<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, EmulationErro
     })
 }
 
-fn channel_named(station: &Station, touch: &str) -> Option<usize> {
-    let layout = &station.layout;
-    if let Some(channel) = layout.channels.iter().position(|channel| channel.id == touch) {
-        return Some(channel);
+/// The plan of the truth file at `path`: the file that it names, or its own sections.
+fn plan(path: &Path, truth: &Truth) -> Result<Plan, EmulationError> {
+    let file = path.display().to_string();
+    let dir = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    if let Some(plan) = &truth.plan {
+        let sections = [
+            ("primitives", truth.primitives.is_some()),
+            ("[motion]", truth.motion.is_some()),
+            ("[object]", !truth.objects.is_empty()),
+            ("[[take]]", !truth.takes.is_empty()),
+        ];
+        if let Some((section, _)) = sections.iter().find(|(_, there)| *there) {
+            let problem = format!("{section} belongs into {plan}: move it there, or leave out plan");
+            return Err(truth_error(&file, "plan", problem));
+        }
+        return Ok(Plan::read(&dir.join(plan))?);
     }
-    let patch = layout.patches.iter().find(|patch| patch.id == touch)?;
-    let count = patch.taxels_in_link.len() as f64;
-    let middle =
-        patch.taxels_in_link.iter().fold(nalgebra::Vector3::zeros(), |sum, pos| sum + pos.coords) / count;
-    let nearest = patch
-        .taxels_in_link
-        .iter()
-        .enumerate()
-        .min_by(|(_, a), (_, b)| (a.coords - middle).norm().total_cmp(&(b.coords - middle).norm()))?;
-    Some(patch.channels.start + nearest.0)
+    let Some(motion) = truth.motion.clone() else {
+        let problem = "is missing: name a plan file, such as plan = \"../plans/nine_takes.toml\"";
+        return Err(truth_error(&file, "plan", problem.into()));
+    };
+    let id = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
+    let mut plan = Plan {
+        file,
+        id,
+        label: truth.name.clone(),
+        seed: truth.world_seed,
+        motion,
+        objects: truth.objects.clone(),
+        takes: truth.takes.clone(),
+        primitives: Primitives::new(),
+        primitives_dir: truth.primitives.clone(),
+    };
+    plan.complete(|name| {
+        std::fs::read_to_string(dir.join(name)).map_err(|error| format!("failed to read it: {error}"))
+    })?;
+    Ok(plan)
 }
 
 /// `(place, problem)` of the first thing that cannot be.
 fn check(truth: &Truth, station: &Station) -> Result<(), (String, String)> {
-    let known = |named: &BTreeMap<String, f64>, place: &str| {
-        for (name, value) in named {
-            let Some(joint) = station.robot.dofs().find(|joint| joint.name == *name) else {
-                return Err((place.to_owned(), format!("the station has no moving joint {name:?}")));
-            };
-            if !value.is_finite() {
-                return Err((place.to_owned(), format!("joint {name:?}: {value} must be finite")));
-            }
-            if let Some(limits) = joint.limits
-                && !(limits.lower..=limits.upper).contains(value)
-                && place != "joints.offset"
-            {
-                let range = format!("{}..{}", limits.lower, limits.upper);
-                return Err((
-                    place.to_owned(),
-                    format!("joint {name:?}: {value} is outside its limits {range}"),
-                ));
-            }
+    for (name, value) in &truth.joints.offset {
+        if !station.robot.dofs().any(|joint| joint.name == *name) {
+            return Err(("joints.offset".into(), format!("the station has no moving joint {name:?}")));
         }
-        Ok(())
-    };
-    known(&truth.motion.rest, "motion.rest")?;
-    known(&truth.motion.away, "motion.away")?;
-    known(&truth.joints.offset, "joints.offset")?;
-    if let Some(missing) = station.robot.dofs().find(|joint| !truth.motion.rest.contains_key(&joint.name)) {
-        return Err(("motion.rest".into(), format!("joint {:?} is missing", missing.name)));
-    }
-    let motion = &truth.motion;
-    positive(
-        "motion",
-        &[
-            ("speed_fraction", motion.speed_fraction),
-            ("baseline_s", motion.baseline_s),
-            ("safe_clearance_m", motion.safe_clearance_m),
-        ],
-    )?;
-    not_negative("motion", &[("tilt_rad", motion.tilt_rad), ("settle_rad", motion.settle_rad)])?;
-    if motion.speed_fraction > 1.0 {
-        return Err((
-            "motion".into(),
-            format!("speed_fraction = {} must be at most 1", motion.speed_fraction),
-        ));
+        if !value.is_finite() {
+            return Err(("joints.offset".into(), format!("joint {name:?}: {value} must be finite")));
+        }
     }
     not_negative("joints", &[("noise_rad", truth.joints.noise_rad), ("noise_m", truth.joints.noise_m)])?;
     for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
@@ -436,35 +380,6 @@ fn check(truth: &Truth, station: &Station) -> Result<(), (String, String)> {
         }
         if offset.translation_m.iter().chain(&offset.rotation_rad).any(|v| !v.is_finite() || v.abs() > 1.0) {
             return Err((place, "translation_m and rotation_rad must be finite and small".into()));
-        }
-    }
-    for (id, pose) in &truth.objects {
-        let place = format!("object {id:?}");
-        if !station.objects.contains_key(id) {
-            return Err((place, "the station has no such object".into()));
-        }
-        pose.to_isometry().map_err(|problem| (place, problem))?;
-    }
-    if truth.takes.is_empty() {
-        return Err(("take".into(), "there are no takes: add a [[take]]".into()));
-    }
-    for (take_idx, take) in truth.takes.iter().enumerate() {
-        let place = format!("take {}", take_idx + 1);
-        if !truth.objects.contains_key(&take.object) {
-            return Err((
-                place,
-                format!("object {:?} has no pose: add [object.{}]", take.object, take.object),
-            ));
-        }
-        if !(take.duration_s.is_finite() && take.duration_s > truth.motion.baseline_s) {
-            let problem = format!("duration_s = {} must be longer than motion.baseline_s", take.duration_s);
-            return Err((place, problem));
-        }
-        if take.touch.is_empty() {
-            return Err((place, "touch is empty: name channels or patches".into()));
-        }
-        if let Some(unknown) = take.touch.iter().find(|touch| channel_named(station, touch).is_none()) {
-            return Err((place, format!("touch: the layout has no channel or patch {unknown:?}")));
         }
     }
     Ok(())
@@ -530,7 +445,7 @@ fn check_stream(place: &str, stream: &StreamTruth) -> Result<(), (String, String
 }
 
 /// Refuses the first of `values` that is not a positive number, as `(place, problem)`.
-pub(crate) fn positive(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
+fn positive(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
     match values.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
         Some((name, value)) => Err((place.into(), format!("{name} = {value} must be a positive number"))),
         None => Ok(()),
@@ -538,7 +453,7 @@ pub(crate) fn positive(place: &str, values: &[(&str, f64)]) -> Result<(), (Strin
 }
 
 /// Refuses the first of `values` that is negative or not finite, as `(place, problem)`.
-pub(crate) fn not_negative(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
+fn not_negative(place: &str, values: &[(&str, f64)]) -> Result<(), (String, String)> {
     match values.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
         Some((name, value)) => Err((place.into(), format!("{name} = {value} must not be negative"))),
         None => Ok(()),

@@ -7,7 +7,7 @@ use palpate_recording::Take;
 use palpate_robot_model::Place;
 use tempfile::TempDir;
 
-use crate::{record, shipped, takes, variant};
+use crate::{record, takes, variant, variant_of};
 
 const TAKES: &str = r#"
 [[take]]
@@ -22,12 +22,7 @@ fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
         let dir = TempDir::new().expect("a folder");
-        let text = std::fs::read_to_string(shipped("blind_tune.toml")).expect("the tuning world");
-        let assets = std::fs::canonicalize(shipped("../..").join("assets")).expect("assets");
-        let head = &text[..text.find("[[take]]").expect("takes")];
-        let text = format!("{head}{TAKES}").replace("\"../", &format!("\"{}/", assets.display()));
-        let path = dir.path().join("short.toml");
-        std::fs::write(&path, text).expect("written");
+        let path = variant_of("blind_tune.toml", dir.path(), "short", TAKES, &[]);
         Stage::read(&path).expect("a stage")
     })
 }
@@ -292,13 +287,14 @@ fn bad_entries_are_refused_with_their_number_and_what_is_wrong() {
 fn truth_files_hide_effects() {
     let dir = TempDir::new().unwrap();
     let entry = "[[hidden]]\nid = \"latency\"\nwhere = { stream = \"fsr\" }\ndelay_s = 0.05\n";
-    let truth = variant(&dir, "late.toml", &format!("{entry}{TAKES}"), &[]);
+    let hiding = |entry: &str| format!("{entry}\n[joints]\n");
+    let truth = variant(&dir, "late.toml", TAKES, &[("[joints]\n", &hiding(entry))]);
     let plain = variant(&dir, "plain.toml", TAKES, &[]);
     let hidden = Hidden::new("latency", stream("fsr"), &[("delay_s", 0.05)]);
     let from_file = Stage::read(&truth).unwrap().record(&[], 1).unwrap();
     let from_call = Stage::read(&plain).unwrap().record(&[hidden], 1).unwrap();
     assert_eq!(from_file[0].streams, from_call[0].streams);
-    let bad = variant(&dir, "bad.toml", &format!("{}{TAKES}", entry.replace("fsr", "fsrs")), &[]);
+    let bad = variant(&dir, "bad.toml", TAKES, &[("[joints]\n", &hiding(&entry.replace("fsr", "fsrs")))]);
     let error = Stage::read(&bad).unwrap_err().to_string();
     assert!(error.contains("bad.toml") && error.contains("hidden 1 (latency)"), "{error}");
 }

@@ -21,19 +21,34 @@ fn shipped(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/truth").join(name)
 }
 
-/// The world of the small truth with other takes and other numbers, in a file of its own.
-fn variant(dir: &TempDir, name: &str, takes: &str, edits: &[(&str, &str)]) -> PathBuf {
-    let text = std::fs::read_to_string(shipped("small.toml")).unwrap();
-    let assets = std::fs::canonicalize(shipped("small.toml").parent().unwrap().join("..")).unwrap();
-    let head = &text[..text.find("[[take]]").unwrap()];
-    let mut text = format!("{head}{takes}").replace("\"../", &format!("\"{}/", assets.display()));
+/// The world of a shipped truth with other takes and other numbers, in files of its own: `NAME.toml`, and its plan
+/// `NAME.plan.toml`. An edit is made in whichever of the two holds its text, the truth first.
+fn variant_of(truth: &str, dir: &Path, name: &str, takes: &str, edits: &[(&str, &str)]) -> PathBuf {
+    let path = shipped(truth);
+    let assets = std::fs::canonicalize(path.parent().unwrap().join("..")).unwrap();
+    let absolute = |text: &str| text.replace("\"../", &format!("\"{}/", assets.display()));
+    let mut truth = std::fs::read_to_string(&path).unwrap();
+    let from = truth.find("../plans/").unwrap();
+    let plan_name = truth[from..].split('"').next().unwrap().to_owned();
+    let mut plan = std::fs::read_to_string(path.parent().unwrap().join(&plan_name)).unwrap();
+    plan.truncate(plan.find("[[take]]").unwrap());
+    let own_plan = format!("{name}.plan.toml");
+    truth = absolute(&truth.replace(&plan_name, &own_plan));
+    plan = absolute(&format!("{plan}{takes}"));
     for (from, to) in edits {
-        assert!(text.contains(from), "{from:?} is not in the truth");
-        text = text.replacen(from, to, 1);
+        let text = [&mut truth, &mut plan].into_iter().find(|text| text.contains(from));
+        let text = text.unwrap_or_else(|| panic!("{from:?} is neither in the truth nor in its plan"));
+        *text = text.replacen(from, to, 1);
     }
-    let path = dir.path().join(name);
-    std::fs::write(&path, text).unwrap();
+    std::fs::write(dir.join(own_plan), plan).unwrap();
+    let path = dir.join(format!("{name}.toml"));
+    std::fs::write(&path, truth).unwrap();
     path
+}
+
+/// A variant of the small truth.
+fn variant(dir: &TempDir, name: &str, takes: &str, edits: &[(&str, &str)]) -> PathBuf {
+    variant_of("small.toml", dir.path(), name.trim_end_matches(".toml"), takes, edits)
 }
 
 fn record(truth: &Path, out_dir: &Path, seed: u64) -> Result<Session, EmulationError> {

@@ -146,3 +146,27 @@ fn cancelling_or_failing_leaves_nothing_behind() {
     assert!(error.to_string().contains("is there already"), "{error}");
     assert_eq!(std::fs::read_dir(&out_dir).unwrap().count(), 0);
 }
+
+#[test]
+fn a_truth_may_hold_its_plan_itself() {
+    let dir = TempDir::new().unwrap();
+    let truth = variant(&dir, "named.toml", ONE_TAP, &[]);
+    let named = bytes(&record(&truth, &dir.path().join("from-plan"), 4).unwrap());
+    let plan = std::fs::read_to_string(dir.path().join("named.plan.toml")).unwrap();
+    let primitives = plan.lines().find(|line| line.starts_with("primitives")).unwrap();
+    let sections = &plan[plan.find("[motion]").unwrap()..];
+    let text = std::fs::read_to_string(&truth).unwrap();
+    let text = text.replace("plan = \"named.plan.toml\"", primitives);
+    let own = dir.path().join("own.toml");
+    std::fs::write(&own, format!("{text}\n{sections}")).unwrap();
+    assert_eq!(bytes(&record(&own, &dir.path().join("from-truth"), 4).unwrap()), named);
+
+    // Half of it here and half of it there would hide which of the two counts.
+    let text = text.replace(primitives, "plan = \"named.plan.toml\"");
+    std::fs::write(&own, format!("{text}\n{sections}")).unwrap();
+    let error = record(&own, &dir.path().join("both"), 4).unwrap_err().to_string();
+    assert!(error.contains("own.toml") && error.contains("[motion] belongs into named.plan.toml"), "{error}");
+    std::fs::write(&own, text.replace("plan = \"named.plan.toml\"", "")).unwrap();
+    let error = record(&own, &dir.path().join("neither"), 4).unwrap_err().to_string();
+    assert!(error.contains("own.toml: plan: is missing"), "{error}");
+}

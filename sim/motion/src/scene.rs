@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 const POINT_SPACING_M: f64 = 0.008;
 const NUM_SURFACE_POINTS: usize = 3000;
 
-/// A station in front of one object.
-pub(crate) struct Scene<'a> {
+/// A station in front of one object: what [`plan_in`](crate::plan_in) needs, made once for all takes with that object.
+pub struct Scene<'a> {
     pub(crate) station: &'a Station,
     pub(crate) object: SignedDistance,
     pub(crate) base_from_object: Isometry3<f64>,
@@ -41,7 +41,7 @@ pub(crate) struct Clearance {
 
 impl<'a> Scene<'a> {
     /// `object` fixed at `base_from_object`; or why its shape has no inside or no smooth surface.
-    pub(crate) fn new(
+    pub fn new(
         station: &'a Station,
         object: &ObjectModel,
         base_from_object: Isometry3<f64>,
@@ -66,6 +66,17 @@ impl<'a> Scene<'a> {
             bodies,
             rigid_root: rigid_roots(&station.robot),
         })
+    }
+
+    /// Where the object stands.
+    pub fn base_from_object(&self) -> Isometry3<f64> {
+        self.base_from_object
+    }
+
+    /// How far the links at `frames` (see `Robot::forward_kinematics`) are from the object, m: positive where they are
+    /// clear of it, at most about 0.1.
+    pub fn clearance_m(&self, frames: &[Isometry3<f64>]) -> f64 {
+        self.clearance(frames, None).others_m
     }
 
     /// Smallest distance of the nodes of `patch` on a link at `base_from_link`, m.

@@ -2,11 +2,11 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 
-use super::contact::{Contact, limb_dofs};
-use super::ik::{self, Goal};
-use super::path::{PEAK_OVER_MEAN, Segment};
-use super::scene::Scene;
+use crate::contact::{Contact, limb_dofs};
+use crate::ik::{self, Goal};
+use crate::path::{PEAK_OVER_MEAN, Segment};
 use crate::primitive::{Actuator, Motion, Primitive, Speed};
+use crate::scene::Scene;
 
 const WAYPOINTS: usize = 9;
 /// Other links stay this far away during a touch, m.

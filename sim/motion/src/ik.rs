@@ -9,19 +9,19 @@ const POSITION_TOLERANCE_M: f64 = 2e-5;
 const ROTATION_TOLERANCE_RAD: f64 = 1e-3;
 
 /// What a solution must bring about.
-pub(crate) struct Goal<'a> {
+pub struct Goal<'a> {
     /// The link to be moved.
-    pub(crate) link: usize,
+    pub link: usize,
     /// The point of it that matters, in the link's frame.
-    pub(crate) pos_in_link: &'a Point3<f64>,
+    pub pos_in_link: &'a Point3<f64>,
     /// Where the link should be, in the base frame.
-    pub(crate) base_from_link: &'a Isometry3<f64>,
+    pub base_from_link: &'a Isometry3<f64>,
     /// Whether its orientation matters.
-    pub(crate) oriented: bool,
+    pub oriented: bool,
 }
 
 /// Degrees of freedom between the root and `link`, root first.
-pub(crate) fn chain_dofs(robot: &Robot, link: usize) -> Vec<usize> {
+pub fn chain_dofs(robot: &Robot, link: usize) -> Vec<usize> {
     let mut dofs = Vec::new();
     let mut link = link;
     while link != 0 {
@@ -34,7 +34,7 @@ pub(crate) fn chain_dofs(robot: &Robot, link: usize) -> Vec<usize> {
 }
 
 /// Range that motions may use: the limits less a margin, unbounded without limits.
-pub(crate) fn range(robot: &Robot, dof: usize) -> (f64, f64) {
+pub fn range(robot: &Robot, dof: usize) -> (f64, f64) {
     robot.dofs().nth(dof).and_then(|joint| joint.limits).map_or(
         (f64::NEG_INFINITY, f64::INFINITY),
         |limits| {
@@ -46,7 +46,7 @@ pub(crate) fn range(robot: &Robot, dof: usize) -> (f64, f64) {
 
 /// Moves `dofs` of `positions` until `goal` is met, within limits; whether it was. `frames` is scratch and afterwards
 /// holds the links' poses.
-pub(crate) fn solve(
+pub fn solve(
     robot: &Robot,
     dofs: &[usize],
     goal: &Goal<'_>,

@@ -5,8 +5,8 @@ use palpate_robot_model::JointKind;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::ik::{self, Goal};
-use super::scene::{Scene, tangents};
+use crate::ik::{self, Goal};
+use crate::scene::{Scene, tangents};
 
 /// Other links stay this far from the object while one touches, m.
 const LEAST_CLEARANCE_M: f64 = 0.0005;
