@@ -7,6 +7,7 @@
 
 mod config;
 mod error;
+pub mod hardware;
 mod layout;
 mod object;
 mod place;
@@ -15,6 +16,10 @@ mod robot;
 mod station;
 
 pub use error::ModelError;
+pub use hardware::{
+    ArmConfig, BoardConfig, DeviceConfig, DeviceKind, JointSafety, MAX_CURRENT_LIMIT_A, SafetyConfig,
+    ServoBusConfig, ServoConfig, WorkspaceBox,
+};
 pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
 pub use object::{ObjectModel, ObjectShape};
 pub use place::Place;

@@ -6,8 +6,9 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::{
-    ModelError, ObjectModel, Robot, TactileLayout,
+    DeviceConfig, ModelError, ObjectModel, Robot, SafetyConfig, TactileLayout,
     config::{Source, check_id, finite, list, positive},
+    hardware::{self, DeviceText, SafetyText},
 };
 
 /// The texts that make up a station, as they are attached to every take.
@@ -17,7 +18,7 @@ use crate::{
 pub struct StationFiles {
     /// The station file itself, TOML.
     pub station_toml: String,
-    /// Everything it names: URDF, layout, objects, their meshes, the nominal sensor model.
+    /// Everything it names: URDF, layout, objects, their meshes, the nominal sensor model, plans.
     pub files: BTreeMap<String, Vec<u8>>,
 }
 
@@ -42,6 +43,13 @@ pub struct Station {
     pub streams: Vec<StreamConfig>,
     /// The nominal sensor model, TOML (parsed by `palpate_sim`).
     pub nominal_model_toml: String,
+    /// Its devices, in the file's order; empty for a station that is only replayed or emulated from files.
+    pub devices: Vec<DeviceConfig>,
+    /// Times and limits within which it may be moved.
+    pub safety: SafetyConfig,
+    /// Plans of sessions that it can record: the stem of the file's name and its text, TOML (parsed by
+    /// `palpate_motion`).
+    pub plans: Vec<(String, String)>,
     /// The texts it was read from.
     pub files: StationFiles,
 }
@@ -206,6 +214,24 @@ impl Station {
                 return Err(source.error(path.span(), "objects", problem));
             }
         }
+        let devices = hardware::devices(&source, config.device, &robot, &layout)?;
+        let safety = hardware::safety(&source, config.safety, &robot, &carrier_dofs)?;
+        let mut plans: Vec<(String, String)> = Vec::with_capacity(config.plans.len());
+        for path in &config.plans {
+            let text = text_of(&mut fetch, "plans", path)?;
+            let name = path.get_ref().rsplit_once('/').map_or(path.get_ref().as_str(), |(_, name)| name);
+            let id = name.strip_suffix(".toml").unwrap_or(name);
+            check_id("the name of a plan", id)
+                .map_err(|problem| source.error(path.span(), "plans", problem))?;
+            if plans.iter().any(|(other, _)| other == id) {
+                let problem = format!(
+                    "{:?} has the name of an earlier plan, expected names that differ",
+                    path.get_ref()
+                );
+                return Err(source.error(path.span(), "plans", problem));
+            }
+            plans.push((id.to_owned(), text));
+        }
         Ok(Self {
             id: config.id,
             label: config.label,
@@ -216,6 +242,9 @@ impl Station {
             objects,
             streams,
             nominal_model_toml,
+            devices,
+            safety,
+            plans,
             files: StationFiles { station_toml, files },
         })
     }
@@ -240,6 +269,12 @@ struct StationConfig {
     carrier_joints: Vec<Spanned<String>>,
     #[serde(default)]
     stream: Vec<Spanned<StationStreamConfig>>,
+    #[serde(default)]
+    plans: Vec<Spanned<String>>,
+    #[serde(default)]
+    safety: SafetyText,
+    #[serde(default)]
+    device: Vec<Spanned<DeviceText>>,
 }
 
 #[derive(Deserialize)]

@@ -1,6 +1,7 @@
 //! The shipped stations against published figures and against themselves.
 
 mod bad_input;
+mod hardware;
 mod kinematics;
 mod stations;
 
