@@ -1,0 +1,291 @@
+//! Samples from the bytes of a board, with the time at which they came.
+//!
+//! The rows of a matrix have no number: which is the first only shows in the pause before it. A frame is therefore only
+//! believed between two pauses, and after a damaged row nothing is until the next pause. A wrong frame would be worse
+//! than a missing one: its readings would be those of other taxels.
+
+use palpate_device_protocol::framed::{self, SampleDecoder};
+use palpate_device_protocol::lines::LineDecoder;
+
+/// A pause between rows is at least this share of the time between frames.
+const PAUSE_SHARE: f64 = 0.3;
+/// Until the time between frames is known, a pause is this long, ns; and whatever it is, between these.
+const FIRST_PAUSE_NS: f64 = 5e6;
+const SHORTEST_PAUSE_NS: f64 = 1.5e6;
+const LONGEST_PAUSE_NS: f64 = 50e6;
+/// Times between lines that the mean of them is taken over.
+const MEAN_OVER: f64 = 64.0;
+/// A sample later than this many usual intervals is a gap.
+const LATE_INTERVALS: f64 = 3.0;
+
+/// What a board's bytes look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BoardFormat {
+    /// ASCII lines, so many of them for a sample.
+    Lines {
+        /// 1, or the rows of a matrix.
+        lines_per_sample: usize,
+    },
+    /// The binary frames of [`palpate_device_protocol::framed`].
+    Framed,
+}
+
+/// One sample of all of a board's channels.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Sample {
+    /// The board's count.
+    pub(crate) sequence: Option<u32>,
+    /// The board's time, us.
+    pub(crate) device_us: Option<u64>,
+    pub(crate) raw: Vec<f32>,
+}
+
+/// Decodes what one opening of a board's port gives.
+#[derive(Debug)]
+pub(crate) struct BoardDecoder {
+    num_channels: usize,
+    decoder: Decoder,
+    num_gaps: u64,
+    last_sample_ns: Option<u64>,
+    sample_interval: Interval,
+}
+
+#[derive(Debug)]
+enum Decoder {
+    Lines(Lines),
+    Framed { decoder: SampleDecoder, last_sequence: Option<u32>, num_others: u64, other_channels: usize },
+}
+
+#[derive(Debug)]
+struct Lines {
+    decoder: LineDecoder,
+    values_per_row: usize,
+    rows_per_sample: usize,
+    /// The line that was under way when the port was opened is over.
+    has_begun: bool,
+    rows: Vec<Vec<f64>>,
+    /// Whether the next row is known to be number `rows.len()` of its frame.
+    in_step: bool,
+    dropped_rows: u64,
+    last_row_ns: Option<u64>,
+    row_interval: Interval,
+}
+
+/// A mean that forgets.
+#[derive(Clone, Copy, Debug, Default)]
+struct Interval {
+    mean_ns: f64,
+    count: f64,
+}
+
+impl Interval {
+    fn add(&mut self, interval_ns: u64) {
+        self.count = (self.count + 1.0).min(MEAN_OVER);
+        self.mean_ns += (interval_ns as f64 - self.mean_ns) / self.count;
+    }
+
+    /// Once enough are known.
+    fn mean_ns(&self) -> Option<f64> {
+        (self.count >= 16.0).then_some(self.mean_ns)
+    }
+}
+
+impl BoardDecoder {
+    /// A decoder for a board of `num_channels` channels.
+    pub(crate) fn new(format: BoardFormat, num_channels: usize) -> Self {
+        let decoder = match format {
+            BoardFormat::Lines { lines_per_sample } => {
+                let rows_per_sample = lines_per_sample.max(1);
+                let values_per_row = num_channels / rows_per_sample;
+                Decoder::Lines(Lines {
+                    decoder: LineDecoder::new(values_per_row),
+                    values_per_row,
+                    rows_per_sample,
+                    has_begun: false,
+                    rows: Vec::new(),
+                    in_step: rows_per_sample == 1,
+                    dropped_rows: 0,
+                    last_row_ns: None,
+                    row_interval: Interval::default(),
+                })
+            }
+            BoardFormat::Framed => Decoder::Framed {
+                decoder: SampleDecoder::default(),
+                last_sequence: None,
+                num_others: 0,
+                other_channels: 0,
+            },
+        };
+        Self {
+            num_channels,
+            decoder,
+            num_gaps: 0,
+            last_sample_ns: None,
+            sample_interval: Interval::default(),
+        }
+    }
+
+    /// Takes bytes that came together and gives the samples that they complete.
+    pub(crate) fn feed(&mut self, received_ns: u64, bytes: &[u8]) -> Vec<Sample> {
+        let samples = match &mut self.decoder {
+            Decoder::Lines(lines) => lines.feed(received_ns, bytes),
+            Decoder::Framed { decoder, last_sequence, num_others, other_channels } => {
+                let mut samples = Vec::new();
+                for sample in decoder.feed(bytes) {
+                    if sample.raw.len() != self.num_channels {
+                        *num_others += 1;
+                        *other_channels = sample.raw.len();
+                        continue;
+                    }
+                    if let Some(last) = last_sequence.replace(sample.sequence) {
+                        // A count that falls is a board that started anew.
+                        let step = sample.sequence.wrapping_sub(last);
+                        self.num_gaps +=
+                            u64::from(if step < u32::MAX / 2 { step.saturating_sub(1) } else { 0 });
+                    }
+                    samples.push(of_framed(&sample));
+                }
+                samples
+            }
+        };
+        for sample in &samples {
+            let Some(last_ns) = self.last_sample_ns.replace(received_ns) else { continue };
+            let since_ns = received_ns.saturating_sub(last_ns);
+            if sample.sequence.is_none()
+                && let Some(mean_ns) = self.sample_interval.mean_ns()
+                && since_ns as f64 > LATE_INTERVALS * mean_ns
+            {
+                self.num_gaps += (since_ns as f64 / mean_ns).round() as u64 - 1;
+            } else {
+                self.sample_interval.add(since_ns);
+            }
+        }
+        samples
+    }
+
+    /// Lines, rows and frames that were dropped.
+    pub(crate) fn num_bad(&self) -> u64 {
+        match &self.decoder {
+            Decoder::Lines(lines) => lines.decoder.counters().malformed + lines.dropped_rows,
+            Decoder::Framed { decoder, num_others, .. } => {
+                decoder.counters().malformed + decoder.counters().crc_errors + num_others
+            }
+        }
+    }
+
+    /// Samples that did not come in time, or not at all.
+    pub(crate) fn num_gaps(&self) -> u64 {
+        self.num_gaps
+    }
+
+    /// Why there are bytes but no samples, and what to do.
+    pub(crate) fn problem(&self) -> String {
+        match &self.decoder {
+            Decoder::Lines(lines) => lines.problem(),
+            Decoder::Framed { other_channels: 0, .. } => {
+                "the board sends bytes, but no valid frames; check `baud` and `format` of the board in the station's \
+                 file"
+                    .to_owned()
+            }
+            Decoder::Framed { other_channels, .. } => format!(
+                "the board sends frames of {other_channels} channels, expected {}; correct `num_channels` in the \
+                 station's file, or the port",
+                self.num_channels
+            ),
+        }
+    }
+}
+
+fn of_framed(sample: &framed::Sample) -> Sample {
+    Sample {
+        sequence: Some(sample.sequence),
+        device_us: Some(sample.device_time_us),
+        raw: sample.raw.iter().map(|&raw| f32::from(raw)).collect(),
+    }
+}
+
+impl Lines {
+    fn feed(&mut self, received_ns: u64, bytes: &[u8]) -> Vec<Sample> {
+        let mut bytes = bytes;
+        if !self.has_begun {
+            let Some(end) = bytes.iter().position(|&byte| byte == b'\n') else { return Vec::new() };
+            self.has_begun = true;
+            bytes = &bytes[end + 1..];
+        }
+        let mut samples = Vec::new();
+        for piece in bytes.split_inclusive(|&byte| byte == b'\n') {
+            let malformed = self.decoder.counters().malformed;
+            let row = self.decoder.feed(piece).pop();
+            if self.decoder.counters().malformed > malformed {
+                // Which row that was nobody knows.
+                self.note_row(received_ns);
+                self.lose_step();
+            } else if let Some(row) = row {
+                self.note_row(received_ns);
+                samples.extend(self.take(row));
+            }
+        }
+        samples
+    }
+
+    /// Some row came: was there a pause before it?
+    fn note_row(&mut self, received_ns: u64) {
+        let Some(last_ns) = self.last_row_ns.replace(received_ns) else { return };
+        if self.rows_per_sample == 1 {
+            return;
+        }
+        let since_ns = received_ns.saturating_sub(last_ns);
+        if since_ns as f64 > self.pause_ns() {
+            self.lose_step();
+            self.in_step = true;
+        }
+        self.row_interval.add(since_ns);
+    }
+
+    fn pause_ns(&self) -> f64 {
+        let frame_ns = self.row_interval.mean_ns().map(|mean_ns| mean_ns * self.rows_per_sample as f64);
+        frame_ns.map_or(FIRST_PAUSE_NS, |ns| (PAUSE_SHARE * ns).clamp(SHORTEST_PAUSE_NS, LONGEST_PAUSE_NS))
+    }
+
+    fn lose_step(&mut self) {
+        self.dropped_rows += self.rows.len() as u64;
+        self.rows.clear();
+        self.in_step = self.rows_per_sample == 1;
+    }
+
+    fn take(&mut self, row: Vec<f64>) -> Option<Sample> {
+        if !self.in_step {
+            self.dropped_rows += 1;
+            return None;
+        }
+        self.rows.push(row);
+        if self.rows.len() < self.rows_per_sample {
+            return None;
+        }
+        // Frames that came without a pause, because nobody read for a while, cannot be told from those of a board that
+        // lost a row on the way.
+        self.in_step = self.rows_per_sample == 1;
+        let raw = self.rows.drain(..).flatten().map(|value| value as f32).collect();
+        Some(Sample { sequence: None, device_us: None, raw })
+    }
+
+    fn problem(&self) -> String {
+        let (errors, expected) = (self.decoder.errors(), self.values_per_row);
+        if errors.count > errors.number.max(errors.too_long) {
+            format!(
+                "the board's lines have another number of values than the {expected} expected; correct `num_channels` \
+                 and `lines_per_sample` in the station's file, or the port"
+            )
+        } else if errors.number + errors.too_long > 0 || self.decoder.counters().frames == 0 {
+            "the board sends bytes, but no lines of numbers; check `baud` and `format` of the board in the station's \
+             file, and that this is the board's port"
+                .to_owned()
+        } else {
+            format!(
+                "the board's rows come without a pause between every {} of them, so which is the first cannot be told; make its \
+                 firmware send the rows of a frame back to back, or binary frames",
+                self.rows_per_sample
+            )
+        }
+    }
+}
