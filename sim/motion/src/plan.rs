@@ -139,6 +139,12 @@ impl Plan {
         })
     }
 
+    /// The plans that `station` names, in its order.
+    pub fn of_station(station: &Station) -> Result<Vec<Self>, PlanError> {
+        let named = station.plans.iter();
+        named.map(|(id, text)| Self::from_text(&format!("{id}.toml"), text)).collect()
+    }
+
     /// Reads the plan file at `path`, and the primitives that it names.
     pub fn read(path: &Path) -> Result<Self, PlanError> {
         let read_file = |path: &Path| {

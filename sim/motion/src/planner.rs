@@ -159,7 +159,11 @@ impl Planner<'_> {
                 self.take.duration_s
             )));
         }
-        Ok(self.assemble(&touches, &way_home, spare_s.max(0.0) / (touches.len() + 1) as f64))
+        let motion = self.assemble(&touches, &way_home, spare_s.max(0.0) / (touches.len() + 1) as f64);
+        match self.limits.and_then(|limits| limits.outside(self.scene.station, &motion)) {
+            Some(problem) => Err(self.error(problem)),
+            None => Ok(motion),
+        }
     }
 
     /// Puts the take together with a pause of `pause_s` before each touch.
@@ -377,3 +381,6 @@ impl Planner<'_> {
         PlanError::new(&self.plan.file, format!("take {}", self.take_idx + 1), problem)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,7 +11,7 @@ use crate::error::{not_negative, parse, positive};
 pub type Primitives = BTreeMap<String, Primitive>;
 
 /// One kind of touch: a file of its own (`assets/primitives`), or a section `[primitive.ID]` of a plan.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Primitive {
     /// Version of the format, 1; within a plan the plan's own version counts.
@@ -68,7 +68,7 @@ pub enum Actuator {
 }
 
 /// A speed of a primitive.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Speed {
     /// Name for labels.
@@ -91,6 +91,11 @@ impl Primitive {
         };
         checked.map_err(|(place, problem)| PlanError::new(file, place, problem))?;
         Ok(primitive)
+    }
+
+    /// Whether both are the same motion, wherever each was written.
+    pub fn same_motion(&self, other: &Self) -> bool {
+        *self == Self { format: self.format, ..other.clone() }
     }
 
     /// The speeds that a touch goes through, the one at `touch_idx` of its take.
