@@ -5,8 +5,12 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use palpate_wire::api::{
-    CalibrationRequest, DiagnosisRequest, ProblemDetails, SaveDiagnosisRequest, SaveModelRequest,
+use palpate_wire::{
+    api::{
+        CalibrationRequest, DiagnosisRequest, ProblemDetails, RecordingAction, SaveDiagnosisRequest,
+        SaveModelRequest, StartRecording,
+    },
+    proto::{ControlRequest, control_request},
 };
 
 use crate::playback::ModelRef;
@@ -91,6 +95,12 @@ pub enum Request {
         /// The archive's bytes.
         archive: Vec<u8>,
     },
+    /// The checklist of the session that is being recorded.
+    Recording,
+    /// Begin a session, or go on with one.
+    StartRecording(StartRecording),
+    /// Do something with the step under way.
+    ActOnRecording(RecordingAction),
 }
 
 /// A request as HTTP.
@@ -155,6 +165,9 @@ impl Request {
             Self::Import { name, archive } => {
                 post(format!("/sessions?name={}", segment(name)), Some(("application/zip", archive.clone())))
             }
+            Self::Recording => get("/recording".into()),
+            Self::StartRecording(body) => post("/recording".into(), json(body)),
+            Self::ActOnRecording(body) => post("/recording/act".into(), json(body)),
         }
     }
 }
@@ -193,6 +206,12 @@ pub enum ApiEvent {
     SocketClosed,
     /// A binary message on the stream socket.
     SocketMessage(Vec<u8>),
+    /// The socket of commands is open; requests count from 1 again.
+    ControlOpen,
+    /// The socket of commands closed, or could not be opened.
+    ControlClosed,
+    /// A binary message on the socket of commands.
+    ControlMessage(Vec<u8>),
 }
 
 /// The outside world of the page's data. Nothing here waits.
@@ -203,8 +222,32 @@ pub trait Api {
     /// Opens the stream socket. It reports with [`ApiEvent::SocketOpen`] or [`ApiEvent::SocketClosed`].
     fn open_socket(&mut self);
 
+    /// Opens the socket of commands. It reports with [`ApiEvent::ControlOpen`] or [`ApiEvent::ControlClosed`].
+    fn open_control(&mut self);
+
+    /// Sends a command under `lease` (0 for none). Gives its number on this connection; `None` where it cannot leave.
+    fn send_control(&mut self, lease: u64, request: control_request::Request) -> Option<u64>;
+
+    /// From now on, tells the station twenty times a second that the operator is there, for as long as the page can be
+    /// seen and has the focus; `None` ends that.
+    fn beat(&mut self, lease: Option<u64>);
+
     /// What came in since the last call, in order.
     fn poll(&mut self) -> Vec<ApiEvent>;
+}
+
+/// Numbers the requests of one connection.
+#[derive(Clone, Debug, Default)]
+pub struct ControlCounter {
+    last: u64,
+}
+
+impl ControlCounter {
+    /// The next request, with its number.
+    pub fn number(&mut self, lease: u64, request: control_request::Request) -> ControlRequest {
+        self.last += 1;
+        ControlRequest { sequence: self.last, lease, request: Some(request) }
+    }
 }
 
 /// A server that answers from a table, for tests.
@@ -218,6 +261,11 @@ pub struct FakeApi {
     pub silent: bool,
     /// What [`Api::poll`] gives next.
     pub events: VecDeque<ApiEvent>,
+    /// Commands that were sent, in order.
+    pub commands: Vec<ControlRequest>,
+    /// The lease that is kept alive.
+    pub beating: Option<u64>,
+    counter: ControlCounter,
 }
 
 impl FakeApi {
@@ -240,6 +288,22 @@ impl Api for FakeApi {
 
     fn open_socket(&mut self) {
         self.events.push_back(ApiEvent::SocketOpen);
+    }
+
+    fn open_control(&mut self) {
+        self.counter = ControlCounter::default();
+        self.events.push_back(ApiEvent::ControlOpen);
+    }
+
+    fn send_control(&mut self, lease: u64, request: control_request::Request) -> Option<u64> {
+        let request = self.counter.number(lease, request);
+        let sequence = request.sequence;
+        self.commands.push(request);
+        Some(sequence)
+    }
+
+    fn beat(&mut self, lease: Option<u64>) {
+        self.beating = lease;
     }
 
     fn poll(&mut self) -> Vec<ApiEvent> {

@@ -2,6 +2,7 @@
 
 mod bars;
 mod overlays;
+mod strip;
 
 use crate::{
     api_client::Api,
@@ -15,6 +16,8 @@ use crate::{
 
 /// Seconds between attempts to open the stream socket again.
 const RECONNECT_AFTER_S: f64 = 2.0;
+/// The page is painted at least this often while it holds the lease.
+const CONTROL_REPAINT: std::time::Duration = std::time::Duration::from_millis(50);
 /// Seconds between writes of the cursor's time to the address bar: browsers refuse more than a few a second.
 const ADDRESS_EVERY_S: f64 = 0.5;
 
@@ -34,6 +37,12 @@ pub trait Platform {
     fn saved_theme(&self) -> Option<egui::Theme>;
     /// Keeps the theme for the next visit.
     fn save_theme(&mut self, theme: egui::Theme);
+    /// Who sat at this page in an earlier visit; empty for nobody.
+    fn saved_operator(&self) -> String;
+    /// Keeps who sits at this page for the next visit.
+    fn save_operator(&mut self, operator: &str);
+    /// Whether somebody can be looking: the page can be seen and has the focus.
+    fn is_watched(&self) -> bool;
     /// Says what is open where the window says it.
     fn set_title(&mut self, title: &str);
     /// Opens the file dialog.
@@ -55,8 +64,11 @@ pub struct StudioApp {
     last_address_s: f64,
     title: String,
     next_connect_s: f64,
+    next_control_s: f64,
     surface_format: Option<wgpu::TextureFormat>,
     overlays: overlays::Overlays,
+    strip: strip::StripState,
+    record: screens::record::RecordState,
     timelines: screens::timelines::TimelinesState,
     calibrate: screens::calibrate::CalibrateState,
     diagnose: screens::diagnose::DiagnoseState,
@@ -85,14 +97,18 @@ impl StudioApp {
             last_address_s: 0.0,
             title: String::new(),
             next_connect_s: 0.0,
+            next_control_s: 0.0,
             surface_format,
             overlays: overlays::Overlays::default(),
+            strip: strip::StripState::default(),
+            record: screens::record::RecordState::default(),
             timelines: screens::timelines::TimelinesState::default(),
             calibrate: screens::calibrate::CalibrateState::default(),
             diagnose: screens::diagnose::DiagnoseState::default(),
             sessions: screens::sessions::SessionsState::default(),
         };
         app.store.ask_info();
+        app.store.control.operator = app.platform.saved_operator();
         app.last_hash = app.platform.hash();
         app.apply_route(Route::from_hash(&app.last_hash.clone()));
         app
@@ -120,7 +136,12 @@ impl StudioApp {
         }
 
         let mut go_to = None;
-        let mut commands = if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx) };
+        let commandable = self.store.is_commandable();
+        if Command::stop_pressed(&ctx, commandable && self.store.is_armed()) {
+            self.store.control.stop();
+        }
+        let mut commands =
+            if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx, commandable) };
         commands.extend(self.overlays.take_chosen());
 
         self.rail_ui(ui, &mut go_to);
@@ -129,7 +150,8 @@ impl StudioApp {
             self.run_command(&ctx, command, &mut go_to);
         }
         egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
-        self.overlays.ui(&ctx);
+        self.overlays.ui(&ctx, commandable);
+        self.take_over_ui(&ctx);
 
         if let Some(route) = go_to {
             self.go(route);
@@ -138,6 +160,21 @@ impl StudioApp {
         self.write_title();
         for request in self.store.take_outbox() {
             self.api.send(request);
+        }
+        self.send_commands(&ctx);
+    }
+
+    /// Sends what the operator commanded in this frame, and keeps the lease alive.
+    fn send_commands(&mut self, ctx: &egui::Context) {
+        for (lease, request) in self.store.control.take_outbox() {
+            let sequence = self.api.send_control(lease, request.clone());
+            self.store.control.sent(sequence, &request);
+        }
+        let lease = self.store.control.lease();
+        self.api.beat((lease != 0).then_some(lease));
+        if lease != 0 {
+            // What is shown of a robot that may move is never older than this.
+            ctx.request_repaint_after(CONTROL_REPAINT);
         }
     }
 
@@ -160,6 +197,7 @@ impl StudioApp {
         };
         match route.screen {
             Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
+            Screen::Record => screens::record::record_ui(ui, &mut cx, &mut self.record),
             Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
             Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx, &mut self.calibrate),
             Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
@@ -179,6 +217,14 @@ impl StudioApp {
         if self.store.connection != Connection::Open && now_s >= self.next_connect_s {
             self.next_connect_s = now_s + RECONNECT_AFTER_S;
             self.api.open_socket();
+        }
+        // Only a station that has told about its safety layer takes commands.
+        if self.store.control_state().is_some()
+            && !self.store.control.is_open()
+            && now_s >= self.next_control_s
+        {
+            self.next_control_s = now_s + RECONNECT_AFTER_S;
+            self.api.open_control();
         }
     }
 
@@ -279,15 +325,23 @@ impl StudioApp {
             Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
                 self.timelines.push_command(command);
             }
+            Command::Stop => self.store.control.stop(),
+            Command::ResetStop => self.store.control.reset_stop(),
+            Command::TakeControl => self.ask_for_control(),
+            Command::GiveBackControl => self.store.control.release(),
+            Command::Arm => self.store.control.arm(),
+            Command::Disarm => self.store.control.disarm(),
+            Command::Tare => self.store.control.tare(),
         }
     }
 
     fn route_of(&self, screen: Screen) -> Route {
         Route {
-            session: self.playback.session.clone(),
+            // What is being recorded is the station's own business.
+            session: self.playback.session.clone().filter(|_| screen != Screen::Record),
             take: match screen {
                 Screen::Hand | Screen::Timelines => self.playback.take.clone(),
-                Screen::Calibrate | Screen::Diagnose | Screen::Sessions => None,
+                Screen::Record | Screen::Calibrate | Screen::Diagnose | Screen::Sessions => None,
             },
             run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
                 (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),

@@ -9,6 +9,20 @@ use crate::route::Screen;
 pub enum Command {
     /// Open a screen.
     Open(Screen),
+    /// Stop every motor, in software.
+    Stop,
+    /// End a latched stop.
+    ResetStop,
+    /// Ask for the lease.
+    TakeControl,
+    /// Give the lease back.
+    GiveBackControl,
+    /// Torque on.
+    Arm,
+    /// Torque off.
+    Disarm,
+    /// What the taxels read now is their zero.
+    Tare,
     /// Play, or pause.
     PlayPause,
     /// One joint frame back.
@@ -35,12 +49,20 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 24] = [
         Self::Open(Screen::Hand),
+        Self::Open(Screen::Record),
         Self::Open(Screen::Timelines),
         Self::Open(Screen::Calibrate),
         Self::Open(Screen::Diagnose),
         Self::Open(Screen::Sessions),
+        Self::Stop,
+        Self::ResetStop,
+        Self::TakeControl,
+        Self::GiveBackControl,
+        Self::Arm,
+        Self::Disarm,
+        Self::Tare,
         Self::PlayPause,
         Self::PreviousFrame,
         Self::NextFrame,
@@ -58,6 +80,14 @@ impl Command {
     pub fn label(self) -> &'static str {
         match self {
             Self::Open(Screen::Hand) => "Go to Hand",
+            Self::Open(Screen::Record) => "Go to Record",
+            Self::Stop => "STOP (software)",
+            Self::ResetStop => "Reset stop",
+            Self::TakeControl => "Take control",
+            Self::GiveBackControl => "Give back control",
+            Self::Arm => "Arm",
+            Self::Disarm => "Disarm",
+            Self::Tare => "Set zero of touch",
             Self::Open(Screen::Timelines) => "Go to Timelines",
             Self::Open(Screen::Calibrate) => "Go to Calibrate",
             Self::Open(Screen::Diagnose) => "Go to Diagnose",
@@ -76,17 +106,40 @@ impl Command {
         }
     }
 
-    /// Its keys.
-    pub fn shortcut(self) -> KeyboardShortcut {
-        let plain = |key| KeyboardShortcut::new(Modifiers::NONE, key);
-        let alt = |key| KeyboardShortcut::new(Modifiers::ALT, key);
+    /// Whether it means anything here: what concerns a live station is left out where there is none.
+    pub fn is_offered(self, commandable: bool) -> bool {
+        match self {
+            Self::Open(screen) => screen.is_offered(commandable),
+            Self::Stop
+            | Self::ResetStop
+            | Self::TakeControl
+            | Self::GiveBackControl
+            | Self::Arm
+            | Self::Disarm
+            | Self::Tare => commandable,
+            _ => true,
+        }
+    }
+
+    /// Its keys; `None` for what is better not done by a slip of the hand.
+    pub fn shortcut(self) -> Option<KeyboardShortcut> {
+        let plain = |key| Some(KeyboardShortcut::new(Modifiers::NONE, key));
+        let alt = |key| Some(KeyboardShortcut::new(Modifiers::ALT, key));
         match self {
             Self::Open(Screen::Hand) => alt(Key::Num1),
             Self::Open(Screen::Timelines) => alt(Key::Num2),
             Self::Open(Screen::Calibrate) => alt(Key::Num3),
             Self::Open(Screen::Diagnose) => alt(Key::Num4),
             Self::Open(Screen::Sessions) => alt(Key::Num5),
-            Self::PlayPause => plain(Key::Space),
+            Self::Open(Screen::Record) => alt(Key::Num6),
+            // The space bar means one of the two at any moment: see `pressed`.
+            Self::Stop | Self::PlayPause => plain(Key::Space),
+            Self::ResetStop
+            | Self::TakeControl
+            | Self::GiveBackControl
+            | Self::Arm
+            | Self::Disarm
+            | Self::Tare => None,
             Self::PreviousFrame => plain(Key::Comma),
             Self::NextFrame => plain(Key::Period),
             Self::PreviousMismatch => plain(Key::OpenBracket),
@@ -96,14 +149,15 @@ impl Command {
             Self::NextTake => plain(Key::PageDown),
             Self::ToggleTheme => plain(Key::T),
             Self::Shortcuts => plain(Key::Questionmark),
-            Self::Palette => KeyboardShortcut::new(Modifiers::COMMAND, Key::K),
+            Self::Palette => Some(KeyboardShortcut::new(Modifiers::COMMAND, Key::K)),
         }
     }
 
-    /// Its keys in words, e.g. `Ctrl+K`.
+    /// Its keys in words, e.g. `Ctrl+K`; empty for none.
     pub fn shortcut_text(self) -> String {
-        let shortcut = self.shortcut();
+        let Some(shortcut) = self.shortcut() else { return String::new() };
         let key = match shortcut.logical_key {
+            Key::Space if self == Self::Stop => "Space while armed",
             Key::Space => "Space",
             Key::Questionmark => "?",
             key => key.symbol_or_name(),
@@ -117,16 +171,31 @@ impl Command {
         }
     }
 
+    /// The stop of the space bar while motors have torque. It comes before everything, a focused button included; only
+    /// a text field keeps its spaces.
+    pub fn stop_pressed(ctx: &egui::Context, armed: bool) -> bool {
+        let typing = ctx.text_edit_focused();
+        armed
+            && !typing
+            && ctx.input_mut(|input| {
+                // Whatever else is held: a hand that reaches for the space bar may rest on Shift.
+                let pressed = input.key_pressed(Key::Space);
+                input.events.retain(|event| !matches!(event, egui::Event::Key { key: Key::Space, .. }));
+                pressed
+            })
+    }
+
     /// The commands whose keys were pressed in this frame. Plain keys belong to a text field while one has the focus.
-    pub fn pressed(ctx: &egui::Context) -> Vec<Self> {
+    pub fn pressed(ctx: &egui::Context, commandable: bool) -> Vec<Self> {
         let typing = ctx.text_edit_focused();
         // A focused button takes the space bar for itself.
         let focused = ctx.memory(|memory| memory.focused().is_some());
         ctx.input_mut(|input| {
             Self::ALL
                 .into_iter()
+                .filter(|command| *command != Self::Stop && command.is_offered(commandable))
                 .filter(|command| {
-                    let shortcut = command.shortcut();
+                    let Some(shortcut) = command.shortcut() else { return false };
                     let taken = typing || (focused && shortcut.logical_key == Key::Space);
                     if taken && shortcut.modifiers.is_none() {
                         return false;
@@ -160,10 +229,24 @@ mod tests {
     fn no_two_commands_share_keys_or_words() {
         for (idx, command) in Command::ALL.into_iter().enumerate() {
             for other in &Command::ALL[idx + 1..] {
-                assert_ne!(command.shortcut(), other.shortcut(), "{command:?} {other:?}");
+                let space = [*other, command] == [Command::PlayPause, Command::Stop];
+                let shared = command.shortcut().is_some() && command.shortcut() == other.shortcut();
+                assert!(!shared || space, "{command:?} {other:?}");
                 assert_ne!(command.label(), other.label());
+                assert!(
+                    shared
+                        || command.shortcut_text() != other.shortcut_text()
+                        || command.shortcut().is_none()
+                );
             }
         }
+    }
+
+    #[test]
+    fn without_a_station_nothing_moves() {
+        let left: Vec<_> = Command::ALL.into_iter().filter(|command| !command.is_offered(false)).collect();
+        assert!(left.contains(&Command::Stop) && left.contains(&Command::Open(Screen::Record)));
+        assert!(Command::ALL.iter().all(|command| command.is_offered(true)));
     }
 
     #[test]

@@ -24,6 +24,8 @@ const RESERVED: &AsciiSet = &CONTROLS
 pub enum Screen {
     /// The hand in 3-D and as a flat map.
     Hand,
+    /// Guided recording of a calibration session.
+    Record,
     /// Touch events on one time axis.
     Timelines,
     /// Fit the sensor model to a session.
@@ -36,12 +38,14 @@ pub enum Screen {
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 5] = [Self::Hand, Self::Timelines, Self::Calibrate, Self::Diagnose, Self::Sessions];
+    pub const ALL: [Self; 6] =
+        [Self::Hand, Self::Record, Self::Timelines, Self::Calibrate, Self::Diagnose, Self::Sessions];
 
     /// The word in the rail.
     pub fn label(self) -> &'static str {
         match self {
             Self::Hand => "Hand",
+            Self::Record => "Record",
             Self::Timelines => "Timelines",
             Self::Calibrate => "Calibrate",
             Self::Diagnose => "Diagnose",
@@ -53,6 +57,7 @@ impl Screen {
     pub fn purpose(self) -> &'static str {
         match self {
             Self::Hand => "Watch the hand replay a take, taxels lit by what they felt",
+            Self::Record => "Record a calibration session, take by take, as a checklist says",
             Self::Timelines => "Compare real and simulated touch on one time axis",
             Self::Calibrate => "Fit the sensor model until simulated events line up with real ones",
             Self::Diagnose => {
@@ -62,9 +67,15 @@ impl Screen {
         }
     }
 
+    /// Whether the screen has something to offer: recording needs a live station that takes commands.
+    pub fn is_offered(self, commandable: bool) -> bool {
+        self != Self::Record || commandable
+    }
+
     fn slug(self) -> &'static str {
         match self {
             Self::Hand => "hand",
+            Self::Record => "record",
             Self::Timelines => "timelines",
             Self::Calibrate => "calibrate",
             Self::Diagnose => "diagnose",

@@ -1,9 +1,11 @@
 //! One function per screen, and what they share: the context they get, and their empty, loading and error states.
 
 pub mod calibrate;
+pub mod control;
 pub mod controls;
 pub mod diagnose;
 pub mod hand;
+pub mod record;
 pub mod run_controls;
 pub mod sessions;
 pub mod timelines;
@@ -179,6 +181,13 @@ pub fn duration_text(seconds: f64) -> String {
     } else {
         format!("{} h {:02} min", whole / 3600, whole % 3600 / 60)
     }
+}
+
+/// `ring_finger` as people write it: `Ring finger`.
+pub fn capitalised(id: &str) -> String {
+    let words = id.replace(['_', '-'], " ");
+    let mut letters = words.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 #[cfg(test)]

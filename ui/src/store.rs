@@ -3,7 +3,11 @@
 //! Accessors take `&mut self`: asking for something that is not there yet queues a request and answers
 //! [`Loadable::Loading`]. What is loaded is behind an `Arc`, so that a screen can keep it while it asks for more.
 
+pub mod control;
+mod live;
 mod runs;
+#[cfg(test)]
+mod tests;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -12,13 +16,14 @@ use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
-        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, SaveDiagnosisRequest, SaveModelRequest,
-        SessionDetail, SessionSummary, StationDocument,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, RecordingAction, RecordingDocument,
+        SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary, StationDocument,
     },
     proto::{LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
 use prost::Message as _;
-use runs::RunTable;
+
+use self::{control::ControlLink, runs::RunTable};
 
 use crate::{
     api_client::{ApiEvent, Request},
@@ -117,6 +122,20 @@ pub struct Store {
     pub deleted_session: Loadable<String>,
     /// The model that [`Store::delete_model`] moved to the trash last, so that it can be undone.
     pub deleted_model: Loadable<String>,
+    /// The socket of commands and what it said.
+    pub control: ControlLink,
+    /// Why the last thing that was done in a recording did not work; `None` when all is well.
+    pub recording_problem: Option<String>,
+    /// Something was done in a recording, and the server has not answered yet.
+    pub recording_busy: bool,
+    recording: Loadable<Arc<RecordingDocument>>,
+    /// A newer checklist is on its way.
+    recording_asked: bool,
+    /// Revision of the checklist as the station streamed it last.
+    streamed_revision: Option<u64>,
+    /// When the newest live frame came: on the page's clock and the operator's.
+    live_at_s: f64,
+    live_at: String,
     sessions: Loadable<Arc<Vec<SessionSummary>>>,
     details: BTreeMap<String, Loadable<Arc<SessionDetail>>>,
     stations: BTreeMap<String, Loadable<Arc<Station>>>,
@@ -301,6 +320,7 @@ impl Store {
         reset(&mut self.info);
         reset(&mut self.sessions);
         reset(&mut self.live_station);
+        reset(&mut self.recording);
         reset(&mut self.models);
         self.calibrations.retry_failed();
         self.diagnoses.retry_failed();
@@ -337,13 +357,20 @@ impl Store {
                     self.connection = Connection::Lost { since: time_of_day.to_owned(), since_s: now_s };
                 }
             }
-            ApiEvent::SocketMessage(bytes) => self.receive_message(&bytes),
+            ApiEvent::SocketMessage(bytes) => self.receive_message(&bytes, now_s, time_of_day),
+            ApiEvent::ControlOpen => self.control.opened(),
+            ApiEvent::ControlClosed => self.control.closed(now_s, time_of_day),
+            ApiEvent::ControlMessage(bytes) => self.control.receive(&bytes, time_of_day),
         }
     }
 
     /// What may have changed while nobody listened. The old values stay on the page until the new ones are here.
     fn refresh_after_loss(&mut self) {
         self.retry_failed();
+        if self.recording.ready().is_some() {
+            self.recording_asked = true;
+            self.outbox.push(Request::Recording);
+        }
         self.outbox.extend([
             Request::Info,
             Request::Sessions,
@@ -420,15 +447,32 @@ impl Store {
                 self.imported = parse_json(result);
                 self.outbox.push(Request::Sessions);
             }
+            Request::Recording => self.receive_recording(parse_json(result)),
+            Request::StartRecording(_) => self.receive_acted(result),
+            Request::ActOnRecording(action) => {
+                self.receive_acted(result);
+                let changes_takes = !matches!(
+                    action,
+                    RecordingAction::Note { .. } | RecordingAction::Select { .. } | RecordingAction::Cancel
+                );
+                if changes_takes {
+                    self.recorded_takes_changed();
+                }
+            }
         }
     }
 
-    fn receive_message(&mut self, bytes: &[u8]) {
+    fn receive_message(&mut self, bytes: &[u8], now_s: f64, time_of_day: &str) {
         // A message that does not decode comes from a newer server; the next one may be known again.
         let Ok(message) = StreamMessage::decode(bytes) else { return };
         self.dropped_messages = message.dropped;
         match message.message {
-            Some(stream_message::Message::Live(frame)) => self.live = Some(frame),
+            Some(stream_message::Message::Live(frame)) => {
+                self.live_at_s = now_s;
+                time_of_day.clone_into(&mut self.live_at);
+                self.live = Some(frame);
+                self.follow_live(now_s);
+            }
             Some(stream_message::Message::Job(update)) => {
                 let Some(state) = job_state(&update.state) else { return };
                 if update.job.starts_with(DIAGNOSIS_PREFIX) {
@@ -524,116 +568,5 @@ fn job_state(word: &str) -> Option<JobState> {
         "failed" => Some(JobState::Failed),
         "cancelled" => Some(JobState::Cancelled),
         _ => None,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use palpate_wire::proto::JobUpdate;
-
-    use super::*;
-
-    fn answer(request: Request, body: &str) -> ApiEvent {
-        ApiEvent::Answer { request, result: Ok(body.as_bytes().to_vec()) }
-    }
-
-    #[test]
-    fn asking_twice_sends_once() {
-        let mut store = Store::default();
-        assert!(store.sessions().is_loading());
-        assert!(store.sessions().is_loading());
-        assert_eq!(store.take_outbox(), [Request::Sessions]);
-        store.receive(answer(Request::Sessions, "[]"), 0.0, "");
-        assert_eq!(store.sessions(), Loadable::Ready(Arc::new(Vec::new())));
-        assert!(store.take_outbox().is_empty());
-    }
-
-    #[test]
-    fn failure_stays_until_somebody_tries_again() {
-        let mut store = Store::default();
-        store.sessions();
-        store.take_outbox();
-        let failed = ApiEvent::Answer { request: Request::Sessions, result: Err("disk is gone".into()) };
-        store.receive(failed, 0.0, "");
-        assert_eq!(store.sessions().error(), Some("disk is gone"));
-        assert!(store.take_outbox().is_empty());
-        store.retry_failed();
-        assert!(store.sessions().is_loading());
-        assert!(store.take_outbox().contains(&Request::Sessions));
-    }
-
-    #[test]
-    fn damaged_answers_fail_in_words() {
-        let mut store = Store::default();
-        store.receive(answer(Request::Sessions, "{"), 0.0, "");
-        assert!(store.sessions().error().is_some_and(|error| error.contains("could not be read")));
-        let take = Request::Take { session: "s".into(), take: "t".into() };
-        store.receive(ApiEvent::Answer { request: take, result: Ok(vec![0xff; 7]) }, 0.0, "");
-        assert!(store.take("s", "t").error().is_some());
-        let station = Request::Station("s".into());
-        store.receive(answer(station, r#"{"station_toml":"","files_base64":{"a":"%"}}"#), 0.0, "");
-        assert!(store.station("s").error().is_some_and(|error| error.contains("\"a\" arrived damaged")));
-    }
-
-    #[test]
-    fn loss_remembers_when_and_keeps_the_last_frame() {
-        let mut store = Store::default();
-        let live = StreamMessage {
-            message: Some(stream_message::Message::Live(LiveFrame { time_s: 4.0, ..Default::default() })),
-            dropped: 3,
-        };
-        store.receive(ApiEvent::SocketOpen, 0.0, "14:00:00");
-        store.receive(ApiEvent::SocketMessage(live.encode_to_vec()), 1.0, "14:00:01");
-        store.receive(ApiEvent::SocketClosed, 2.0, "14:00:02");
-        store.receive(ApiEvent::SocketClosed, 9.0, "14:00:09");
-        assert_eq!(store.connection, Connection::Lost { since: "14:00:02".into(), since_s: 2.0 });
-        assert_eq!(store.live_frame().map(|frame| frame.time_s), Some(4.0));
-        assert_eq!(store.dropped_messages, 3);
-        store.receive(ApiEvent::SocketOpen, 12.0, "14:00:12");
-        assert_eq!(store.connection, Connection::Open);
-        assert!(store.take_outbox().contains(&Request::Sessions));
-    }
-
-    #[test]
-    fn runs_stay_newest_first_however_their_answers_arrive() {
-        let mut store = Store::default();
-        store.receive(answer(Request::Runs, "[]"), 0.0, "");
-        for id in ["run-9", "run-11", "run-10"] {
-            let run = format!(
-                r#"{{"id":"{id}","request":{{"session":"s"}},"state":"done","fraction":1,"stage":"done",
-                "seconds_left":null,"error":null,"report":null,"model_toml":null,"saved_as":null}}"#
-            );
-            store.receive(answer(Request::Run(id.into()), &run), 0.0, "");
-        }
-        let runs = store.runs();
-        let ids: Vec<&str> = runs.ready().expect("the list").iter().map(|run| run.id.as_str()).collect();
-        assert_eq!(ids, ["run-11", "run-10", "run-9"]);
-    }
-
-    #[test]
-    fn progress_moves_the_run_and_the_end_fetches_the_result() {
-        let mut store = Store::default();
-        let run = r#"[{"id":"7","request":{"session":"s"},"state":"running","fraction":0.1,"stage":"fit",
-            "seconds_left":null,"error":null,"report":null,"model_toml":null,"saved_as":null}]"#;
-        store.receive(answer(Request::Runs, run), 0.0, "");
-        let update = |state: &str, fraction| {
-            let job = JobUpdate {
-                job: "7".into(),
-                state: state.into(),
-                fraction,
-                stage: "alpha 3 of 20".into(),
-                seconds_left: 2.0,
-                error: String::new(),
-            };
-            let message = StreamMessage { message: Some(stream_message::Message::Job(job)), dropped: 0 };
-            ApiEvent::SocketMessage(message.encode_to_vec())
-        };
-        store.receive(update("running", 0.5), 0.0, "");
-        let runs = store.runs();
-        let running = &runs.ready().expect("the list")[0];
-        assert_eq!((running.fraction, running.seconds_left), (0.5, Some(2.0)));
-        assert!(store.take_outbox().is_empty());
-        store.receive(update("done", 1.0), 0.0, "");
-        assert_eq!(store.take_outbox(), [Request::Run("7".into())]);
     }
 }

@@ -1,5 +1,6 @@
-//! The browser: starts the page, and gives it `fetch`, a `WebSocket` and the address bar.
+//! The browser: starts the page, and gives it `fetch`, two `WebSocket`s and the address bar.
 
+mod control;
 mod fetch;
 mod file_dialog;
 mod window;

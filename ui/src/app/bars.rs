@@ -3,12 +3,18 @@
 use egui::{Align, Layout, RichText};
 use palpate_wire::api::Source;
 
-use super::StudioApp;
+use super::{
+    StudioApp,
+    strip::{STOP_WIDTH, STRIP_HEIGHT},
+};
 use crate::{
     route::{Route, Screen},
     store::{Connection, Loadable},
     theme::Palette,
 };
+
+/// Height of the bar's first row.
+const BAR_HEIGHT: f32 = 46.0;
 
 impl StudioApp {
     /// From light to dark and back, for the next visit too.
@@ -27,7 +33,8 @@ impl StudioApp {
             ui.add_space(10.0);
             ui.label(RichText::new("Palpate").strong().size(18.0));
             ui.add_space(10.0);
-            for screen in Screen::ALL {
+            let commandable = self.store.is_commandable();
+            for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
                 let chosen = self.route.screen == screen;
                 let text = RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0);
                 let button = egui::Button::selectable(chosen, text)
@@ -70,28 +77,35 @@ impl StudioApp {
         });
     }
 
+    /// One row that says what is looked at; where a station takes commands, a second one for it, and STOP beside both.
     pub(super) fn top_bar_ui(&mut self, ui: &mut egui::Ui, now_s: f64) {
         let palette = Palette::of(ui.ctx().theme());
-        egui::Panel::top("top_bar").resizable(false).exact_size(46.0).show(ui, |ui| {
-            ui.horizontal_centered(|ui| {
-                self.station_ui(ui, &palette);
-                ui.separator();
-                if let Some(session) = &self.playback.session {
-                    ui.label(RichText::new(session).strong());
-                    if let Some(take) = &self.playback.take {
-                        ui.label(take);
-                    }
-                    ui.separator();
-                }
-                let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
-                let model = self.store.compared_label(in_use);
-                ui.label(RichText::new("Model").color(palette.text_weak));
-                ui.label(model);
-                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                    self.connection_ui(ui, &palette, now_s);
-                });
+        let commandable = self.store.is_commandable();
+        let height = if commandable { BAR_HEIGHT + STRIP_HEIGHT } else { BAR_HEIGHT };
+        egui::Panel::top("top_bar").resizable(false).exact_size(height).show(ui, |ui| {
+            let all = ui.max_rect();
+            let mut rows = all;
+            if commandable {
+                rows.max.x -= STOP_WIDTH + 8.0;
+                let stop = egui::Rect::from_min_max(egui::pos2(rows.max.x + 8.0, all.min.y), all.max);
+                self.stop_ui(ui, stop.shrink2(egui::vec2(0.0, 5.0)), &palette);
+            }
+            let middle = if commandable { all.min.y + BAR_HEIGHT - 6.0 } else { all.max.y };
+            let first = egui::Rect::from_min_max(rows.min, egui::pos2(rows.max.x, middle));
+            ui.scope_builder(egui::UiBuilder::new().max_rect(first), |ui| {
+                self.what_is_shown_ui(ui, &palette, now_s);
             });
+            if commandable {
+                let second = egui::Rect::from_min_max(egui::pos2(rows.min.x, middle), rows.max);
+                ui.scope_builder(egui::UiBuilder::new().max_rect(second), |ui| {
+                    self.strip_ui(ui, &palette, now_s);
+                });
+            }
+            ui.advance_cursor_after_rect(all);
         });
+        if commandable {
+            self.notes_ui(ui, &palette, now_s);
+        }
         if let Connection::Lost { since, since_s } = &self.store.connection {
             let ago_s = (now_s - since_s).max(0.0);
             egui::Panel::top("lost").resizable(false).show(ui, |ui| {
@@ -106,6 +120,27 @@ impl StudioApp {
             });
             ui.ctx().request_repaint_after(std::time::Duration::from_millis(500));
         }
+    }
+
+    fn what_is_shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        ui.horizontal_centered(|ui| {
+            self.station_ui(ui, palette);
+            ui.separator();
+            if let Some(session) = &self.playback.session {
+                ui.label(RichText::new(session).strong());
+                if let Some(take) = &self.playback.take {
+                    ui.label(take);
+                }
+                ui.separator();
+            }
+            let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
+            let model = self.store.compared_label(in_use);
+            ui.label(RichText::new("Model").color(palette.text_weak));
+            ui.label(model);
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                self.connection_ui(ui, palette, now_s);
+            });
+        });
     }
 
     fn station_ui(&self, ui: &mut egui::Ui, palette: &Palette) {
@@ -168,6 +203,7 @@ fn dot_ui(ui: &mut egui::Ui, word: &str, colour: egui::Color32, live: bool) {
 fn icon(screen: Screen) -> &'static str {
     match screen {
         Screen::Hand => "\u{270b}",
+        Screen::Record => "\u{23fa}",
         Screen::Timelines => "\u{2630}",
         Screen::Calibrate => "\u{2696}",
         Screen::Diagnose => "\u{1f50d}",

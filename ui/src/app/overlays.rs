@@ -38,16 +38,16 @@ impl Overlays {
         self.chosen.take()
     }
 
-    pub(super) fn ui(&mut self, ctx: &egui::Context) {
+    pub(super) fn ui(&mut self, ctx: &egui::Context, commandable: bool) {
         if self.shortcuts_open {
-            self.shortcuts_ui(ctx);
+            self.shortcuts_ui(ctx, commandable);
         }
         if self.palette.is_some() {
-            self.palette_ui(ctx);
+            self.palette_ui(ctx, commandable);
         }
     }
 
-    fn shortcuts_ui(&mut self, ctx: &egui::Context) {
+    fn shortcuts_ui(&mut self, ctx: &egui::Context, commandable: bool) {
         let palette = Palette::of(ctx.theme());
         let modal = egui::Modal::new(egui::Id::unique("shortcuts")).show(ctx, |ui| {
             ui.set_width(800.0);
@@ -57,9 +57,15 @@ impl Overlays {
                 // Rows to read, not to hit: all of them must fit into 800 points.
                 ui.spacing_mut().interact_size.y = 20.0;
                 ui.vertical(|ui| {
-                    let commands =
-                        Command::ALL.map(|command| (command.shortcut_text(), command.label().to_owned()));
-                    list_ui(ui, &palette, "Everywhere", commands.into_iter().chain(pairs(&EVERYWHERE)));
+                    let commands = Command::ALL
+                        .into_iter()
+                        .filter(|command| command.shortcut().is_some() && command.is_offered(commandable))
+                        .map(|command| (command.shortcut_text(), command.label().to_owned()));
+                    list_ui(ui, &palette, "Everywhere", commands.chain(pairs(&EVERYWHERE)));
+                    if commandable {
+                        ui.add_space(8.0);
+                        list_ui(ui, &palette, "Record", pairs(&ON_RECORD));
+                    }
                 });
                 ui.add_space(28.0);
                 ui.vertical(|ui| {
@@ -78,7 +84,7 @@ impl Overlays {
         }
     }
 
-    fn palette_ui(&mut self, ctx: &egui::Context) {
+    fn palette_ui(&mut self, ctx: &egui::Context, commandable: bool) {
         let Some(state) = &mut self.palette else { return };
         let mut chosen = None;
         let modal = egui::Modal::new(egui::Id::unique("palette")).show(ctx, |ui| {
@@ -107,7 +113,11 @@ impl Overlays {
             }
             let found: Vec<Command> = Command::ALL
                 .into_iter()
-                .filter(|command| *command != Command::Palette && command.matches(&state.words))
+                .filter(|command| {
+                    *command != Command::Palette
+                        && command.is_offered(commandable)
+                        && command.matches(&state.words)
+                })
                 .collect();
             if found.is_empty() {
                 ui.label("No command has these words. Delete a word to see more.");
@@ -154,6 +164,13 @@ fn pairs<'a>(rows: &'a [(&str, &str)]) -> impl Iterator<Item = (String, String)>
 }
 
 const EVERYWHERE: [(&str, &str); 2] = [("Tab", "Next control"), ("Esc", "Close what is open")];
+
+const ON_RECORD: [(&str, &str); 4] = [
+    ("Enter", "The large button: go on, accept"),
+    ("R", "Record the take again"),
+    ("Delete", "Discard the take; it can be undone"),
+    ("M", "Mark this moment of the take"),
+];
 
 const ON_HAND: [(&str, &str); 8] = [
     ("R, double click", "Reset the view"),

@@ -5,6 +5,9 @@ use std::{cell::RefCell, rc::Rc};
 use wasm_bindgen::{JsCast as _, JsValue, closure::Closure};
 use wasm_bindgen_futures::JsFuture;
 
+use palpate_wire::proto::control_request;
+
+use super::control::ControlSocket;
 use crate::api_client::{Api, ApiEvent, HttpRequest, Request, problem_text};
 
 type Inbox = Rc<RefCell<Vec<ApiEvent>>>;
@@ -14,11 +17,12 @@ pub(super) struct WebApi {
     ctx: egui::Context,
     inbox: Inbox,
     socket: Option<Socket>,
+    control: ControlSocket,
 }
 
 /// An open socket with the closures that it calls; they must live as long as it does.
-struct Socket {
-    socket: web_sys::WebSocket,
+pub(super) struct Socket {
+    pub(super) socket: web_sys::WebSocket,
     _on_open: Closure<dyn FnMut()>,
     _on_close: Closure<dyn FnMut()>,
     _on_message: Closure<dyn FnMut(web_sys::MessageEvent)>,
@@ -36,7 +40,7 @@ impl Drop for Socket {
 
 impl WebApi {
     pub(super) fn new(ctx: egui::Context) -> Self {
-        Self { ctx, inbox: Inbox::default(), socket: None }
+        Self { ctx, inbox: Inbox::default(), socket: None, control: ControlSocket::default() }
     }
 
     fn deliver(&self) -> impl Fn(ApiEvent) + Clone + 'static {
@@ -66,10 +70,23 @@ impl Api for WebApi {
         if connecting {
             return;
         }
-        match open_socket(deliver.clone()) {
+        match open_socket("/api/v1/stream", STREAM_EVENTS, deliver.clone()) {
             Ok(socket) => self.socket = Some(socket),
             Err(_) => deliver(ApiEvent::SocketClosed),
         }
+    }
+
+    fn open_control(&mut self) {
+        let deliver = self.deliver();
+        self.control.open(deliver);
+    }
+
+    fn send_control(&mut self, lease: u64, request: control_request::Request) -> Option<u64> {
+        self.control.send(lease, request)
+    }
+
+    fn beat(&mut self, lease: Option<u64>) {
+        self.control.beat(lease);
     }
 
     fn poll(&mut self) -> Vec<ApiEvent> {
@@ -77,22 +94,32 @@ impl Api for WebApi {
     }
 }
 
-fn open_socket(deliver: impl Fn(ApiEvent) + Clone + 'static) -> Result<Socket, JsValue> {
+/// What a socket reports when it opens, when it closes, and for each message.
+pub(super) type SocketEvents = (ApiEvent, ApiEvent, fn(Vec<u8>) -> ApiEvent);
+
+const STREAM_EVENTS: SocketEvents = (ApiEvent::SocketOpen, ApiEvent::SocketClosed, ApiEvent::SocketMessage);
+
+/// Opens a socket for binary messages at `path` of the page's server.
+pub(super) fn open_socket(
+    path: &str,
+    (opened, closed, message): SocketEvents,
+    deliver: impl Fn(ApiEvent) + Clone + 'static,
+) -> Result<Socket, JsValue> {
     let location = web_sys::window().ok_or(JsValue::NULL)?.location();
     let scheme = if location.protocol()? == "https:" { "wss" } else { "ws" };
-    let socket = web_sys::WebSocket::new(&format!("{scheme}://{}/api/v1/stream", location.host()?))?;
+    let socket = web_sys::WebSocket::new(&format!("{scheme}://{}{path}", location.host()?))?;
     socket.set_binary_type(web_sys::BinaryType::Arraybuffer);
     let on_open = {
         let deliver = deliver.clone();
-        Closure::<dyn FnMut()>::new(move || deliver(ApiEvent::SocketOpen))
+        Closure::<dyn FnMut()>::new(move || deliver(opened.clone()))
     };
     let on_close = {
         let deliver = deliver.clone();
-        Closure::<dyn FnMut()>::new(move || deliver(ApiEvent::SocketClosed))
+        Closure::<dyn FnMut()>::new(move || deliver(closed.clone()))
     };
     let on_message = Closure::<dyn FnMut(web_sys::MessageEvent)>::new(move |event: web_sys::MessageEvent| {
         if let Ok(buffer) = event.data().dyn_into::<js_sys::ArrayBuffer>() {
-            deliver(ApiEvent::SocketMessage(js_sys::Uint8Array::new(&buffer).to_vec()));
+            deliver(message(js_sys::Uint8Array::new(&buffer).to_vec()));
         }
     });
     socket.set_onopen(Some(on_open.as_ref().unchecked_ref()));

@@ -9,6 +9,11 @@ pub(super) fn document() -> Option<web_sys::Document> {
     web_sys::window().and_then(|window| window.document())
 }
 
+/// Whether somebody can be looking: the page can be seen and has the focus.
+pub(super) fn is_watched() -> bool {
+    document().is_some_and(|document| !document.hidden() && document.has_focus().unwrap_or(false))
+}
+
 pub(super) fn set_text(id: &str, text: &str) {
     if let Some(element) = document().and_then(|document| document.get_element_by_id(id)) {
         element.set_text_content(Some(text));
@@ -23,6 +28,9 @@ pub(super) fn remove(id: &str) {
 
 /// Where the browser keeps the chosen theme; `index.html` reads it too.
 const THEME_KEY: &str = "palpate-theme";
+
+/// Where the browser keeps who sat here.
+const OPERATOR_KEY: &str = "palpate-operator";
 
 fn local_storage() -> Option<web_sys::Storage> {
     web_sys::window()?.local_storage().ok().flatten()
@@ -94,6 +102,21 @@ impl Platform for BrowserWindow {
             // A browser that keeps nothing still has the theme until the page is closed.
             let _ = storage.set_item(THEME_KEY, word);
         }
+    }
+
+    fn saved_operator(&self) -> String {
+        local_storage().and_then(|storage| storage.get_item(OPERATOR_KEY).ok()?).unwrap_or_default()
+    }
+
+    fn save_operator(&mut self, operator: &str) {
+        if let Some(storage) = local_storage() {
+            // As with the theme.
+            let _ = storage.set_item(OPERATOR_KEY, operator);
+        }
+    }
+
+    fn is_watched(&self) -> bool {
+        is_watched()
     }
 
     fn set_title(&mut self, title: &str) {

@@ -21,7 +21,7 @@ use palpate_wire::{
         Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary, ThetaReport,
     },
     bits,
-    proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
+    proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace, control_request},
 };
 use prost::Message as _;
 
@@ -43,6 +43,18 @@ impl Api for SharedApi {
         self.0.borrow_mut().open_socket();
     }
 
+    fn open_control(&mut self) {
+        self.0.borrow_mut().open_control();
+    }
+
+    fn send_control(&mut self, lease: u64, request: control_request::Request) -> Option<u64> {
+        self.0.borrow_mut().send_control(lease, request)
+    }
+
+    fn beat(&mut self, lease: Option<u64>) {
+        self.0.borrow_mut().beat(lease);
+    }
+
     fn poll(&mut self) -> Vec<ApiEvent> {
         self.0.borrow_mut().poll()
     }
@@ -57,6 +69,8 @@ pub(crate) struct History {
     pub(crate) entries: Vec<String>,
     pub(crate) theme: Option<egui::Theme>,
     pub(crate) title: String,
+    pub(crate) operator: String,
+    pub(crate) unwatched: bool,
 }
 
 impl FakeWindow {
@@ -106,6 +120,18 @@ impl Platform for FakeWindow {
 
     fn save_theme(&mut self, theme: egui::Theme) {
         self.0.borrow_mut().theme = Some(theme);
+    }
+
+    fn saved_operator(&self) -> String {
+        self.0.borrow().operator.clone()
+    }
+
+    fn save_operator(&mut self, operator: &str) {
+        self.0.borrow_mut().operator = operator.to_owned();
+    }
+
+    fn is_watched(&self) -> bool {
+        !self.0.borrow().unwatched
     }
 
     fn set_title(&mut self, title: &str) {

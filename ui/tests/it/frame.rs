@@ -3,7 +3,7 @@
 use egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::{
-    api_client::{ApiEvent, FakeApi, Request},
+    api_client::{ApiEvent, Request},
     route::Screen,
 };
 
@@ -145,7 +145,7 @@ fn failing_server_says_why_and_can_be_asked_again() {
     harness.get_by_label_contains("The list of sessions did not arrive");
     harness.get_by_label_contains("nothing at GET /api/v1/sessions");
     let bodies = std::mem::take(&mut full_api().0.borrow_mut().bodies);
-    *api.0.borrow_mut() = FakeApi { bodies, ..Default::default() };
+    api.0.borrow_mut().bodies = bodies;
     harness.get_by_label("Try again").click();
     harness.run_steps(8);
     harness.get_by_label("Time cursor");

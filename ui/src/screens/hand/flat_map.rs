@@ -3,11 +3,8 @@
 use egui::{Align2, Color32, FontId, Pos2, Rect, Sense, Stroke, StrokeKind, Vec2, accesskit::Role};
 use palpate_robot_model::Station;
 
-use super::{
-    scene::capitalised,
-    signal::{Sample, Signal, kind_of},
-};
-use crate::{playback::Playback, theme::Palette};
+use super::signal::{Sample, Signal, kind_of};
+use crate::{playback::Playback, screens::capitalised, theme::Palette};
 
 /// Room at the sides, and above and below, where the names of groups stand.
 const MARGIN: Vec2 = Vec2::new(20.0, 34.0);

@@ -2,6 +2,7 @@
 //!
 //! [`scene`] and [`signal`] say what is to be seen (pure), [`renderer`] draws it, the others are widgets.
 
+mod bars;
 mod camera;
 mod details;
 mod flat_map;
@@ -18,7 +19,7 @@ mod view3d;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use egui::{Align, Color32, Key, Layout, Panel, Rgba, RichText, accesskit::Role};
+use egui::{Color32, Key, Panel, Rgba, RichText, accesskit::Role};
 use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 use palpate_wire::{
@@ -29,24 +30,29 @@ use palpate_wire::{
 
 pub use self::flat_map::channel_map_ui;
 use self::{
+    bars::{controls_ui, legend_ui, live_rates_ui, views_ui},
     details::{Details, details_ui, tooltip_ui},
     flat_map::{FlatMap, click, flat_map_ui, taxel_name},
     residual::Residual,
     scene::{Geometry, TaxelLook},
-    signal::{Coloring, FULL_SCALE_THRESHOLDS, Sample, Signal},
+    signal::{Coloring, Sample, Signal},
     view3d::{Moment, ViewState, view3d_ui},
 };
 use super::{
     ScreenContext,
-    controls::{compared_ui, diagnosed_ui},
+    control::{
+        devices::devices_ui,
+        joints::Controls,
+        panel::{PanelState, control_panel_ui},
+    },
     empty_ui, ensure_take_ui, failed_ui, loading_ui, words,
 };
 use crate::{
     playback::{HandSource, ModelRef},
     route::Screen,
-    store::{Connection, Loadable},
+    store::Loadable,
     take_data::TakeData,
-    theme::{taxel_scale, taxel_scale_ui},
+    theme::taxel_scale,
 };
 
 const SIDE_WIDTH: f32 = 360.0;
@@ -59,12 +65,54 @@ struct HandState {
     coloring: Coloring,
     /// The diagnosis whose residual map was put on the hand already.
     residual_of: Option<String>,
+    tab: SideTab,
+    panel: PanelState,
+    /// What can be moved on the station that it was made for.
+    controls: Option<(Arc<Station>, Arc<Controls>)>,
+    /// This page held the lease in the frame before.
+    had_control: bool,
+}
+
+/// What the side panel shows of a station that takes commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+enum SideTab {
+    #[default]
+    Control,
+    Touch,
+    Devices,
+}
+
+impl SideTab {
+    const ALL: [Self; 3] = [Self::Control, Self::Touch, Self::Devices];
+
+    fn label(self) -> &'static str {
+        match self {
+            Self::Control => "Control",
+            Self::Touch => "Touch",
+            Self::Devices => "Devices",
+        }
+    }
+}
+
+impl HandState {
+    fn controls_of(&mut self, station: &Arc<Station>) -> Arc<Controls> {
+        if let Some((known, controls)) = &self.controls
+            && Arc::ptr_eq(known, station)
+        {
+            return Arc::clone(controls);
+        }
+        let controls = Arc::new(Controls::new(station));
+        self.controls = Some((Arc::clone(station), Arc::clone(&controls)));
+        controls
+    }
 }
 
 /// Everything that one frame shows, recorded or live.
 struct Shot {
     station: Arc<Station>,
     positions: Vec<f64>,
+    /// Where the joints are told to be; empty where nothing is commanded.
+    commanded: Vec<f64>,
     real: Vec<Sample>,
     nominal: Vec<Sample>,
     compared: Vec<Sample>,
@@ -91,9 +139,15 @@ pub fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     let id = egui::Id::unique("hand screen");
     let shared: Arc<Mutex<HandState>> = ui.data_mut(|data| Arc::clone(data.get_temp_mut_or_default(id)));
     let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
-    if !live_offered(cx) {
+    if !cx.store.is_live() {
         cx.playback.hand_source = HandSource::Recorded;
     }
+    // Who has just taken control wants to see what moves.
+    let has_control = cx.store.control.lease() != 0;
+    if has_control && !state.had_control {
+        cx.playback.hand_source = HandSource::Live;
+    }
+    state.had_control = has_control;
     let shot = match cx.playback.hand_source {
         HandSource::Recorded => recorded_shot(ui, cx, &mut state),
         HandSource::Live => live_shot(ui, cx, &mut state),
@@ -103,15 +157,10 @@ pub fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     }
 }
 
-/// Whether there is a live station to look at.
-fn live_offered(cx: &ScreenContext<'_>) -> bool {
-    cx.store.info.ready().is_some_and(|info| info.source != Source::Replay && info.station.is_some())
-}
-
 /// The chosen take at the cursor. `None` while something is missing, which is then on the screen.
 fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState) -> Option<Shot> {
     let live_wanted =
-        live_offered(cx) && cx.store.sessions().ready().is_none_or(|sessions| sessions.is_empty());
+        cx.store.is_live() && cx.store.sessions().ready().is_none_or(|sessions| sessions.is_empty());
     if live_wanted {
         source_switch_ui(ui, cx);
     }
@@ -199,6 +248,7 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
         .and_then(|summary| Some((summary.object.clone(), signal::pose_from(&summary.object_pose)?)));
     Some(Shot {
         positions: take.joint_positions_at(time_s),
+        commanded: Vec::new(),
         real: signal::recorded(&station, &take, time_s),
         nominal: at_cursor(&nominal),
         compared: at_cursor(&compared),
@@ -258,7 +308,10 @@ fn live_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandStat
         return None;
     }
     state.signal = Signal::Real;
+    let commanded = frame.control.as_ref().map_or(&[][..], |control| &control.commanded);
+    let usable = commanded.len() == frame.joint_positions.len() && commanded.iter().all(|at| at.is_finite());
     Some(Shot {
+        commanded: commanded.iter().filter(|_| usable).map(|&position| f64::from(position)).collect(),
         positions: frame.joint_positions.iter().map(|&position| f64::from(position)).collect(),
         real: signal::live(&station, &frame),
         nominal: Vec::new(),
@@ -274,15 +327,15 @@ fn live_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandStat
 
 fn live_banner(cx: &ScreenContext<'_>, frame: &LiveFrame) -> Banner {
     let emulated = cx.store.info.ready().is_some_and(|info| info.source == Source::Emulated);
-    match &cx.store.connection {
-        Connection::Lost { since, .. } => Banner {
+    match cx.store.frozen_since(cx.now_s) {
+        Some((since, _)) => Banner {
             source: format!("FROZEN SINCE {since}"),
             color: cx.palette.mismatch,
-            about: "the connection is lost; this is the last frame that arrived".to_owned(),
+            about: "nothing comes from the station; this is the last frame that arrived".to_owned(),
             missing: None,
             nothing_to_compare: false,
         },
-        _ => Banner {
+        None => Banner {
             source: if emulated { "LIVE (EMULATED)" } else { "LIVE" }.to_owned(),
             color: if emulated { cx.palette.warning } else { cx.palette.mismatch },
             about: frame.activity.clone(),
@@ -303,6 +356,10 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
     let mut root_from_link = Vec::new();
     shot.station.robot.forward_kinematics(&shot.positions, &mut root_from_link);
     let geometry = state.view.geometry_of(&shot.station);
+    let mut commanded_from_link = Vec::new();
+    if !shot.commanded.is_empty() {
+        shot.station.robot.forward_kinematics(&shot.commanded, &mut commanded_from_link);
+    }
     let shown = match state.signal {
         Signal::Real => &shot.real,
         Signal::Nominal => &shot.nominal,
@@ -358,6 +415,7 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         root_from_link: &root_from_link,
         looks: &looks,
         object: shot.object.as_ref().map(|(id, pose)| (id.as_str(), pose)),
+        commanded_from_link: &commanded_from_link,
     };
     let details = Details {
         station: &shot.station,
@@ -394,7 +452,25 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
                 name: &name,
             };
             let full_scale = residual.as_ref().map(|residual| residual.full_scale_per_s);
-            side_ui(ui, cx, &map, &details, (coloring, full_scale));
+            let commandable = shot.take.is_none() && cx.store.control_state().is_some();
+            let tab = if commandable { tabs_ui(ui, &mut state.tab) } else { SideTab::Touch };
+            if tab == SideTab::Touch {
+                side_ui(ui, cx, &map, &details, (coloring, full_scale));
+                return;
+            }
+            let controls = state.controls_of(&shot.station);
+            let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
+            ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
+                egui::ScrollArea::vertical().id_salt(tab.label()).auto_shrink(false).show(
+                    ui,
+                    |ui| match tab {
+                        SideTab::Control => {
+                            control_panel_ui(ui, cx, &mut state.panel, &controls, &shot.positions);
+                        }
+                        _ => devices_ui(ui, cx),
+                    },
+                );
+            });
         });
     egui::CentralPanel::default().frame(egui::Frame::NONE).show(ui, |ui| {
         let rect = ui.available_rect_before_wrap();
@@ -432,100 +508,20 @@ fn residual_of(cx: &mut ScreenContext<'_>, station: &Station) -> Option<Residual
     Some(Residual::new(run.report.as_ref()?, station))
 }
 
-/// Where the data comes from, and what colours the taxels.
-fn controls_ui(
-    ui: &mut egui::Ui,
-    cx: &mut ScreenContext<'_>,
-    state: &mut HandState,
-    shot: &Shot,
-    has_residual: bool,
-) {
-    ui.horizontal_wrapped(|ui| {
-        ui.label(RichText::new(&shot.banner.source).strong().size(16.0).color(shot.banner.color));
-        ui.label(&shot.banner.about);
-        if live_offered(cx) {
-            ui.separator();
-            ui.selectable_value(&mut cx.playback.hand_source, HandSource::Recorded, "Recorded");
-            ui.selectable_value(&mut cx.playback.hand_source, HandSource::Live, "Live");
-        }
-        if cx.playback.hand_source == HandSource::Recorded {
-            ui.separator();
-            // A screen that has nothing to offer yet is absent, and so is a signal.
-            let offered = |signal: &Signal| *signal != Signal::Diagnosed || cx.playback.diagnosed.is_some();
-            for signal in Signal::ALL.into_iter().filter(offered) {
-                let text = RichText::new(signal.label()).strong().color(signal.color(&cx.palette));
-                let chosen = state.signal == signal;
-                let response = ui.selectable_label(chosen, text).on_hover_text(signal_hint(signal));
-                response.widget_info(|| {
-                    egui::WidgetInfo::selected(Role::RadioButton, true, chosen, signal.label())
-                });
-                if response.clicked() {
-                    state.signal = signal;
-                }
-            }
-            if state.signal == Signal::Calibrated {
-                compared_ui(ui, cx);
-                if shot.banner.nothing_to_compare && ui.button("Calibrate first").clicked() {
-                    cx.go_to_screen(Screen::Calibrate);
-                }
-            }
-            if state.signal == Signal::Diagnosed {
-                diagnosed_ui(ui, cx);
-            }
-        }
-        ui.separator();
-        ui.selectable_value(&mut state.coloring, Coloring::Reading, "Reading")
-            .on_hover_text("Colour taxels by how much they read");
-        ui.selectable_value(&mut state.coloring, Coloring::Active, "Active")
-            .on_hover_text("Colour taxels by whether they are active");
-        if has_residual {
-            ui.selectable_value(&mut state.coloring, Coloring::Mismatch, "Mismatch").on_hover_text(
-                "Colour taxels by how much simulation and hand differ on the takes that judged the diagnosis",
-            );
-        }
-        if let Some(missing) = &shot.banner.missing {
-            ui.label(
-                RichText::new(format!("\u{26a0} {}: {missing}", state.signal.label()))
-                    .color(cx.palette.warning),
-            );
-        }
-    });
-}
-
-fn signal_hint(signal: Signal) -> &'static str {
-    match signal {
-        Signal::Real => "What the hand reported",
-        Signal::Nominal => "What the nominal simulation of the same motion says",
-        Signal::Calibrated => "What the compared simulation says, usually a calibrated one",
-        Signal::Diagnosed => "What the simulation says with the effects that a diagnosis named",
-    }
-}
-
-/// Named views and what is shown.
-fn views_ui(ui: &mut egui::Ui, state: &mut HandState, geometry: &Geometry, moment: &Moment<'_>) {
-    ui.horizontal_wrapped(|ui| {
-        ui.label("View");
-        for (idx, view) in geometry.views.iter().enumerate() {
-            let hint = format!("Look at: {} (key {})", view.label, idx + 1);
-            let response = ui.button(&view.label).on_hover_text(hint);
-            response.widget_info(|| {
-                egui::WidgetInfo::labeled(Role::Button, true, format!("View: {}", view.label))
-            });
+/// Which part of the side panel is open.
+fn tabs_ui(ui: &mut egui::Ui, chosen: &mut SideTab) -> SideTab {
+    ui.horizontal(|ui| {
+        ui.add_space(8.0);
+        for tab in SideTab::ALL {
+            let is_chosen = *chosen == tab;
+            let response = ui.selectable_label(is_chosen, RichText::new(tab.label()).strong());
+            response.widget_info(|| egui::WidgetInfo::selected(Role::Tab, true, is_chosen, tab.label()));
             if response.clicked() {
-                state.view.look_at(geometry, moment, view);
+                *chosen = tab;
             }
         }
-        let reset = ui.button("Reset").on_hover_text("The view this screen opens with (key R)");
-        reset.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, "Reset view"));
-        if reset.clicked() {
-            state.view.reset(geometry, moment);
-        }
-        ui.separator();
-        ui.checkbox(&mut state.view.shown.object, "Object");
-        ui.checkbox(&mut state.view.shown.arm, "Arm");
-        ui.checkbox(&mut state.view.labels, "Labels");
-        ui.checkbox(&mut state.view.follow, "Follow").on_hover_text("The camera moves with the hand");
     });
+    *chosen
 }
 
 /// Flat map on top, the taxel at hand below.
@@ -573,76 +569,6 @@ fn nothing_pinned_ui(ui: &mut egui::Ui, map: &FlatMap<'_>, weak: egui::Color32) 
         )
         .color(weak),
     );
-}
-
-/// What the colours mean. The scale is fixed, in thresholds.
-fn legend_ui(
-    ui: &mut egui::Ui,
-    map: &FlatMap<'_>,
-    (coloring, full_scale_per_s): (Coloring, Option<f64>),
-    palette: &crate::theme::Palette,
-) {
-    match coloring {
-        Coloring::Mismatch => {
-            ui.horizontal(|ui| {
-                ui.label("0");
-                taxel_scale_ui(ui, 150.0);
-                let full = full_scale_per_s.map_or_else(String::new, wording::number);
-                ui.label(format!("{full} a second")).on_hover_text(
-                    "Mismatch of simulation and hand a second, all phases of contact together. The scale is the same \
-                     before and after.",
-                );
-            });
-        }
-        Coloring::Reading => {
-            ui.horizontal(|ui| {
-                ui.label("0");
-                let response = taxel_scale_ui(ui, 170.0);
-                let rect = response.rect;
-                let tick = egui::lerp(rect.x_range(), 1.0 / FULL_SCALE_THRESHOLDS);
-                ui.painter().vline(tick, rect.expand(3.0).y_range(), egui::Stroke::new(2.0, palette.real));
-                let name = format!("Scale: violet is no touch, the mark is the threshold, yellow is {FULL_SCALE_THRESHOLDS} thresholds or more");
-                response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, name.clone()));
-                response.on_hover_text(
-                    "Readings in thresholds: the mark is where a taxel switches. A simulated distance counts one step \
-                     for every 5 mm past its threshold.",
-                );
-                ui.label(format!("{FULL_SCALE_THRESHOLDS} \u{d7} threshold"));
-            });
-        }
-        Coloring::Active => {
-            ui.horizontal(|ui| {
-                let (rect, _) = ui.allocate_exact_size(egui::vec2(14.0, 14.0), egui::Sense::hover());
-                ui.painter().circle_filled(rect.center(), 6.0, map.signal.color(palette));
-                ui.label("active");
-                let (rect, _) = ui.allocate_exact_size(egui::vec2(14.0, 14.0), egui::Sense::hover());
-                ui.painter().circle(
-                    rect.center(),
-                    4.5,
-                    palette.line,
-                    egui::Stroke::new(1.0, palette.text_weak),
-                );
-                ui.label("not active");
-            });
-        }
-    }
-    if map.real.is_some() {
-        ui.label(RichText::new("Hollow: simulated only. Red line: real only.").color(palette.text_weak));
-    }
-}
-
-/// Measured rates of the live station.
-fn live_rates_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, station: &Station) {
-    let Some(frame) = cx.store.live_frame() else { return };
-    ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
-        ui.label(format!("Running for {}", super::duration_text(frame.time_s)));
-        let names = std::iter::once("joints")
-            .chain(station.layout.streams.iter().map(|stream| stream.label.as_str()));
-        for (name, rate_hz) in names.zip(&frame.rates_hz) {
-            ui.separator();
-            ui.label(format!("{name} {rate_hz:.1} Hz"));
-        }
-    });
 }
 
 /// R and the numbers; everything else belongs to the whole page.

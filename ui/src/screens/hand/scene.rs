@@ -12,6 +12,7 @@ use super::{
     hull::convex_hull,
     mesh::{Mesh, WHITE},
 };
+use crate::screens::capitalised;
 
 /// Edges of boxes and cylinders are broken by at most this much, so that they catch the light.
 const EDGE_RADIUS_M: f32 = 0.003;
@@ -19,6 +20,9 @@ const EDGE_RADIUS_M: f32 = 0.003;
 const MARKER_LIFT_M: f32 = 0.0004;
 /// A taxel that lies this much deeper than the surface before it is behind it; markers themselves are thinner.
 const OCCLUSION_SLACK_M: f32 = 0.004;
+/// A link that is this far from where it is told to be has a ghost there.
+const GHOST_FROM_M: f64 = 0.001;
+const GHOST_FROM_RAD: f64 = 0.008;
 /// Drawn size of a marker on a patch with one taxel, m.
 const LONE_MARKER_RADIUS_M: f32 = 0.0035;
 
@@ -101,6 +105,8 @@ pub(super) struct SceneColors {
     pub skin: [f32; 4],
     /// The object.
     pub object: [f32; 4],
+    /// Links where they are told to be.
+    pub ghost: [f32; 4],
 }
 
 /// What of the scene is shown.
@@ -234,6 +240,32 @@ impl Geometry {
             instances.push(solid(mesh, pose, colors.object));
         }
         instances
+    }
+
+    /// The links that are not yet where they are told to be, translucent, there. Links that are would only flicker over
+    /// their measured selves.
+    pub(super) fn ghost(
+        &self,
+        root_from_link: &[Isometry3<f64>],
+        commanded_from_link: &[Isometry3<f64>],
+        color: [f32; 4],
+        shown: Shown,
+    ) -> Vec<Instance> {
+        let links = self.link_meshes.iter().zip(&self.in_hand).zip(root_from_link).zip(commanded_from_link);
+        links
+            .filter_map(|(((mesh, in_hand), measured), commanded)| {
+                let off_m = (measured.translation.vector - commanded.translation.vector).norm();
+                let off_rad = measured.rotation.angle_to(&commanded.rotation);
+                let apart = off_m > GHOST_FROM_M || off_rad > GHOST_FROM_RAD;
+                (apart && (*in_hand || shown.arm)).then_some(Instance {
+                    mesh: (*mesh)?,
+                    root_from_mesh: commanded.cast::<f32>().to_homogeneous(),
+                    color,
+                    unlit: 0.3,
+                    rim: 0.0,
+                })
+            })
+            .collect()
     }
 
     /// Where each taxel is, in channel order.
@@ -595,13 +627,6 @@ fn views(station: &Station, hand_root: usize) -> Vec<View> {
         .filter(|group| groups.len() > 1 && Some(**group) != palm)
         .map(|group| View { label: capitalised(group), subject: Subject::Group((*group).to_owned()) });
     [front, back].into_iter().chain(others).collect()
-}
-
-/// `ring_finger` as people write it: `Ring finger`.
-pub(super) fn capitalised(id: &str) -> String {
-    let words = id.replace(['_', '-'], " ");
-    let mut letters = words.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 fn mean(vectors: impl Iterator<Item = Vector3<f32>>) -> Option<Vector3<f32>> {

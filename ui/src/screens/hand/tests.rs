@@ -76,8 +76,12 @@ fn looks(station: &Station) -> Vec<TaxelLook> {
     vec![TaxelLook { color: [0.5; 3], active: false, marked: false }; station.layout.num_channels()]
 }
 
-const COLORS: SceneColors =
-    SceneColors { body: [0.8, 0.8, 0.8, 1.0], skin: [0.3, 0.3, 0.3, 1.0], object: [0.5, 0.5, 0.5, 0.4] };
+const COLORS: SceneColors = SceneColors {
+    body: [0.8, 0.8, 0.8, 1.0],
+    skin: [0.3, 0.3, 0.3, 1.0],
+    object: [0.5, 0.5, 0.5, 0.4],
+    ghost: [0.1, 0.1, 0.1, 0.3],
+};
 
 #[test]
 fn the_hand_is_what_hangs_with_all_patches_and_the_views_name_its_parts() {
@@ -365,7 +369,13 @@ fn no_view_looks_through_what_carries_the_pad() {
     let mut root_from_link = Vec::new();
     for seed in 0..6 {
         bench.robot.forward_kinematics(&posture(bench, seed), &mut root_from_link);
-        let moment = Moment { station: bench, root_from_link: &root_from_link, looks: &[], object: None };
+        let moment = Moment {
+            station: bench,
+            root_from_link: &root_from_link,
+            looks: &[],
+            object: None,
+            commanded_from_link: &[],
+        };
         let opening = home(geometry, &moment, 1.5, SHOWN);
         let named = geometry.views.iter().map(|view| {
             let (bounds, toward_eye, up) = geometry.framing(bench, &root_from_link, None, &view.subject);
@@ -500,6 +510,7 @@ fn live_says_so_and_freezes_in_words_when_the_connection_breaks() {
         object: String::new(),
         object_pose: Vec::new(),
         rates_hz: vec![10.0, 100.0, 40.0],
+        control: None,
     };
     let message = StreamMessage { message: Some(stream_message::Message::Live(frame)), dropped: 0 };
     page.borrow_mut().store.receive(ApiEvent::SocketOpen, 0.0, "");

@@ -26,6 +26,8 @@ pub(super) struct ViewState {
     pub geometry: Option<(Arc<Station>, Arc<Geometry>)>,
     /// What of the scene is shown.
     pub shown: Shown,
+    /// A ghost of the hand where it is told to be.
+    pub ghost: bool,
     /// Names at the fingers.
     pub labels: bool,
     /// The camera moves with the hand.
@@ -48,6 +50,7 @@ impl Default for ViewState {
         Self {
             geometry: None,
             shown: Shown { object: true, arm: true },
+            ghost: true,
             labels: false,
             follow: true,
             last_root: None,
@@ -68,6 +71,8 @@ pub(super) struct Moment<'a> {
     pub looks: &'a [TaxelLook],
     /// The touched object and where it is.
     pub object: Option<(&'a str, &'a Isometry3<f64>)>,
+    /// Pose of every link where it is told to be; empty where nothing is commanded.
+    pub commanded_from_link: &'a [Isometry3<f64>],
 }
 
 /// What the pointer did.
@@ -288,16 +293,21 @@ pub(super) fn view3d_ui(
     let painter = ui.painter_at(rect);
     painter.rect_filled(rect, 6.0, palette.surface);
     if let Some(surface_format) = surface_format {
+        let mut instances = geometry.instances(
+            moment.station,
+            moment.root_from_link,
+            moment.looks,
+            object_if_shown,
+            &colors,
+            state.shown,
+        );
+        if state.ghost {
+            let [from, to] = [moment.root_from_link, moment.commanded_from_link];
+            instances.extend(geometry.ghost(from, to, colors.ghost, state.shown));
+        }
         let paint = ScenePaint {
             geometry: Arc::clone(geometry),
-            instances: geometry.instances(
-                moment.station,
-                moment.root_from_link,
-                moment.looks,
-                object_if_shown,
-                &colors,
-                state.shown,
-            ),
+            instances,
             globals: globals(&camera, aspect, palette),
             background: background(palette),
             size_points: rect.size(),
@@ -405,12 +415,14 @@ fn scene_colors(palette: &Palette) -> SceneColors {
             body: [0.62, 0.64, 0.68, 1.0],
             skin: linear(Color32::from_rgb(0x4a, 0x4d, 0x55), 1.0),
             object: linear(Color32::from_rgb(0xb9, 0xa8, 0x8c), 0.45),
+            ghost: linear(palette.real, 0.3),
         }
     } else {
         SceneColors {
             body: [0.78, 0.79, 0.81, 1.0],
             skin: linear(Color32::from_rgb(0x6a, 0x6d, 0x75), 1.0),
             object: linear(Color32::from_rgb(0xb0, 0x98, 0x72), 0.45),
+            ghost: linear(palette.real, 0.3),
         }
     }
 }

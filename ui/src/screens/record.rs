@@ -1,0 +1,227 @@
+//! Recording a calibration session: a checklist on the left, the step under way large in the middle with one primary
+//! button, what comes in on the right.
+//!
+//! The server decides what comes next ([`palpate_wire::api::RecordingPhase`]); the page says it and passes on what the
+//! operator does.
+
+mod checklist;
+mod incoming;
+mod start;
+mod step;
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use egui::{Key, Panel};
+use palpate_robot_model::Station;
+use palpate_wire::{
+    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession},
+    proto::{RecordingStatus, control_state::Phase},
+};
+
+use super::{ScreenContext, empty_ui, failed_ui, loading_ui};
+use crate::{
+    route::Screen,
+    store::{Loadable, Store, control::Holder},
+};
+
+const LIST_WIDTH: f32 = 250.0;
+const INCOMING_WIDTH: f32 = 300.0;
+
+/// What the screen remembers between frames.
+#[derive(Debug, Default)]
+pub struct RecordState {
+    start: start::StartState,
+    /// The remark that is being typed.
+    note: String,
+    /// The step whose start pose the robot has gone to, and what it was seen doing.
+    went_to_start: Option<usize>,
+    /// Whether the object stands where the plan says.
+    fixture_elsewhere: bool,
+}
+
+/// What the middle shows and what its keys mean.
+struct Scene<'a> {
+    session: &'a RecordingSession,
+    phase: RecordingPhase,
+    status: RecordingStatus,
+    /// What the station needs before it may move; `None` if it may.
+    not_ready: Option<&'static str>,
+    /// Nothing can be done now: something is on its way, or the picture is frozen.
+    waits: bool,
+}
+
+/// The screen.
+pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut RecordState) {
+    if !cx.store.is_commandable() {
+        let text = "Recording needs a live station: start `palpate serve --station FILE` on the machine that its \
+                    devices are connected to, or `palpate serve --emulate` to try it without hardware.";
+        if empty_ui(ui, "No live station", text, "Look at recordings") {
+            cx.go_to_screen(Screen::Sessions);
+        }
+        return;
+    }
+    let station = match cx.store.live_station() {
+        Loadable::Ready(station) => station,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The live station could not be read", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the live station"),
+    };
+    let document = match cx.store.recording() {
+        Loadable::Ready(document) => document,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The checklist did not arrive", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the checklist"),
+    };
+    let names = channel_names(&station);
+    Panel::right("record_incoming")
+        .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
+        .resizable(false)
+        .exact_size(INCOMING_WIDTH)
+        .show(ui, |ui| incoming::incoming_ui(ui, cx, &station, document.session.as_ref(), &names));
+    match &document.session {
+        Some(session) => session_ui(ui, cx, state, session, &names),
+        None => {
+            state.went_to_start = None;
+            egui::CentralPanel::default()
+                .show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document.plans));
+        }
+    }
+}
+
+/// Names of channels for people, by id.
+type Names = BTreeMap<String, String>;
+
+fn channel_names(station: &Arc<Station>) -> Names {
+    station
+        .layout
+        .channels
+        .iter()
+        .map(|channel| {
+            let patch = &station.layout.patches[channel.patch];
+            let name = if patch.channels.len() == 1 {
+                patch.label.clone()
+            } else {
+                format!("{} {}", patch.label, channel.taxel + 1)
+            };
+            (channel.id.clone(), name)
+        })
+        .collect()
+}
+
+fn session_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut RecordState,
+    session: &RecordingSession,
+    names: &Names,
+) {
+    let phase = cx.store.recording_phase().unwrap_or(session.phase);
+    let streamed = cx.store.control_state().and_then(|state| state.recording.clone());
+    let frozen = cx.store.frozen_since(cx.now_s).is_some();
+    let scene = Scene {
+        session,
+        phase,
+        status: streamed.unwrap_or_default(),
+        not_ready: not_ready(cx.store),
+        waits: cx.store.recording_busy || frozen,
+    };
+    match phase {
+        RecordingPhase::GoingToStart => state.went_to_start = session.current,
+        RecordingPhase::StartPose if state.went_to_start == session.current => {}
+        _ => state.went_to_start = None,
+    }
+    let mut actions = Vec::new();
+    Panel::left("record_checklist")
+        .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
+        .resizable(false)
+        .exact_size(LIST_WIDTH)
+        .show(ui, |ui| checklist::checklist_ui(ui, cx, &scene, &mut actions));
+    egui::CentralPanel::default().show(ui, |ui| {
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            step::step_ui(ui, cx, state, &scene, names, &mut actions);
+        });
+    });
+    keys(ui, &scene, state, &mut actions, cx.store);
+    // One thing at a time: a second one would be meant for another step.
+    if let Some(action) = actions.into_iter().next().filter(|_| !scene.waits) {
+        cx.store.act_on_recording(action);
+    }
+}
+
+/// What the station still needs before it may move by itself.
+fn not_ready(store: &Store) -> Option<&'static str> {
+    match store.control.holder(store.control_state()) {
+        Holder::Nobody => Some("Take control in the top bar, then arm."),
+        Holder::Other(_) => Some("Somebody else has control: you can watch."),
+        Holder::Me => match store.phase() {
+            Phase::Armed => None,
+            Phase::Holding => Some("The station holds; the line below the top bar says why."),
+            Phase::Stopped => Some("The station is stopped. Reset the stop in the top bar, then arm."),
+            Phase::Arming | Phase::Disarming => Some("Wait a moment."),
+            Phase::Disarmed | Phase::Unspecified => Some("Arm in the top bar."),
+        },
+    }
+}
+
+/// What the primary button of a scene does, and its name; `None` while the station is at work.
+fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<(&'static str, RecordingAction)> {
+    let lease = store.control.lease();
+    Some(match scene.phase {
+        RecordingPhase::PlaceObject => (
+            "Object is in place",
+            RecordingAction::ConfirmObject { fixture_trusted: !state.fixture_elsewhere },
+        ),
+        RecordingPhase::StartPose if state.went_to_start == scene.session.current => {
+            ("Run", RecordingAction::Run { lease })
+        }
+        RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart { lease }),
+        RecordingPhase::Review => ("Accept", RecordingAction::Accept),
+        RecordingPhase::GoingToStart
+        | RecordingPhase::Baseline
+        | RecordingPhase::Countdown
+        | RecordingPhase::Running
+        | RecordingPhase::Checking
+        | RecordingPhase::Done => return None,
+    })
+}
+
+/// Whether an action moves the robot, which needs the lease and an armed station.
+fn moves(action: &RecordingAction) -> bool {
+    matches!(action, RecordingAction::GoToStart { .. } | RecordingAction::Run { .. })
+}
+
+fn keys(
+    ui: &egui::Ui,
+    scene: &Scene<'_>,
+    state: &RecordState,
+    actions: &mut Vec<RecordingAction>,
+    store: &Store,
+) {
+    // A focused control has its own Enter, and a text field its own letters.
+    if ui.ctx().text_edit_focused() {
+        return;
+    }
+    let focused = ui.memory(|memory| memory.focused().is_some());
+    let key = |key| ui.input(|input| input.modifiers.is_none() && input.key_pressed(key));
+    if key(Key::Enter)
+        && !focused
+        && let Some((_, action)) = primary(scene, state, store)
+        && !(moves(&action) && scene.not_ready.is_some())
+    {
+        actions.push(action);
+    }
+    if scene.phase == RecordingPhase::Review {
+        if key(Key::R) {
+            actions.push(RecordingAction::Again);
+        }
+        if key(Key::Delete) {
+            actions.push(RecordingAction::Discard);
+        }
+    }
+    if step::takes_notes(scene.phase) && key(Key::M) {
+        actions.push(RecordingAction::Note { text: String::new() });
+    }
+}
+
+/// The plan's name for people.
+fn plan_label<'a>(document: &'a RecordingDocument, plan: &'a str) -> &'a str {
+    document.plans.iter().find(|known| known.id == plan).map_or(plan, |known| &known.label)
+}

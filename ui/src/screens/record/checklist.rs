@@ -1,0 +1,75 @@
+//! The takes of the session, in order, and where each stands.
+
+use egui::{RichText, accesskit::Role};
+use palpate_wire::api::{RecordingAction, RecordingStep, StepState};
+
+use super::{Scene, plan_label};
+use crate::{
+    screens::{ScreenContext, duration_text},
+    theme::Palette,
+};
+
+pub(super) fn checklist_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    scene: &Scene<'_>,
+    actions: &mut Vec<RecordingAction>,
+) {
+    let session = scene.session;
+    let document = cx.store.recording();
+    ui.add_space(4.0);
+    ui.label(RichText::new(&session.session).strong().size(16.0));
+    let plan = document.ready().map_or(session.plan.as_str(), |document| plan_label(document, &session.plan));
+    let by = if session.operator.is_empty() { String::new() } else { format!(", by {}", session.operator) };
+    ui.label(RichText::new(format!("{plan}{by}")).color(cx.palette.text_weak));
+    let accepted = session.steps.iter().filter(|step| step.state == StepState::Accepted).count();
+    let share = accepted as f32 / session.steps.len().max(1) as f32;
+    ui.add(egui::ProgressBar::new(share).text(format!("{accepted} of {} accepted", session.steps.len())));
+    ui.add_space(6.0);
+    let bottom = 44.0;
+    let height = (ui.available_height() - bottom).max(80.0);
+    egui::ScrollArea::vertical().max_height(height).auto_shrink(false).show(ui, |ui| {
+        for (idx, step) in session.steps.iter().enumerate() {
+            let current = session.current == Some(idx);
+            if step_row_ui(ui, idx, step, current, &cx.palette) && !current && !scene.waits {
+                actions.push(RecordingAction::Select { step: idx });
+            }
+        }
+    });
+    let leave = ui.add_enabled(!scene.waits, egui::Button::new("Leave session"));
+    if leave
+        .on_hover_text("What was accepted stays; the session can be taken up again under its name")
+        .clicked()
+    {
+        actions.push(RecordingAction::Leave);
+    }
+}
+
+/// True when it was clicked.
+fn step_row_ui(
+    ui: &mut egui::Ui,
+    idx: usize,
+    step: &RecordingStep,
+    current: bool,
+    palette: &Palette,
+) -> bool {
+    let (sign, word, color) = match step.state {
+        StepState::Open if current => ("\u{25b6}", "now", palette.real),
+        StepState::Open => ("\u{25cb}", "open", palette.text_weak),
+        StepState::Review => ("?", "to review", palette.warning),
+        StepState::Accepted => ("\u{2714}", "accepted", palette.diagnosed),
+    };
+    let title = format!("{sign} {}  {}", idx + 1, step.primitive_label);
+    let text = format!("{title}\n      {}", step.object_label);
+    let mut text = RichText::new(text).color(color);
+    if current {
+        text = text.strong();
+    }
+    let button = egui::Button::selectable(current, text)
+        .min_size(egui::vec2(ui.available_width(), 46.0))
+        .right_text(RichText::new(word).color(color).small());
+    let name = format!("Take {}: {}, {}, {word}", idx + 1, step.primitive_label, step.object_label);
+    let response = ui.add(button).on_hover_text(format!("{name}; {}", duration_text(step.duration_s)));
+    response.widget_info(|| egui::WidgetInfo::selected(Role::Button, true, current, name.clone()));
+    response.clicked()
+}

@@ -1,0 +1,145 @@
+//! Before a session: which plan, under which name.
+
+use egui::RichText;
+use palpate_wire::api::{PlanSummary, StartRecording};
+
+use crate::screens::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    duration_text,
+};
+
+/// What was chosen so far.
+#[derive(Debug, Default)]
+pub(super) struct StartState {
+    plan_idx: usize,
+    /// `None` until somebody types: then the name is made up.
+    name: Option<String>,
+}
+
+pub(super) fn start_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut StartState,
+    plans: &[PlanSummary],
+) {
+    ui.add_space((ui.available_height() * 0.12).min(90.0));
+    ui.vertical_centered(|ui| {
+        ui.set_max_width(520.0);
+        ui.heading("Record a calibration session");
+        ui.label(
+            "A plan is a list of takes: in each, the robot touches one object in one way while everything is recorded. \
+             This page leads through them, checks every take, and can be left and taken up again at any time.",
+        );
+        ui.add_space(12.0);
+        let Some(plan) = plans.get(state.plan_idx).or(plans.first()) else {
+            ui.label(RichText::new("This station has no plan").strong());
+            ui.label(
+                "Name one in the station's file, e.g. plans = [\"../plans/nine_takes.toml\"], and start the server \
+                 again.",
+            );
+            return;
+        };
+        form_ui(ui, cx, state, plans, plan);
+    });
+}
+
+fn form_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut StartState,
+    plans: &[PlanSummary],
+    plan: &PlanSummary,
+) {
+    let sessions = cx.store.sessions();
+    let known: Vec<&str> = sessions
+        .ready()
+        .map_or_else(Vec::new, |sessions| sessions.iter().map(|session| session.id.as_str()).collect());
+    let mut name = state.name.clone().unwrap_or_else(|| free_name(&plan.id, &known));
+    ui.horizontal(|ui| {
+        ui.label("Plan");
+        combo_ui(ui, "Plan", &plan.label, 260.0, |ui| {
+            for (idx, plan) in plans.iter().enumerate() {
+                option_ui(ui, &mut state.plan_idx, idx, &plan.label);
+            }
+        });
+    });
+    ui.label(format!("{} takes, {} of motion", plan.takes, duration_text(plan.duration_s)));
+    ui.add_space(6.0);
+    let enter = ui
+        .horizontal(|ui| {
+            ui.label("Name");
+            let field = egui::TextEdit::singleline(&mut name)
+                .desired_width(260.0)
+                .char_limit(60)
+                .min_size(egui::vec2(0.0, 32.0));
+            let response = ui.add(field).accessible_name("Session name");
+            if response.changed() {
+                state.name = Some(name.clone());
+            }
+            response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter))
+        })
+        .inner;
+    let name = name.trim();
+    let problem = name_problem(name);
+    if let Some(problem) = problem {
+        ui.colored_label(cx.palette.warning, problem);
+    } else if known.contains(&name) {
+        ui.label("A session of this name is there. It goes on where it stopped if it follows the same plan.");
+    }
+    ui.add_space(10.0);
+    let ready = problem.is_none() && !cx.store.recording_busy;
+    let button = egui::Button::new(RichText::new("Start session").strong().size(17.0))
+        .min_size(egui::vec2(220.0, 46.0));
+    let clicked = ui.add_enabled(ready, button).clicked();
+    let enter = enter || {
+        let free = ui.memory(|memory| memory.focused().is_none());
+        free && ui.input(|input| input.modifiers.is_none() && input.key_pressed(egui::Key::Enter))
+    };
+    if (clicked || enter) && ready {
+        cx.store.start_recording(StartRecording {
+            plan: plan.id.clone(),
+            session: name.to_owned(),
+            operator: cx.store.control.operator.trim().to_owned(),
+        });
+        state.name = None;
+    }
+    if let Some(problem) = &cx.store.recording_problem {
+        ui.add_space(6.0);
+        ui.colored_label(cx.palette.mismatch, format!("\u{26a0} The session did not start: {problem}"));
+    }
+}
+
+/// The first name of the form `plan-1` that no session has.
+fn free_name(plan: &str, known: &[&str]) -> String {
+    (1..)
+        .map(|number| format!("{plan}-{number}"))
+        .find(|name| !known.contains(&name.as_str()))
+        .unwrap_or_else(|| plan.to_owned())
+}
+
+/// Why a session cannot be called so: its name becomes a folder.
+fn name_problem(name: &str) -> Option<&'static str> {
+    let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if name.is_empty() {
+        Some("Give the session a name.")
+    } else if !name.chars().all(fits) || name.starts_with('.') {
+        Some("Letters, digits, - and _ only: the name becomes a folder.")
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_free_and_fit_a_folder() {
+        assert_eq!(free_name("nine", &["nine-1", "nine-3"]), "nine-2");
+        assert!(name_problem("nine-2").is_none());
+        for name in ["", "a/b", "..", "a b", "\u{e4}"] {
+            assert!(name_problem(name).is_some(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The step under way, large: what to do with the body, one primary button, a countdown for people two metres away.
+
+use std::time::Duration;
+
+use egui::{RichText, accesskit::Role};
+use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState, TakeVerdict};
+
+use super::{Names, RecordState, Scene, moves, primary};
+use crate::{
+    route::{Route, Screen},
+    screens::{ScreenContext, duration_text},
+    theme::Palette,
+};
+
+/// Size of the countdown's digits, points: about 6 cm on a laptop's screen.
+const COUNTDOWN_POINTS: f32 = 230.0;
+/// So many names of channels are listed before the rest is counted.
+const MOST_NAMES: usize = 12;
+
+/// Whether remarks belong to a take in this phase.
+pub(super) fn takes_notes(phase: RecordingPhase) -> bool {
+    matches!(phase, RecordingPhase::Baseline | RecordingPhase::Countdown | RecordingPhase::Running)
+}
+
+pub(super) fn step_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut RecordState,
+    scene: &Scene<'_>,
+    names: &Names,
+    actions: &mut Vec<RecordingAction>,
+) {
+    let step = scene.session.current.and_then(|idx| scene.session.steps.get(idx));
+    let (Some(step), Some(idx)) = (step, scene.session.current) else {
+        done_ui(ui, cx, scene, names);
+        problems_ui(ui, cx, scene);
+        undo_ui(ui, scene, actions);
+        return;
+    };
+    ui.add_space(8.0);
+    let of = scene.session.steps.len();
+    ui.label(RichText::new(format!("Take {} of {of}", idx + 1)).color(cx.palette.text_weak).size(16.0));
+    ui.label(RichText::new(format!("{}: {}", step.primitive_label, step.object_label)).strong().size(26.0));
+    ui.add_space(10.0);
+    match scene.phase {
+        RecordingPhase::PlaceObject => place_ui(ui, state, step),
+        RecordingPhase::StartPose => start_pose_ui(ui, cx, state, scene),
+        RecordingPhase::GoingToStart => {
+            big_ui(ui, "The robot goes to the start pose");
+            ui.label("Keep your hands away from it. Space stops it.");
+            ui.add(egui::ProgressBar::new(scene.status.fraction.clamp(0.0, 1.0)));
+        }
+        RecordingPhase::Baseline => {
+            big_ui(ui, "Touch nothing");
+            ui.label("The readings at rest are taken: they become the zero of this take.");
+            ui.add(egui::ProgressBar::new(scene.status.fraction.clamp(0.0, 1.0)));
+        }
+        RecordingPhase::Countdown => countdown_ui(ui, scene.status.countdown_s, &cx.palette),
+        RecordingPhase::Running => running_ui(ui, scene, step),
+        RecordingPhase::Checking => {
+            big_ui(ui, "Checking the take");
+            ui.spinner();
+        }
+        RecordingPhase::Review => match &step.verdict {
+            Some(verdict) => verdict_ui(ui, verdict, names, &cx.palette),
+            None => big_ui(ui, "Recorded"),
+        },
+        RecordingPhase::Done => {}
+    }
+    ui.add_space(14.0);
+    buttons_ui(ui, cx, state, scene, actions);
+    problems_ui(ui, cx, scene);
+    undo_ui(ui, scene, actions);
+    if takes_notes(scene.phase) || scene.phase == RecordingPhase::Review {
+        note_ui(ui, state, scene, actions);
+    }
+    if !matches!(
+        scene.phase,
+        RecordingPhase::PlaceObject | RecordingPhase::StartPose | RecordingPhase::Review
+    ) {
+        ui.ctx().request_repaint_after(Duration::from_millis(50));
+    }
+}
+
+fn big_ui(ui: &mut egui::Ui, text: &str) {
+    ui.label(RichText::new(text).size(30.0).strong());
+}
+
+fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, step: &RecordingStep) {
+    ui.label(RichText::new(&step.instruction).size(22.0));
+    ui.add_space(8.0);
+    let mut trusted = !state.fixture_elsewhere;
+    ui.checkbox(&mut trusted, "The fixture holds it where the plan says").on_hover_text(
+        "Off: its place is not trusted, so distances to it will not be used to judge the simulation",
+    );
+    state.fixture_elsewhere = !trusted;
+}
+
+fn start_pose_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, state: &RecordState, scene: &Scene<'_>) {
+    if state.went_to_start == scene.session.current {
+        big_ui(ui, "Ready to run");
+        ui.label(
+            RichText::new("Step back. A countdown follows, then the robot moves by itself; Space stops it.")
+                .size(18.0),
+        );
+    } else {
+        big_ui(ui, "Bring the robot to its start");
+        ui.label(
+            RichText::new(
+                "The button does it, slowly. Or jog or lead it there by hand on Hand, and run from there.",
+            )
+            .size(18.0),
+        );
+    }
+    if let Some(why) = scene.not_ready {
+        ui.add_space(6.0);
+        ui.label(RichText::new(why).size(18.0).color(cx.palette.warning));
+    }
+}
+
+fn countdown_ui(ui: &mut egui::Ui, left_s: f32, palette: &Palette) {
+    let seconds = left_s.max(0.0).ceil();
+    ui.vertical_centered(|ui| {
+        let digits =
+            RichText::new(format!("{seconds:.0}")).size(COUNTDOWN_POINTS).strong().color(palette.real);
+        let response = ui.label(digits);
+        response.widget_info(|| {
+            egui::WidgetInfo::labeled(Role::Label, true, format!("Starts in {seconds:.0} s"))
+        });
+        ui.label(RichText::new("Hands off: the robot is about to move").size(24.0));
+    });
+}
+
+fn running_ui(ui: &mut egui::Ui, scene: &Scene<'_>, step: &RecordingStep) {
+    let status = &scene.status;
+    let activity = if status.activity.is_empty() { "Recording" } else { &status.activity };
+    big_ui(ui, activity);
+    let fraction = status.fraction.clamp(0.0, 1.0);
+    let left_s = step.duration_s * f64::from(1.0 - fraction);
+    ui.add(egui::ProgressBar::new(fraction).desired_height(28.0).text(format!(
+        "{:.0} %, {} left",
+        fraction * 100.0,
+        duration_text(left_s)
+    )));
+    ui.label(format!("Recorded {}", duration_text(f64::from(status.elapsed_s))));
+}
+
+fn verdict_ui(ui: &mut egui::Ui, verdict: &TakeVerdict, names: &Names, palette: &Palette) {
+    let (sign, word, color) = if verdict.good {
+        ("\u{2714}", "Good take", palette.diagnosed)
+    } else {
+        ("\u{26a0}", "Look at this take", palette.warning)
+    };
+    ui.label(RichText::new(format!("{sign} {word}")).size(30.0).strong().color(color));
+    ui.label(RichText::new(&verdict.summary).size(18.0));
+    for problem in &verdict.problems {
+        ui.label(format!("\u{2022} {problem}"));
+    }
+    if !verdict.missed.is_empty() {
+        ui.label(format!("Not touched: {}", name_list(&verdict.missed, names)));
+    }
+    ui.label(RichText::new(format!("{} channels touched", verdict.covered.len())).color(palette.text_weak));
+    let rates: Vec<String> =
+        verdict.rates_hz.iter().map(|(name, rate_hz)| format!("{name} {rate_hz:.1} Hz")).collect();
+    if !rates.is_empty() {
+        ui.label(RichText::new(rates.join(", ")).color(palette.text_weak));
+    }
+}
+
+/// Names of channels, the first ones in full.
+fn name_list(ids: &[String], names: &Names) -> String {
+    let shown: Vec<&str> =
+        ids.iter().take(MOST_NAMES).map(|id| names.get(id).map_or(id.as_str(), String::as_str)).collect();
+    let more = ids.len().saturating_sub(MOST_NAMES);
+    if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
+}
+
+/// The primary button, and beside it what else can be done.
+fn buttons_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &RecordState,
+    scene: &Scene<'_>,
+    actions: &mut Vec<RecordingAction>,
+) {
+    ui.horizontal_wrapped(|ui| {
+        let main = primary(scene, state, cx.store);
+        if let Some((name, action)) = &main {
+            let ready = !scene.waits && !(moves(action) && scene.not_ready.is_some());
+            let button = egui::Button::new(RichText::new(format!("{name}  \u{21b5}")).size(20.0).strong())
+                .fill(ui.visuals().selection.bg_fill)
+                .stroke(egui::Stroke::new(2.0, cx.palette.real))
+                .min_size(egui::vec2(260.0, 60.0));
+            let response = ui.add_enabled(ready, button).on_hover_text("Enter does the same");
+            response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, *name));
+            if response.clicked() {
+                actions.push(action.clone());
+            }
+        }
+        let mut second = |ui: &mut egui::Ui, name: &str, keys: &str, enabled: bool, action| {
+            let face = if keys.is_empty() { name.to_owned() } else { format!("{name}  {keys}") };
+            let button = egui::Button::new(RichText::new(face).size(16.0)).min_size(egui::vec2(120.0, 44.0));
+            let enabled = enabled && !scene.waits;
+            let response = ui.add_enabled(enabled, button);
+            response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, enabled, name));
+            if response.clicked() {
+                actions.push(action);
+            }
+        };
+        let lease = cx.store.control.lease();
+        let ready = scene.not_ready.is_none();
+        match scene.phase {
+            RecordingPhase::StartPose if state.went_to_start == scene.session.current => {
+                second(ui, "Go to start pose", "", ready, RecordingAction::GoToStart { lease });
+            }
+            RecordingPhase::StartPose => second(ui, "Run", "", ready, RecordingAction::Run { lease }),
+            RecordingPhase::Review => {
+                second(ui, "Record again", "R", true, RecordingAction::Again);
+                second(ui, "Discard", "Del", true, RecordingAction::Discard);
+            }
+            RecordingPhase::GoingToStart
+            | RecordingPhase::Baseline
+            | RecordingPhase::Countdown
+            | RecordingPhase::Running => second(ui, "Cancel", "", true, RecordingAction::Cancel),
+            RecordingPhase::PlaceObject | RecordingPhase::Checking | RecordingPhase::Done => {}
+        }
+    });
+}
+
+/// What did not work: the server's reason, and the answer to the last thing that was tried.
+fn problems_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, scene: &Scene<'_>) {
+    let refused = cx.store.recording_problem.as_deref();
+    let reported = Some(scene.session.problem.as_str()).filter(|problem| !problem.is_empty());
+    let mut shown: Vec<&str> = reported.into_iter().chain(refused).collect();
+    shown.dedup();
+    for problem in shown {
+        ui.add_space(6.0);
+        ui.label(RichText::new(format!("\u{26a0} {problem}")).size(16.0).color(cx.palette.mismatch));
+    }
+}
+
+fn undo_ui(ui: &mut egui::Ui, scene: &Scene<'_>, actions: &mut Vec<RecordingAction>) {
+    if !scene.session.can_undo {
+        return;
+    }
+    ui.add_space(8.0);
+    ui.horizontal(|ui| {
+        ui.label("A take was discarded.");
+        if ui.add_enabled(!scene.waits, egui::Button::new("Undo discard")).clicked() {
+            actions.push(RecordingAction::Undo);
+        }
+    });
+}
+
+fn note_ui(
+    ui: &mut egui::Ui,
+    state: &mut RecordState,
+    scene: &Scene<'_>,
+    actions: &mut Vec<RecordingAction>,
+) {
+    ui.add_space(12.0);
+    ui.horizontal(|ui| {
+        let field = egui::TextEdit::singleline(&mut state.note)
+            .hint_text("A remark on this moment, e.g. \"the ball slipped\"")
+            .desired_width(320.0)
+            .min_size(egui::vec2(0.0, 32.0));
+        let response = ui.add(field).accessible_name("Note");
+        let enter = response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
+        let text = state.note.trim();
+        let name = if text.is_empty() { "Mark" } else { "Add note" };
+        let face = if text.is_empty() { "Mark  M" } else { "Add note" };
+        let button = ui.add_enabled(!scene.waits, egui::Button::new(face));
+        button.widget_info(|| egui::WidgetInfo::labeled(Role::Button, !scene.waits, name));
+        if (button.clicked() || (enter && !text.is_empty())) && !scene.waits {
+            actions.push(RecordingAction::Note { text: text.to_owned() });
+            state.note.clear();
+        }
+    });
+    if ui.ctx().text_edit_focused() && takes_notes(scene.phase) {
+        ui.label("While you type, the space bar writes spaces. Esc, then Space stops; so does STOP.");
+    }
+}
+
+fn done_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, scene: &Scene<'_>, names: &Names) {
+    let session = scene.session;
+    let accepted = session.steps.iter().filter(|step| step.state == StepState::Accepted).count();
+    ui.add_space(30.0);
+    ui.label(
+        RichText::new("\u{2714} Every take is recorded").size(30.0).strong().color(cx.palette.diagnosed),
+    );
+    let takes = if accepted == 1 { "1 take is".to_owned() } else { format!("{accepted} takes are") };
+    ui.label(RichText::new(format!("{takes} accepted and part of session {}.", session.session)).size(18.0));
+    if !session.untouched.is_empty() {
+        ui.label(
+            RichText::new(format!(
+                "No take has touched: {}. They cannot be calibrated; choose a take on the left to record it again.",
+                name_list(&session.untouched, names)
+            ))
+            .color(cx.palette.warning),
+        );
+    }
+    ui.add_space(10.0);
+    let button = egui::Button::new(RichText::new("Calibrate on it").size(20.0).strong())
+        .min_size(egui::vec2(260.0, 60.0));
+    if ui.add(button).clicked() {
+        *cx.go_to = Some(Route::to(Screen::Calibrate).with_session(&session.session));
+    }
+}
