@@ -9,6 +9,7 @@
 
 mod arm;
 mod boards;
+mod control;
 mod faults;
 #[cfg(unix)]
 mod ports;
@@ -24,11 +25,13 @@ use palpate_device_protocol::xarm::FrameDecoder;
 use palpate_robot_model::Station;
 
 use crate::truth::Emulation;
-use crate::world::Event;
+use crate::world::{Event, Placed};
 use crate::{EmulationError, TruthWorld};
 pub use arm::ReportPort;
 use arm::{ArmBox, ArmModel};
 use boards::Board;
+pub use control::{ArmSnapshot, ControlError, LoggedStep, MotionLog, Push, StationControl, StationSnapshot};
+use control::{Shared, Wish};
 pub use faults::{Fault, Faults};
 #[cfg(unix)]
 pub use ports::{ArmPortNumbers, ArmPorts, DevicePorts, PortsConfig, PortsError, serve_devices};
@@ -114,6 +117,9 @@ pub struct EmulatedStation {
     offsets: Vec<f64>,
     /// True positions of every degree of freedom.
     positions: Vec<f64>,
+    /// Object in place.
+    object: Option<String>,
+    shared: Arc<Shared>,
     seed: u64,
     /// Steps done.
     num_steps: u64,
@@ -136,8 +142,8 @@ impl EmulatedStation {
                            and an xArm; use a station such as xarm6_leap";
             return Err(emulation.error("station", problem));
         };
-        let take = &emulation.truth.takes[0];
-        let pose = emulation.truth.objects[&take.object]
+        let take = &emulation.plan.takes[0];
+        let pose = emulation.plan.objects[&take.object]
             .to_isometry()
             .map_err(|problem| emulation.error(format!("object {:?}", take.object), problem))?;
         let mut world = TruthWorld::new(&emulation, &station.objects[&take.object], &pose, seed, 0)?;
@@ -158,7 +164,14 @@ impl EmulatedStation {
         let arm_rad: Vec<f64> = station.carrier_dofs.iter().map(|&dof| encoder(dof)).collect();
         let names = DeviceNames::of(&station);
         let wires = names.lines.iter().zip(0..).map(|(name, number)| Wire::new(name, seed, number)).collect();
-        Ok(Self {
+        let mut objects = BTreeMap::new();
+        for (id, pose) in &emulation.plan.objects {
+            let place = || format!("object {id:?}");
+            let pose = pose.to_isometry().map_err(|problem| emulation.error(place(), problem))?;
+            let placed = Placed::new(&emulation, &station.objects[id], &pose)?;
+            objects.insert(id.clone(), Arc::new(placed));
+        }
+        let new = Self {
             bus: ServoBus::new(&hand_rad, &stops),
             arm: ArmBox::new(arm_model, arm_rad),
             boards: Board::of(&station),
@@ -170,12 +183,21 @@ impl EmulatedStation {
             hand_dofs,
             offsets,
             positions: rest,
+            object: Some(take.object.clone()),
+            shared: Arc::new(Shared::new(Arc::clone(&station), objects)),
             seed,
             num_steps: 0,
             names,
             station,
             world,
-        })
+        };
+        new.tell();
+        Ok(new)
+    }
+
+    /// A handle that works while the station runs in another thread.
+    pub fn control(&self) -> StationControl {
+        StationControl::new(Arc::clone(&self.shared))
     }
 
     /// The station.
@@ -201,6 +223,11 @@ impl EmulatedStation {
     /// Says what is wrong from `now_ns` on, in place of what was.
     pub fn set_faults(&mut self, faults: Faults, now_ns: u64) {
         self.advance(now_ns);
+        self.shared.tell_faults(&faults);
+        self.begin(faults, now_ns);
+    }
+
+    fn begin(&mut self, faults: Faults, now_ns: u64) {
         let hits = |fault: &Fault| *fault == Fault::Collision;
         if faults.faults.iter().any(hits) && !self.faults.faults.iter().any(hits) {
             self.arm.collide();
@@ -237,10 +264,53 @@ impl EmulatedStation {
 
     /// Lets time pass until `now_ns` since the station started. Time never runs back: an earlier one changes nothing.
     pub fn advance(&mut self, now_ns: u64) {
+        for wish in self.shared.wishes() {
+            self.grant(wish);
+        }
         while self.num_steps < now_ns / STEP_NS {
             self.num_steps += 1;
             self.step();
         }
+    }
+
+    /// Does what a [`StationControl`] asked for.
+    fn grant(&mut self, wish: Wish) {
+        match wish {
+            Wish::Place(object) => {
+                let (id, placed) = object.unzip();
+                self.world.place(placed);
+                self.object = id;
+            }
+            Wish::Faults(faults) => self.begin(faults, self.num_steps * STEP_NS),
+            Wish::Push { dof, push } => {
+                let among = |dofs: &[usize]| dofs.iter().position(|&of| of == dof);
+                if let Some(servo) = among(&self.hand_dofs) {
+                    self.bus.push_joint(servo, push);
+                } else if let Some(joint) = among(&self.station.carrier_dofs) {
+                    self.arm.push_joint(joint, push);
+                }
+            }
+        }
+    }
+
+    /// Tells handles where everything is.
+    fn tell(&self) {
+        self.shared.tell(|snapshot| {
+            snapshot.device_ns = self.num_steps * STEP_NS;
+            snapshot.positions.clone_from(&self.positions);
+            snapshot.velocities.resize(self.positions.len(), 0.0);
+            snapshot.torque_on.resize(self.positions.len(), false);
+            for (&dof, servo) in self.hand_dofs.iter().zip(self.bus.servos()) {
+                snapshot.velocities[dof] = servo.rad_per_sec();
+                snapshot.torque_on[dof] = servo.torque_is_on();
+            }
+            for (joint, &dof) in self.station.carrier_dofs.iter().enumerate() {
+                snapshot.velocities[dof] = self.arm.rad_per_sec()[joint];
+                snapshot.torque_on[dof] = self.arm.is_driven(joint);
+            }
+            snapshot.arm = self.arm.snapshot();
+            snapshot.object.clone_from(&self.object);
+        });
     }
 
     fn step(&mut self) {
@@ -271,6 +341,7 @@ impl EmulatedStation {
                 Ok(())
             });
         debug_assert!(advanced.is_ok(), "the sink cannot fail");
+        self.tell();
         if self.faults.unplugged(ARM) {
             return;
         }

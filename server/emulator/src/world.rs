@@ -42,8 +42,7 @@ const HUM_PART: u64 = 0xffff;
 /// time.
 pub struct TruthWorld {
     station: Arc<Station>,
-    object: SignedDistance,
-    object_from_base: Isometry3<f64>,
+    object: Option<Arc<Placed>>,
     layers: Vec<Layer>,
     sensors: Vec<Sensors>,
     /// Layers that press on each other.
@@ -62,6 +61,28 @@ pub struct TruthWorld {
     frames: Vec<Isometry3<f64>>,
     positions: Vec<f64>,
     analog_raw: Vec<f64>,
+}
+
+/// An object where it stands.
+#[derive(Clone, Debug)]
+pub(crate) struct Placed {
+    surface: SignedDistance,
+    object_from_base: Isometry3<f64>,
+}
+
+impl Placed {
+    /// `object` at `base_from_object`, of the size that it really has in the world of `emulation`.
+    pub(crate) fn new(
+        emulation: &Emulation,
+        object: &ObjectModel,
+        base_from_object: &Isometry3<f64>,
+    ) -> Result<Self, EmulationError> {
+        let scaled =
+            emulation.secrets.object_scales.get(&object.id).map(|&factor| object.shape.scaled(factor));
+        let surface = SignedDistance::new(scaled.as_ref().unwrap_or(&object.shape))
+            .map_err(|problem| emulation.error(format!("object {:?}", object.id), problem))?;
+        Ok(Self { surface, object_from_base: base_from_object.inverse() })
+    }
 }
 
 /// Something that reached the host.
@@ -98,9 +119,7 @@ impl TruthWorld {
     ) -> Result<Self, EmulationError> {
         let station = Arc::clone(&emulation.station);
         let (truth, secrets) = (&emulation.truth, &emulation.secrets);
-        let scaled = secrets.object_scales.get(&object.id).map(|&factor| object.shape.scaled(factor));
-        let distance = SignedDistance::new(scaled.as_ref().unwrap_or(&object.shape))
-            .map_err(|problem| emulation.error(format!("object {:?}", object.id), problem))?;
+        let placed = Placed::new(emulation, object, base_from_object)?;
         let mut world_rng = ChaCha8Rng::seed_from_u64(truth.world_seed);
         let gains: Vec<f64> = station
             .layout
@@ -190,8 +209,7 @@ impl TruthWorld {
         let joints: Vec<_> = station.robot.dofs().collect();
         let revolute = |joint: &palpate_robot_model::Joint| joint.kind == JointKind::Revolute;
         Ok(Self {
-            object: distance,
-            object_from_base: base_from_object.inverse(),
+            object: Some(Arc::new(placed)),
             layers,
             sensors,
             touching: self_contact::pairs(&station.layout, &secrets.touching),
@@ -223,6 +241,11 @@ impl TruthWorld {
             analog_raw: Vec::new(),
             station,
         })
+    }
+
+    /// Puts another object in the place of the present one, or none.
+    pub(crate) fn place(&mut self, object: Option<Arc<Placed>>) {
+        self.object = object;
     }
 
     /// Time since the take's start, s; negative while the devices are warming up.
@@ -289,7 +312,12 @@ impl TruthWorld {
             cabling.bend(self.linkage.links(), self.linkage.speeds(), block_s);
         }
         for layer in &mut self.layers {
-            layer.approach(&self.object, &(self.object_from_base * self.frames[layer.link]));
+            match self.object.as_deref() {
+                Some(Placed { surface, object_from_base }) => {
+                    layer.approach(surface, &(object_from_base * self.frames[layer.link]));
+                }
+                None => layer.recede(),
+            }
         }
         self_contact::press(&mut self.layers, &self.touching, &self.frames);
         for step in 1..=STEPS_PER_BLOCK {

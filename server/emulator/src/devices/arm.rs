@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 use nalgebra::Isometry3;
 use palpate_device_protocol::xarm::{NUM_JOINT_SLOTS, Pose, StateFlags};
 
+use super::control::{ArmSnapshot, Hand, Push};
 pub(crate) use kinematics::ArmModel;
 use kinematics::from_pose;
 use motion::{MOST_RAD_PER_SEC, Move, Track, chase, ramp};
@@ -64,6 +65,9 @@ const COULOMB_NM: f64 = 1.0;
 const VISCOUS_NM_S: f64 = 1.0;
 const INERTIA_KG_M2: f64 = 0.3;
 const TORQUE_NM_PER_A: f64 = 10.0;
+
+/// A hand that leads the arm.
+const ARM_HAND: Hand = Hand { most_nm: 20.0, nm_s_per_rad: 60.0 };
 
 /// What clients set.
 #[derive(Clone, Debug)]
@@ -135,6 +139,8 @@ pub(crate) struct ArmBox {
     target_rad: Option<Vec<f64>>,
     /// Joint velocities and the steps left for them, if bounded.
     velocity: Option<(Vec<f64>, Option<u64>)>,
+    /// Who pushes each joint by hand.
+    pushes: Vec<Push>,
     stop_is_pressed: bool,
     until_boundary_look: u32,
     num_rich_reports: u32,
@@ -149,7 +155,7 @@ impl ArmBox {
             model,
             joints_rad,
             rad_per_sec: still.clone(),
-            rad_per_sec2: still,
+            rad_per_sec2: still.clone(),
             mode: mode::POSITION,
             resting_state: state::STOPPED,
             error: 0,
@@ -161,6 +167,7 @@ impl ArmBox {
             track: None,
             target_rad: None,
             velocity: None,
+            pushes: vec![Push::NONE; still.len()],
             stop_is_pressed: false,
             until_boundary_look: 0,
             num_rich_reports: 0,
@@ -213,6 +220,26 @@ impl ArmBox {
         self.stop_is_pressed = pressed;
     }
 
+    /// Who pushes a joint by hand.
+    pub(crate) fn push_joint(&mut self, joint: usize, push: Push) {
+        self.pushes[joint] = push;
+    }
+
+    /// Velocities of the joints, rad/s.
+    pub(crate) fn rad_per_sec(&self) -> &[f64] {
+        &self.rad_per_sec
+    }
+
+    /// Whether a joint is enabled with its brake released.
+    pub(crate) fn is_driven(&self, joint: usize) -> bool {
+        self.enable_bits & self.brake_bits & (1 << joint) != 0
+    }
+
+    /// What the box says of itself.
+    pub(crate) fn snapshot(&self) -> ArmSnapshot {
+        ArmSnapshot { mode: self.mode, state: self.state(), error: self.error, warning: self.warning }
+    }
+
     /// The arm hit something.
     pub(crate) fn collide(&mut self) {
         self.fail(error::COLLISION);
@@ -258,6 +285,8 @@ impl ArmBox {
             self.rad_per_sec.fill(0.0);
         } else if self.track.is_some() || (!self.queue.is_empty() && self.resting_state == state::READY) {
             self.step_track(dt_s);
+        } else if self.mode == mode::LEAD_THROUGH && self.resting_state == state::READY {
+            self.step_led(dt_s);
         } else {
             self.step_joints(dt_s);
         }
@@ -313,6 +342,26 @@ impl ArmBox {
                 self.rad_per_sec[joint] = 0.0;
             }
             self.fail(error::JOINT_LIMIT);
+        }
+    }
+
+    /// Lead-through: gravity is made up for, friction and inertia remain, and who pushes moves the arm up to its limits.
+    fn step_led(&mut self, dt_s: f64) {
+        let most = self.most_rad_per_sec();
+        for joint in 0..self.joints_rad.len() {
+            let velocity = self.rad_per_sec[joint];
+            let torque_nm = self.pushes[joint].torque_nm(velocity, &ARM_HAND) - VISCOUS_NM_S * velocity;
+            let pushed = velocity + torque_nm / INERTIA_KG_M2 * dt_s;
+            // Dry friction takes speed away and never gives any.
+            let slowed = (pushed.abs() - COULOMB_NM / INERTIA_KG_M2 * dt_s).max(0.0).copysign(pushed);
+            let velocity = slowed.clamp(-most, most);
+            let wanted_rad = self.joints_rad[joint] + velocity * dt_s;
+            let angle_rad = match self.model.limits(joint) {
+                Some(limits) => wanted_rad.clamp(limits.lower, limits.upper),
+                None => wanted_rad,
+            };
+            self.joints_rad[joint] = angle_rad;
+            self.rad_per_sec[joint] = if angle_rad == wanted_rad { velocity } else { 0.0 };
         }
     }
 

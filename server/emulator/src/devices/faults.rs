@@ -1,7 +1,7 @@
 //! What can go wrong with the emulated devices, as a file that says what is wrong now.
 
 use palpate_robot_model::Station;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
 
@@ -18,7 +18,7 @@ use super::DeviceNames;
 /// kind = "stuck"
 /// joint = "index_pip"
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Faults {
     /// One after another; none for a station in order.
@@ -27,7 +27,7 @@ pub struct Faults {
 }
 
 /// One thing that is wrong. Devices are named as their links are: `u2d2`, `twintac0`, ..., `fsr`, and `xarm`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "kind")]
 pub enum Fault {
     /// The device is gone; a serial link disappears, the arm's ports close.
@@ -120,11 +120,26 @@ impl Faults {
                 source.message().to_owned(),
             )
         })?;
-        let names = DeviceNames::of(station);
-        for (idx, fault) in faults.faults.iter().enumerate() {
-            fault.check(&names, station).map_err(|problem| error(format!("fault {}", idx + 1), problem))?;
-        }
+        faults.check(file, station)?;
         Ok(faults)
+    }
+
+    /// Whether `station` can have these faults; `place` says in the error where they come from.
+    pub fn check(&self, place: &str, station: &Station) -> Result<(), EmulationError> {
+        let names = DeviceNames::of(station);
+        for (idx, fault) in self.faults.iter().enumerate() {
+            fault.check(&names, station).map_err(|problem| EmulationError::Truth {
+                file: place.to_owned(),
+                place: format!("fault {}", idx + 1),
+                problem,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The file that says so.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
     }
 
     /// Whether `device` is unplugged.

@@ -97,6 +97,21 @@ impl Servo {
         self.motor.angle_rad - PI
     }
 
+    /// Velocity of the joint, rad/s.
+    pub(crate) fn rad_per_sec(&self) -> f64 {
+        self.motor.velocity_rad_per_sec
+    }
+
+    /// Whether the motor holds the joint or moves it.
+    pub(crate) fn torque_is_on(&self) -> bool {
+        self.table.torque_is_on() && self.is_awake()
+    }
+
+    /// What pushes the joint from outside in the next step, N m.
+    pub(crate) fn set_outside_nm(&mut self, torque_nm: f64) {
+        self.motor.outside_nm = torque_nm;
+    }
+
     /// Current drawn, A.
     pub(crate) fn current_a(&self) -> f64 {
         self.motor.current_a

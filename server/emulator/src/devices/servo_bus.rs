@@ -5,11 +5,15 @@ use palpate_device_protocol::dynamixel::{
     StatusError, encode_fast,
 };
 
+use super::control::{Hand, Push};
 use super::servo::{FIRMWARE, Servo, ServoFaults};
 
 /// Supply of the hand, V, and what its cable and connectors cost, ohm.
 const SUPPLY_V: f64 = 5.0;
 const CABLE_OHM: f64 = 0.05;
+
+/// A hand that moves a finger.
+const SERVO_HAND: Hand = Hand { most_nm: 0.6, nm_s_per_rad: 1.0 };
 
 /// An answer on its way to the host.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +27,7 @@ pub(crate) struct Answer {
 #[derive(Clone, Debug)]
 pub(crate) struct ServoBus {
     servos: Vec<Servo>,
+    pushes: Vec<Push>,
     decoder: Decoder,
     /// When the line falls silent, ns.
     free_ns: u64,
@@ -35,6 +40,7 @@ impl ServoBus {
         let servos = joints_rad.iter().zip(stops_rad).zip(0..);
         Self {
             servos: servos.map(|((&joint_rad, &stops), id)| Servo::new(id, joint_rad, stops)).collect(),
+            pushes: vec![Push::NONE; joints_rad.len()],
             decoder: Decoder::default(),
             free_ns: 0,
             supply_v: SUPPLY_V,
@@ -44,6 +50,16 @@ impl ServoBus {
     /// Angles of the joints by their encoders, rad.
     pub(crate) fn joints_rad(&self) -> impl Iterator<Item = f64> + '_ {
         self.servos.iter().map(Servo::joint_rad)
+    }
+
+    /// The servos, by id.
+    pub(crate) fn servos(&self) -> &[Servo] {
+        &self.servos
+    }
+
+    /// Who pushes the joint of the servo at `idx` by hand.
+    pub(crate) fn push_joint(&mut self, idx: usize, push: Push) {
+        self.pushes[idx] = push;
     }
 
     /// What is wrong, for each servo, and what the supply gives in place of its nominal voltage.
@@ -58,7 +74,8 @@ impl ServoBus {
     pub(crate) fn step(&mut self) {
         let current_a: f64 = self.servos.iter().map(|servo| servo.current_a().abs()).sum();
         let supply_v = (self.supply_v - CABLE_OHM * current_a).max(0.0);
-        for servo in &mut self.servos {
+        for (servo, push) in self.servos.iter_mut().zip(&self.pushes) {
+            servo.set_outside_nm(push.torque_nm(servo.rad_per_sec(), &SERVO_HAND));
             servo.step(supply_v);
         }
     }

@@ -186,6 +186,18 @@ fn a_hand_that_is_moved_onto_the_object_feels_it_until_it_leaves() {
     }
     assert!(pressed >= 300.0, "nothing felt {down_m} m further down");
     assert!(down_m > 0.02, "felt too soon");
+    // Without the object there is nothing to feel, and with it again as much as before.
+    let control = station.control();
+    control.place_object(None).unwrap();
+    station.advance(now_ns + 2 * S_NS);
+    now_ns += 2 * S_NS;
+    let alone = feel(&mut station, fsr, 4, &mut now_ns);
+    assert!(alone < 50.0, "what is gone is felt: {alone}");
+    control.place_object(Some("sphere_50mm")).unwrap();
+    station.advance(now_ns + 2 * S_NS);
+    now_ns += 2 * S_NS;
+    let again = feel(&mut station, fsr, 4, &mut now_ns);
+    assert!((again - pressed).abs() < 0.15 * pressed, "{again} after {pressed}");
     lower(&mut station, client, &mut now_ns, -down_m);
     let after = feel(&mut station, fsr, 4, &mut now_ns);
     assert!(after < 50.0, "it lingers: {after}");

@@ -160,6 +160,12 @@ impl Layer {
         }
     }
 
+    /// Tells that there will be no object at the end of the coming steps.
+    pub(crate) fn recede(&mut self) {
+        std::mem::swap(&mut self.depth_start_m, &mut self.depth_end_m);
+        self.depth_end_m.fill(0.0);
+    }
+
     /// Tells where another layer will be at the end of the coming steps; to be called after [`Layer::approach`]. Two
     /// soft skins that overlap each give way by half.
     pub(crate) fn approach_layer(&mut self, other: &Layer, self_from_other: &Isometry3<f64>) {

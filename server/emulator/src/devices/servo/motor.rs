@@ -48,6 +48,8 @@ pub(crate) struct Motor {
     /// Share of the supply on the winding.
     pub(crate) pwm: f64,
     pub(crate) temperature_c: f64,
+    /// What pushes the joint from outside, N m.
+    pub(crate) outside_nm: f64,
     /// The joint's stops.
     stops_rad: (f64, f64),
 }
@@ -60,6 +62,7 @@ impl Motor {
             current_a: 0.0,
             pwm: 0.0,
             temperature_c: AMBIENT_C + IDLE_W * WARMING_K_PER_W,
+            outside_nm: 0.0,
             stops_rad,
         }
     }
@@ -79,7 +82,8 @@ impl Motor {
                 (current_a, if supply_v > 0.0 { volts / supply_v } else { 0.0 })
             }
         };
-        let torque_nm = TORQUE_NM_PER_A * self.current_a - VISCOUS_NM_S * self.velocity_rad_per_sec;
+        let torque_nm =
+            TORQUE_NM_PER_A * self.current_a - VISCOUS_NM_S * self.velocity_rad_per_sec + self.outside_nm;
         let pushed = self.velocity_rad_per_sec + torque_nm / INERTIA_KG_M2 * dt_s;
         // Dry friction takes speed away and never gives any.
         let slowed = (pushed.abs() - COULOMB_NM / INERTIA_KG_M2 * dt_s).max(0.0);
