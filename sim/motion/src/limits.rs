@@ -23,8 +23,6 @@ pub struct MotionLimits {
     pub velocity: Vec<f64>,
     /// Largest acceleration, rad/s² or m/s².
     pub acceleration: Vec<f64>,
-    /// Where the tactile skin may go, in the frame of the robot's root link.
-    pub workspace: Option<WorkspaceBox>,
 }
 
 impl MotionLimits {
@@ -37,7 +35,6 @@ impl MotionLimits {
             upper: each(|joint| joint.upper),
             velocity: each(|joint| joint.velocity),
             acceleration: each(|joint| joint.acceleration),
-            workspace: station.safety.workspace,
         }
     }
 
@@ -47,7 +44,7 @@ impl MotionLimits {
             joint.limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |limits| (limits.lower, limits.upper))
         };
         let (lower, upper) = station.robot.dofs().map(range).unzip();
-        Self { lower, upper, velocity, acceleration, workspace: None }
+        Self { lower, upper, velocity, acceleration }
     }
 
     /// The station with its robot's limits narrowed to these; or which joint is left without room.
@@ -88,30 +85,6 @@ impl MotionLimits {
         Ok(station)
     }
 
-    /// Why `motion` leaves the workspace, if it does: which patch, where and when.
-    pub(crate) fn outside(&self, station: &Station, motion: &TakeMotion) -> Option<String> {
-        let WorkspaceBox { min_m, max_m } = self.workspace?;
-        let mut positions = motion.start().to_vec();
-        let mut frames = Vec::new();
-        let steps = (motion.duration_s() / WORKSPACE_PERIOD_S).ceil() as usize;
-        (0..=steps).find_map(|step| {
-            let time_s = step as f64 * WORKSPACE_PERIOD_S;
-            motion.at(time_s, &mut positions);
-            station.robot.forward_kinematics(&positions, &mut frames);
-            station.layout.patches.iter().find_map(|patch| {
-                let nodes = patch.nodes.iter().map(|node| frames[patch.link] * node.pos_in_link);
-                let out = |pos: &Point3<f64>| (0..3).any(|axis| !(min_m[axis]..=max_m[axis]).contains(&pos[axis]));
-                nodes.into_iter().find(out).map(|pos| {
-                    format!(
-                        "{:?} would be at [{:.3}, {:.3}, {:.3}] m after {time_s:.1} s, outside safety.workspace of the \
-                         station: move the object, or widen the workspace",
-                        patch.id, pos.x, pos.y, pos.z
-                    )
-                })
-            })
-        })
-    }
-
     /// The segment, or the same way in more time where a joint would be too fast or gain speed too fast.
     pub(crate) fn slowed(&self, mut segment: Segment) -> Segment {
         let needed_s = segment.peaks().into_iter().enumerate().map(|(dof, peak)| {
@@ -122,6 +95,30 @@ impl MotionLimits {
         segment.duration_s = needed_s.fold(segment.duration_s, f64::max);
         segment
     }
+}
+
+/// Why `motion` leaves the station's workspace, if it does: which patch, where and when.
+pub(crate) fn outside(station: &Station, motion: &TakeMotion) -> Option<String> {
+    let WorkspaceBox { min_m, max_m } = station.safety.workspace?;
+    let mut positions = motion.start().to_vec();
+    let mut frames = Vec::new();
+    let steps = (motion.duration_s() / WORKSPACE_PERIOD_S).ceil() as usize;
+    (0..=steps).find_map(|step| {
+        let time_s = step as f64 * WORKSPACE_PERIOD_S;
+        motion.at(time_s, &mut positions);
+        station.robot.forward_kinematics(&positions, &mut frames);
+        station.layout.patches.iter().find_map(|patch| {
+            let nodes = patch.nodes.iter().map(|node| frames[patch.link] * node.pos_in_link);
+            let out = |pos: &Point3<f64>| (0..3).any(|axis| !(min_m[axis]..=max_m[axis]).contains(&pos[axis]));
+            nodes.into_iter().find(out).map(|pos| {
+                format!(
+                    "{:?} would be at [{:.3}, {:.3}, {:.3}] m after {time_s:.1} s, outside safety.workspace of the \
+                     station: move the object, or widen the workspace",
+                    patch.id, pos.x, pos.y, pos.z
+                )
+            })
+        })
+    })
 }
 
 #[cfg(test)]
@@ -142,7 +139,7 @@ mod tests {
         ) {
             let open = vec![f64::INFINITY; 3];
             let lower = open.iter().map(|bound| -bound).collect();
-            let limits = MotionLimits { lower, upper: open, velocity, acceleration, workspace: None };
+            let limits = MotionLimits { lower, upper: open, velocity, acceleration };
             let segment = limits.slowed(Segment { duration_s, waypoints });
             prop_assert!(segment.duration_s >= duration_s);
             prop_assert_eq!(&limits.slowed(segment.clone()), &segment);

@@ -6,6 +6,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::contact::{Postures, find_contacts, limb_dofs};
+use crate::limits::outside;
 use crate::path::{JointPath, Segment};
 use crate::primitive::{Actuator, Primitive, Primitives};
 use crate::touch::{Strokes, travel_s};
@@ -72,7 +73,7 @@ struct PlannedTouch {
 /// Plans the take at `take_idx` of `plan` on `station`. Primitives that the plan does not hold come from `primitives`.
 ///
 /// With `limits` the motion keeps below nine tenths of every speed and acceleration, lasts at least the take's
-/// `duration_s`, and stays within the positions. Without, it is as the plan says, and refused where the time is too
+/// `duration_s`, and stays within the positions and the workspace of the station's safety section. Without, it is as the plan says, and refused where the time is too
 /// short. Same arguments, same motion, to the bit.
 pub fn plan_take(
     station: &Station,
@@ -160,7 +161,7 @@ impl Planner<'_> {
             )));
         }
         let motion = self.assemble(&touches, &way_home, spare_s.max(0.0) / (touches.len() + 1) as f64);
-        match self.limits.and_then(|limits| limits.outside(self.scene.station, &motion)) {
+        match self.limits.and_then(|_| outside(self.scene.station, &motion)) {
             Some(problem) => Err(self.error(problem)),
             None => Ok(motion),
         }

@@ -196,13 +196,13 @@ fn narrower_positions_are_kept_or_the_joint_is_named() {
 
 #[test]
 fn a_motion_that_leaves_the_workspace_says_which_patch_and_when() {
-    let (station, plan) = (station("xarm6_leap"), plan("quick_check"));
-    let mut limits = MotionLimits::of(&station);
-    limits.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.0], max_m: [1.0, 1.0, 1.5] });
+    let (mut station, plan) = (station("xarm6_leap"), plan("quick_check"));
+    let limits = MotionLimits::of(&station);
+    station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.0], max_m: [1.0, 1.0, 1.5] });
     let motion = planned(&station, &plan, 0, Some(&limits));
     check(&station, &plan, 0, &motion, Some(&limits));
     // The hand rests above this and comes down to touch the sphere's top at 0.24 m.
-    limits.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.27], max_m: [1.0, 1.0, 1.5] });
+    station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.27], max_m: [1.0, 1.0, 1.5] });
     let error = plan_take(&station, &plan, &Primitives::new(), 0, Some(&limits)).unwrap_err().to_string();
     assert!(error.contains("take 1") && error.contains("outside safety.workspace"), "{error}");
 }
