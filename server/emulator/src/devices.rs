@@ -134,7 +134,10 @@ impl EmulatedStation {
         let hand_dofs = hand_dofs(&station);
         let ids_left = usize::from(palpate_device_protocol::dynamixel::MAX_ID) + 1;
         let rest = emulation.rest();
-        let offsets = emulation.positions(&emulation.truth.joints.offset, &vec![0.0; rest.len()]);
+        let mut offsets = emulation.positions(&emulation.truth.joints.offset, &vec![0.0; rest.len()]);
+        for (offset, hidden) in offsets.iter_mut().zip(&emulation.secrets.joint_offsets) {
+            *offset += hidden;
+        }
         let arm_model = ArmModel::new(Arc::clone(&station), rest.clone());
         let (Some(arm_model), 1..) = (arm_model.filter(|_| hand_dofs.len() <= ids_left), hand_dofs.len())
         else {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use palpate_device_protocol::dynamixel::{Decoder, Instruction, Request, Status};
 use palpate_device_protocol::lines::{LineDecoder, RowAssembler};
-use palpate_device_protocol::xarm::{Command, Pose, Protocol, Reply};
+use palpate_device_protocol::xarm::{Command, Pose, Protocol, Reply, ReportDecoder, ReportKind};
 
 use super::*;
 
@@ -318,4 +318,28 @@ fn wrong_faults_are_refused_with_their_place() {
 fn a_station_without_a_hand_is_refused() {
     let error = EmulatedStation::new(&shipped("bench.toml"), 0).map(|_| ()).expect_err("no hand").to_string();
     assert!(error.contains("has no hand on an arm"), "{error}");
+}
+
+#[test]
+fn reports_come_at_their_ports_rates_with_the_boxs_time() {
+    let mut station = station(0);
+    let mut all = Vec::new();
+    // Looked at in uneven steps, as by a busy machine.
+    for now_ms in (0..=2000).step_by(37).chain([2000]) {
+        all.extend(station.reports(now_ms * MS_NS));
+    }
+    for (port, kind, per_2_s) in [
+        (ReportPort::Realtime, ReportKind::Realtime, 500),
+        (ReportPort::Real, ReportKind::Real, 200),
+        (ReportPort::Normal, ReportKind::Normal, 10),
+        (ReportPort::Rich, ReportKind::Normal, 10),
+    ] {
+        let bytes: Vec<u8> = all.iter().filter(|(of, _)| *of == port).flat_map(|(_, b)| b.clone()).collect();
+        let reports = ReportDecoder::new(kind).feed(&bytes);
+        assert_eq!(reports.len(), per_2_s, "{port:?}");
+        let times: Vec<u64> =
+            reports.iter().filter_map(|report| report.realtime.as_ref()).map(|r| r.box_time_us).collect();
+        assert!(times.windows(2).all(|pair| pair[1] - pair[0] == 4000), "{port:?}: {times:?}");
+        assert_eq!(times.len(), if port == ReportPort::Realtime { per_2_s } else { 0 });
+    }
 }

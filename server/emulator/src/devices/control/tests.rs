@@ -190,3 +190,28 @@ fn the_motion_log_has_every_step_in_device_time_and_is_bounded() {
     station.advance(3 * S_NS);
     assert_eq!(control.take_motion_log(), MotionLog::default());
 }
+
+#[test]
+fn a_servo_whose_host_falls_silent_stops_within_its_watchdogs_time_by_the_stations_clock() {
+    let mut station = station();
+    let control = station.control();
+    write(&mut station, 1, 64, &[1], 0);
+    write(&mut station, 1, 112, &20_u32.to_le_bytes(), 0);
+    // Five times 20 ms.
+    write(&mut station, 1, 98, &[5], 0);
+    control.log_motion(2000);
+    let silent_ns = 200 * MS_NS;
+    for ms in (0..=200).step_by(50) {
+        write(&mut station, 1, 116, &2700_u32.to_le_bytes(), ms * MS_NS);
+    }
+    // The clock is looked at once, long after.
+    station.advance(2 * S_NS);
+    let log = control.take_motion_log();
+    let joint = dof(&station, "index_mcp_forward");
+    let speed =
+        |ns: u64| log.steps.iter().find(|step| step.device_ns == ns).map(|step| step.velocities[joint]);
+    assert!(speed(silent_ns + 90 * MS_NS).expect("a step") > 0.3, "still fed");
+    let still_ns = log.still_since_ns(0.05).expect("it stops") - silent_ns;
+    assert!((100 * MS_NS..250 * MS_NS).contains(&still_ns), "{still_ns}");
+    assert!(control.snapshot().torque_on[joint], "it holds");
+}

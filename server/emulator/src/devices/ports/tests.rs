@@ -7,6 +7,7 @@ use std::sync::mpsc;
 use palpate_device_protocol::xarm::{Command, FrameDecoder, Protocol, Reply, ReportDecoder, ReportKind};
 
 use super::*;
+use crate::devices::Fault;
 
 const IP: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 /// Longer than anything here takes on a machine that has other things to do.
@@ -118,4 +119,27 @@ fn free_ports_are_told_work_and_come_back_after_the_arm_was_unplugged() {
         notices.iter().all(|notice| notice.contains("come back") || notice.contains("fell behind")),
         "{notices:?}"
     );
+}
+
+#[test]
+fn a_handle_works_while_the_station_runs_and_a_file_of_faults_that_changes_has_the_last_word() {
+    let station = station();
+    let control = station.control();
+    let unplugged = |device: &str| Faults { faults: vec![Fault::Unplug { device: device.into() }] };
+    let (_, notices) = while_served(station, |ports, dir| {
+        until("time stands still", || control.snapshot().device_ns > 10_000_000);
+        control.set_faults(unplugged("fsr")).expect("faults");
+        let gone = |name: &str| !dir.join(name).exists();
+        until("the board is there", || gone("fsr"));
+        control.set_faults(unplugged("xarm")).expect("faults");
+        until("the board stays away", || !gone("fsr"));
+        until("the arm is there", || connect(ports.arm_ports.command).is_none());
+        std::fs::write(dir.join(FAULTS_FILE), "[[fault]]\nkind = \"unplug\"\ndevice = \"twintac0\"\n")
+            .expect("a file");
+        until("the file is not read", || gone("twintac0") && control.faults() == unplugged("twintac0"));
+        until("the arm stays away", || connect(ports.arm_ports.command).is_some());
+        control.place_object(None).expect("nothing");
+        until("the object stays", || control.snapshot().object.is_none());
+    });
+    assert!(notices.iter().all(|n| n.contains("come back") || n.contains("fell behind")), "{notices:?}");
 }
