@@ -151,8 +151,14 @@ impl<'a> Conversation<'a> {
         }
         let faulty = self.session.faulty_joint();
         let problem = self.session.link().1;
+        let (version, serial) = self.session.identity();
+        let identity = [version, serial].map(Option::unwrap_or_default).join("; ");
         health.motors(|motors| {
-            for (joint, motor) in motors.iter_mut().enumerate() {
+            // The joints have no names of their own: the box speaks for them.
+            if let Some(first) = motors.first_mut().filter(|first| first.identity != identity) {
+                first.identity.clone_from(&identity);
+            }
+            for (joint, motor) in motors.iter_mut().enumerate().take(NUM_JOINT_SLOTS) {
                 if let Some(temperatures) = report.rest.temperature_c {
                     motor.temperature_c = Some(f64::from(temperatures[joint] as i8));
                 }
@@ -195,3 +201,6 @@ fn order(goal: &Goal, dofs: &[usize]) -> Order {
         valid_until_ns: goal.valid_until_ns,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -14,7 +14,6 @@ use serialport::{ClearBuffer, SerialPort};
 use crate::clock_map::ClockMap;
 use crate::context::DeviceContext;
 use crate::event::{DeviceEvent, Link};
-pub(crate) use decode::BoardFormat;
 use decode::{BoardDecoder, Sample};
 
 /// A read ends after this long without a byte, so that the thread can be told to end.
@@ -36,8 +35,8 @@ pub(crate) struct BoardSetup {
     pub(crate) first_channel: usize,
     /// How many channels it has.
     pub(crate) num_channels: usize,
-    /// What its bytes look like.
-    pub(crate) format: BoardFormat,
+    /// Lines for a sample: 1, or the rows of a matrix. Binary frames are recognised by themselves.
+    pub(crate) lines_per_sample: usize,
 }
 
 /// Reads the board until the context says stop.
@@ -78,7 +77,7 @@ struct Reading<'a> {
 
 impl<'a> Reading<'a> {
     fn new(context: &'a DeviceContext, setup: &'a BoardSetup) -> Self {
-        let decoder = BoardDecoder::new(setup.format, setup.num_channels);
+        let decoder = BoardDecoder::new(setup.num_channels, setup.lines_per_sample);
         Self { context, setup, decoder, clock_map: ClockMap::default(), num_bad: 0, num_gaps: 0 }
     }
 
@@ -157,3 +156,6 @@ impl<'a> Reading<'a> {
 fn is_passing(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
+
+#[cfg(test)]
+mod tests;

@@ -18,18 +18,6 @@ const MEAN_OVER: f64 = 64.0;
 /// A sample later than this many usual intervals is a gap.
 const LATE_INTERVALS: f64 = 3.0;
 
-/// What a board's bytes look like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum BoardFormat {
-    /// ASCII lines, so many of them for a sample.
-    Lines {
-        /// 1, or the rows of a matrix.
-        lines_per_sample: usize,
-    },
-    /// The binary frames of [`palpate_device_protocol::framed`].
-    Framed,
-}
-
 /// One sample of all of a board's channels.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sample {
@@ -40,20 +28,27 @@ pub(crate) struct Sample {
     pub(crate) raw: Vec<f32>,
 }
 
-/// Decodes what one opening of a board's port gives.
+/// Decodes what one opening of a board's port gives: lines, or binary frames as soon as there is one. A frame has a
+/// checksum, and bytes that no line of text has, so there is no doubt.
 #[derive(Debug)]
 pub(crate) struct BoardDecoder {
     num_channels: usize,
-    decoder: Decoder,
+    lines: Lines,
+    framed: Framed,
     num_gaps: u64,
     last_sample_ns: Option<u64>,
     sample_interval: Interval,
 }
 
-#[derive(Debug)]
-enum Decoder {
-    Lines(Lines),
-    Framed { decoder: SampleDecoder, last_sequence: Option<u32>, num_others: u64, other_channels: usize },
+#[derive(Debug, Default)]
+struct Framed {
+    decoder: SampleDecoder,
+    /// Whether this board sends frames.
+    is_spoken: bool,
+    last_sequence: Option<u32>,
+    /// Frames with another number of channels, and the number that the last one had.
+    num_others: u64,
+    other_channels: Option<usize>,
 }
 
 #[derive(Debug)]
@@ -91,34 +86,12 @@ impl Interval {
 }
 
 impl BoardDecoder {
-    /// A decoder for a board of `num_channels` channels.
-    pub(crate) fn new(format: BoardFormat, num_channels: usize) -> Self {
-        let decoder = match format {
-            BoardFormat::Lines { lines_per_sample } => {
-                let rows_per_sample = lines_per_sample.max(1);
-                let values_per_row = num_channels / rows_per_sample;
-                Decoder::Lines(Lines {
-                    decoder: LineDecoder::new(values_per_row),
-                    values_per_row,
-                    rows_per_sample,
-                    has_begun: false,
-                    rows: Vec::new(),
-                    in_step: rows_per_sample == 1,
-                    dropped_rows: 0,
-                    last_row_ns: None,
-                    row_interval: Interval::default(),
-                })
-            }
-            BoardFormat::Framed => Decoder::Framed {
-                decoder: SampleDecoder::default(),
-                last_sequence: None,
-                num_others: 0,
-                other_channels: 0,
-            },
-        };
+    /// A decoder for a board of `num_channels` channels, on so many lines if it sends lines.
+    pub(crate) fn new(num_channels: usize, lines_per_sample: usize) -> Self {
         Self {
             num_channels,
-            decoder,
+            lines: Lines::new(num_channels, lines_per_sample.max(1)),
+            framed: Framed::default(),
             num_gaps: 0,
             last_sample_ns: None,
             sample_interval: Interval::default(),
@@ -127,27 +100,11 @@ impl BoardDecoder {
 
     /// Takes bytes that came together and gives the samples that they complete.
     pub(crate) fn feed(&mut self, received_ns: u64, bytes: &[u8]) -> Vec<Sample> {
-        let samples = match &mut self.decoder {
-            Decoder::Lines(lines) => lines.feed(received_ns, bytes),
-            Decoder::Framed { decoder, last_sequence, num_others, other_channels } => {
-                let mut samples = Vec::new();
-                for sample in decoder.feed(bytes) {
-                    if sample.raw.len() != self.num_channels {
-                        *num_others += 1;
-                        *other_channels = sample.raw.len();
-                        continue;
-                    }
-                    if let Some(last) = last_sequence.replace(sample.sequence) {
-                        // A count that falls is a board that started anew.
-                        let step = sample.sequence.wrapping_sub(last);
-                        self.num_gaps +=
-                            u64::from(if step < u32::MAX / 2 { step.saturating_sub(1) } else { 0 });
-                    }
-                    samples.push(of_framed(&sample));
-                }
-                samples
-            }
-        };
+        let (mut samples, num_lost) = self.framed.feed(bytes, self.num_channels);
+        self.num_gaps += num_lost;
+        if !self.framed.is_spoken {
+            samples = self.lines.feed(received_ns, bytes);
+        }
         for sample in &samples {
             let Some(last_ns) = self.last_sample_ns.replace(received_ns) else { continue };
             let since_ns = received_ns.saturating_sub(last_ns);
@@ -165,11 +122,11 @@ impl BoardDecoder {
 
     /// Lines, rows and frames that were dropped.
     pub(crate) fn num_bad(&self) -> u64 {
-        match &self.decoder {
-            Decoder::Lines(lines) => lines.decoder.counters().malformed + lines.dropped_rows,
-            Decoder::Framed { decoder, num_others, .. } => {
-                decoder.counters().malformed + decoder.counters().crc_errors + num_others
-            }
+        if self.framed.is_spoken {
+            let counters = self.framed.decoder.counters();
+            counters.malformed + counters.crc_errors + self.framed.num_others
+        } else {
+            self.lines.decoder.counters().malformed + self.lines.dropped_rows
         }
     }
 
@@ -180,19 +137,40 @@ impl BoardDecoder {
 
     /// Why there are bytes but no samples, and what to do.
     pub(crate) fn problem(&self) -> String {
-        match &self.decoder {
-            Decoder::Lines(lines) => lines.problem(),
-            Decoder::Framed { other_channels: 0, .. } => {
-                "the board sends bytes, but no valid frames; check `baud` and `format` of the board in the station's \
-                 file"
-                    .to_owned()
-            }
-            Decoder::Framed { other_channels, .. } => format!(
+        match self.framed.other_channels {
+            Some(other_channels) => format!(
                 "the board sends frames of {other_channels} channels, expected {}; correct `num_channels` in the \
                  station's file, or the port",
                 self.num_channels
             ),
+            None if self.framed.is_spoken => {
+                "the board sends bytes, but no valid frames any more; check its cable".to_owned()
+            }
+            None => self.lines.problem(),
         }
+    }
+}
+
+impl Framed {
+    /// Samples, and how many are missing among them.
+    fn feed(&mut self, bytes: &[u8], num_channels: usize) -> (Vec<Sample>, u64) {
+        let (mut samples, mut num_lost) = (Vec::new(), 0);
+        for sample in self.decoder.feed(bytes) {
+            self.is_spoken = true;
+            if sample.raw.len() != num_channels {
+                self.num_others += 1;
+                self.other_channels = Some(sample.raw.len());
+                continue;
+            }
+            self.other_channels = None;
+            if let Some(last) = self.last_sequence.replace(sample.sequence) {
+                // A count that falls is a board that started anew.
+                let step = sample.sequence.wrapping_sub(last);
+                num_lost += u64::from(if step < u32::MAX / 2 { step.saturating_sub(1) } else { 0 });
+            }
+            samples.push(of_framed(&sample));
+        }
+        (samples, num_lost)
     }
 }
 
@@ -205,6 +183,21 @@ fn of_framed(sample: &framed::Sample) -> Sample {
 }
 
 impl Lines {
+    fn new(num_channels: usize, rows_per_sample: usize) -> Self {
+        let values_per_row = num_channels / rows_per_sample;
+        Self {
+            decoder: LineDecoder::new(values_per_row),
+            values_per_row,
+            rows_per_sample,
+            has_begun: false,
+            rows: Vec::new(),
+            in_step: rows_per_sample == 1,
+            dropped_rows: 0,
+            last_row_ns: None,
+            row_interval: Interval::default(),
+        }
+    }
+
     fn feed(&mut self, received_ns: u64, bytes: &[u8]) -> Vec<Sample> {
         let mut bytes = bytes;
         if !self.has_begun {
@@ -277,8 +270,8 @@ impl Lines {
                  and `lines_per_sample` in the station's file, or the port"
             )
         } else if errors.number + errors.too_long > 0 || self.decoder.counters().frames == 0 {
-            "the board sends bytes, but no lines of numbers; check `baud` and `format` of the board in the station's \
-             file, and that this is the board's port"
+            "the board sends bytes, but no lines of numbers; check `baud` of the board in the station's file, and that \
+             this is the board's port"
                 .to_owned()
         } else {
             format!(
@@ -289,3 +282,6 @@ impl Lines {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
