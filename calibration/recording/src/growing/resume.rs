@@ -118,14 +118,11 @@ impl GrowingSession {
                 TakeState::Discarded if discarded.is_file() => {}
                 TakeState::Discarded => {
                     let from = [place, partial].into_iter().find(|path| path.is_file());
-                    match from {
-                        Some(from) => {
-                            self.make_discarded()?;
-                            move_file(&from, &discarded)?;
-                            report.push(format!("{id} was about to be set aside; now it is"));
-                        }
-                        // Somebody tidied up; the entry keeps the name from being used again.
-                        None => {}
+                    // If it is nowhere, somebody tidied up; the entry keeps the name from being used again.
+                    if let Some(from) = from {
+                        self.make_discarded()?;
+                        move_file(&from, &discarded)?;
+                        report.push(format!("{id} was about to be set aside; now it is"));
                     }
                 }
             }
