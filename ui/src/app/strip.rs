@@ -6,7 +6,7 @@ use palpate_wire::proto::{ControlState, control_state::Phase};
 
 use super::StudioApp;
 use crate::{
-    screens::control::wording::{phase_color, phase_sign, phase_word, stop_word},
+    screens::control::wording::{phase_color, phase_mark_ui, phase_word, stop_word},
     store::{Connection, control::Holder},
     theme::Palette,
 };
@@ -80,7 +80,7 @@ impl StudioApp {
             Some(since) => (format!("LAST SEEN {} AT {since}", phase_word(phase)), palette.mismatch),
             None => (phase_word(phase).to_owned(), phase_color(phase, palette)),
         };
-        ui.label(RichText::new(phase_sign(phase)).color(color).size(16.0));
+        phase_mark_ui(ui, phase, color);
         let label = ui.label(RichText::new(word).strong().color(color));
         if !state.reason.is_empty() {
             label.on_hover_text(&state.reason);

@@ -5,6 +5,7 @@ mod calibrate;
 mod diagnose;
 mod fixture;
 mod frame;
+mod live;
 mod mirror;
 mod sessions;
 mod timelines;

@@ -27,14 +27,22 @@ const SLIDES: [(&str, f64); 4] = [("0.1 mm", 0.1), ("1 mm", 1.0), ("5 mm", 5.0),
 /// What the panel remembers between frames.
 #[derive(Debug)]
 pub struct PanelState {
+    part: Part,
     /// Index into the steps on offer.
     step_idx: usize,
     held: Option<Held>,
 }
 
+/// Which joints the panel shows: all of them would not fit on a laptop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Hand,
+    Carrier,
+}
+
 impl Default for PanelState {
     fn default() -> Self {
-        Self { step_idx: 1, held: None }
+        Self { part: Part::Hand, step_idx: 1, held: None }
     }
 }
 
@@ -93,14 +101,14 @@ pub fn control_panel_ui(
     }
     legend_ui(ui, &cx.palette);
     let positions = Positions { measured, state: &station_state };
-    if !controls.hand.is_empty() {
-        presets_ui(ui, cx, controls, allowed.moves);
-        for group in &controls.hand {
-            group_ui(ui, cx, group, &positions, allowed.moves);
+    match part_ui(ui, state, controls) {
+        Part::Hand => {
+            presets_ui(ui, cx, controls, allowed.moves);
+            for group in &controls.hand {
+                group_ui(ui, cx, group, &positions, allowed.moves);
+            }
         }
-    }
-    if !controls.carrier.is_empty() {
-        carrier_ui(ui, cx, state, &controls.carrier, &positions, allowed.moves);
+        Part::Carrier => carrier_ui(ui, cx, state, &controls.carrier, &positions, allowed.moves),
     }
     ui.add_space(6.0);
     let mine = cx.store.control.holder(Some(&station_state)) == Holder::Me;
@@ -108,6 +116,27 @@ pub fn control_panel_ui(
     if tare.on_hover_text("The mean of the next half second becomes the zero of every taxel").clicked() {
         cx.store.control.tare();
     }
+}
+
+/// Which part is shown; there is only a choice where a station has both.
+fn part_ui(ui: &mut egui::Ui, state: &mut PanelState, controls: &Controls) -> Part {
+    if controls.carrier.is_empty() {
+        return Part::Hand;
+    }
+    if controls.hand.is_empty() {
+        return Part::Carrier;
+    }
+    ui.horizontal(|ui| {
+        for (part, name) in [(Part::Hand, "Hand joints"), (Part::Carrier, "Arm joints")] {
+            let chosen = state.part == part;
+            let response = ui.selectable_label(chosen, name);
+            response.widget_info(|| egui::WidgetInfo::selected(Role::Tab, true, chosen, name));
+            if response.clicked() {
+                state.part = part;
+            }
+        }
+    });
+    state.part
 }
 
 /// Where joints are and are told to be.
@@ -248,33 +277,30 @@ fn carrier_ui(
     positions: &Positions<'_>,
     may: bool,
 ) {
-    egui::CollapsingHeader::new(RichText::new("Arm joints").strong()).default_open(true).show(ui, |ui| {
-        let slides = joints.iter().any(|joint| joint.kind == JointKind::Prismatic);
-        ui.horizontal(|ui| {
-            ui.label("Step");
-            for (idx, ((turn, _), (slide, _))) in TURNS.iter().zip(&SLIDES).enumerate() {
-                let text = if slides { format!("{turn}, {slide}") } else { (*turn).to_owned() };
-                let chosen = state.step_idx == idx;
-                let response = ui.selectable_label(chosen, &text);
-                response.widget_info(|| {
-                    egui::WidgetInfo::selected(Role::RadioButton, true, chosen, format!("Step {text}"))
-                });
-                if response.clicked() {
-                    state.step_idx = idx;
-                }
+    let slides = joints.iter().any(|joint| joint.kind == JointKind::Prismatic);
+    ui.horizontal(|ui| {
+        ui.label("Step");
+        for (idx, ((turn, _), (slide, _))) in TURNS.iter().zip(&SLIDES).enumerate() {
+            let text = if slides { format!("{turn}, {slide}") } else { (*turn).to_owned() };
+            let chosen = state.step_idx == idx;
+            let response = ui.selectable_label(chosen, &text);
+            response.widget_info(|| {
+                egui::WidgetInfo::selected(Role::RadioButton, true, chosen, format!("Step {text}"))
+            });
+            if response.clicked() {
+                state.step_idx = idx;
             }
-        });
-        for joint in joints {
-            jog_row_ui(ui, cx, state, joint, positions, may);
-        }
-        let mut on = positions.state.lead_through;
-        let checkbox = ui.add_enabled(may || on, egui::Checkbox::new(&mut on, "Lead-through"));
-        let hint =
-            "The arm yields to your hands: hold it before you switch this on. Off makes it hold again.";
-        if checkbox.on_hover_text(hint).changed() && (may || !on) {
-            cx.store.control.lead_through(on);
         }
     });
+    for joint in joints {
+        jog_row_ui(ui, cx, state, joint, positions, may);
+    }
+    let mut on = positions.state.lead_through;
+    let checkbox = ui.add_enabled(may || on, egui::Checkbox::new(&mut on, "Lead-through"));
+    let hint = "The arm yields to your hands: hold it before you switch this on. Off makes it hold again.";
+    if checkbox.on_hover_text(hint).changed() && (may || !on) {
+        cx.store.control.lead_through(on);
+    }
 }
 
 fn jog_row_ui(

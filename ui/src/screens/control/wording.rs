@@ -1,6 +1,6 @@
 //! The safety layer in words, signs and colours.
 
-use egui::Color32;
+use egui::{Color32, Rect, Sense, Stroke, Vec2};
 use palpate_wire::proto::{ControlState, control_state::Phase, device_status::Link};
 
 use crate::theme::Palette;
@@ -18,15 +18,30 @@ pub fn phase_word(phase: Phase) -> &'static str {
     }
 }
 
-/// A sign for the same: state is never colour alone.
-pub fn phase_sign(phase: Phase) -> &'static str {
+/// A mark for the same, painted: state is never colour alone.
+pub fn phase_mark_ui(ui: &mut egui::Ui, phase: Phase, color: Color32) {
+    let (rect, _) = ui.allocate_exact_size(Vec2::splat(16.0), Sense::hover());
+    let (painter, center) = (ui.painter(), rect.center());
     match phase {
-        Phase::Unspecified => "?",
-        Phase::Disarmed => "\u{25cb}",
-        Phase::Arming | Phase::Disarming => "\u{25d0}",
-        Phase::Armed => "\u{25cf}",
-        Phase::Holding => "\u{23f8}",
-        Phase::Stopped => "\u{25a0}",
+        Phase::Unspecified | Phase::Disarmed => {
+            painter.circle_stroke(center, 6.0, Stroke::new(2.0, color));
+        }
+        Phase::Arming | Phase::Disarming => {
+            painter.circle_stroke(center, 6.0, Stroke::new(2.0, color));
+            painter.circle_filled(center, 3.0, color);
+        }
+        Phase::Armed => {
+            painter.circle_filled(center, 7.0, color);
+        }
+        Phase::Holding => {
+            for x in [-4.0, 4.0] {
+                let bar = Rect::from_center_size(center + Vec2::new(x, 0.0), Vec2::new(4.0, 13.0));
+                painter.rect_filled(bar, 0.0, color);
+            }
+        }
+        Phase::Stopped => {
+            painter.rect_filled(Rect::from_center_size(center, Vec2::splat(13.0)), 0.0, color);
+        }
     }
 }
 
