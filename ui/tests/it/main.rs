@@ -7,5 +7,6 @@ mod fixture;
 mod frame;
 mod live;
 mod mirror;
+mod record;
 mod sessions;
 mod timelines;

@@ -187,7 +187,7 @@ fn buttons_ui(
         let main = primary(scene, state, cx.store);
         if let Some((name, action)) = &main {
             let ready = !scene.waits && !(moves(action) && scene.not_ready.is_some());
-            let button = egui::Button::new(RichText::new(format!("{name}  \u{21b5}")).size(20.0).strong())
+            let button = egui::Button::new(RichText::new(format!("{name}  (Enter)")).size(20.0).strong())
                 .fill(ui.visuals().selection.bg_fill)
                 .stroke(egui::Stroke::new(2.0, cx.palette.real))
                 .min_size(egui::vec2(260.0, 60.0));
@@ -198,7 +198,7 @@ fn buttons_ui(
             }
         }
         let mut second = |ui: &mut egui::Ui, name: &str, keys: &str, enabled: bool, action| {
-            let face = if keys.is_empty() { name.to_owned() } else { format!("{name}  {keys}") };
+            let face = if keys.is_empty() { name.to_owned() } else { format!("{name}  ({keys})") };
             let button = egui::Button::new(RichText::new(face).size(16.0)).min_size(egui::vec2(120.0, 44.0));
             let enabled = enabled && !scene.waits;
             let response = ui.add_enabled(enabled, button);

@@ -1,0 +1,341 @@
+//! Guided recording as an operator meets it: before a session, every phase of a take, review, and the end.
+
+use egui::{Key, accesskit::Role};
+use egui_kittest::kittest::Queryable as _;
+use palpate_ui::{api_client::Request, route::Screen};
+use palpate_wire::{
+    api::{
+        PlanSummary, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, RecordingStep,
+        StartRecording, StepState, TakeVerdict,
+    },
+    bits,
+    proto::{RecordingStatus, control_state::Phase},
+};
+
+use crate::{
+    fixture::{FakeWindow, SharedApi, app, deliver, page},
+    live::Bench,
+};
+
+fn step(object: &str, primitive: &str, state: StepState) -> RecordingStep {
+    RecordingStep {
+        object: object.to_lowercase(),
+        object_label: object.to_owned(),
+        primitive: primitive.to_lowercase(),
+        primitive_label: primitive.to_owned(),
+        instruction: "Place the sphere on fixture A, flat side to the arm".to_owned(),
+        touches: vec!["index_tip_0".to_owned()],
+        duration_s: 20.0,
+        state,
+        take: None,
+        verdict: None,
+    }
+}
+
+/// A session of two takes whose second waits in `phase`.
+fn document(phase: RecordingPhase) -> RecordingDocument {
+    let session = RecordingSession {
+        session: "monday".to_owned(),
+        plan: "nine_takes".to_owned(),
+        operator: "Ada".to_owned(),
+        steps: vec![step("Sphere", "Tap", StepState::Accepted), step("Cylinder", "Slide", StepState::Open)],
+        current: (phase != RecordingPhase::Done).then_some(1),
+        phase,
+        problem: String::new(),
+        untouched: Vec::new(),
+        can_undo: false,
+    };
+    RecordingDocument { revision: 7, plans: plans(), session: Some(session) }
+}
+
+fn plans() -> Vec<PlanSummary> {
+    vec![PlanSummary {
+        id: "nine_takes".to_owned(),
+        label: "Nine takes".to_owned(),
+        takes: 9,
+        duration_s: 325.0,
+    }]
+}
+
+fn verdict(good: bool) -> TakeVerdict {
+    TakeVerdict {
+        good,
+        summary: "Two of three channels were touched.".to_owned(),
+        problems: vec!["FSR came at 31 Hz: close other programs that use the port".to_owned()],
+        covered: Vec::new(),
+        missed: Vec::new(),
+        rates_hz: vec![("joints".to_owned(), 99.9)],
+    }
+}
+
+/// The page in `phase`, with control and armed.
+fn armed(phase: RecordingPhase) -> Bench {
+    let mut bench = Bench::new("#/record", &document(phase));
+    bench.take_control_and_arm();
+    bench.api.0.borrow_mut().sent.clear();
+    bench
+}
+
+/// What was done with the recording since the last call.
+fn acts(bench: &Bench) -> Vec<RecordingAction> {
+    let sent = std::mem::take(&mut bench.api.0.borrow_mut().sent);
+    let act = |request| match request {
+        Request::ActOnRecording(action) => Some(action),
+        _ => None,
+    };
+    sent.into_iter().filter_map(act).collect()
+}
+
+fn key(bench: &mut Bench, key: Key) {
+    bench.harness.key_press(key);
+    bench.harness.run_steps(3);
+}
+
+#[test]
+fn a_server_without_a_station_teaches_how_to_have_one() {
+    let harness = page(&SharedApi::default(), &FakeWindow::at("#/record"));
+    harness.get_by_label("No live station");
+    harness.get_by_label_contains("palpate serve --station FILE");
+    assert!(harness.query_by_role_and_label(Role::Button, "Record").is_none());
+}
+
+#[test]
+fn a_session_starts_under_a_free_name() {
+    let empty = RecordingDocument { revision: 1, plans: plans(), session: None };
+    let mut bench = Bench::new("#/record", &empty);
+    bench.harness.get_by_label("9 takes, 5 min 25 s of motion");
+    bench.click("Start session");
+    let wanted = StartRecording {
+        plan: "nine_takes".to_owned(),
+        session: "nine_takes-1".to_owned(),
+        operator: String::new(),
+    };
+    assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(wanted)));
+    bench.harness.run_steps(3);
+    bench.harness.get_by_label_contains("The session did not start: nothing at POST /api/v1/recording");
+}
+
+#[test]
+fn a_station_without_a_plan_says_how_to_give_it_one() {
+    let mut bench = Bench::at("#/record");
+    bench.harness.run_steps(2);
+    bench.harness.get_by_label("This station has no plan");
+    assert!(bench.harness.query_by_label("Start session").is_none());
+}
+
+#[test]
+fn the_checklist_says_where_each_take_stands_and_leads_there() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    bench.harness.get_by_label("Take 2: Slide, Cylinder, now");
+    bench.click("Take 1: Tap, Sphere, accepted");
+    assert_eq!(acts(&bench), [RecordingAction::Select { step: 0 }]);
+    bench.click("Leave session");
+    assert_eq!(acts(&bench), [RecordingAction::Leave]);
+}
+
+#[test]
+fn every_phase_says_what_to_do_and_has_one_primary_button() {
+    let phases = [
+        (
+            RecordingPhase::PlaceObject,
+            "Place the sphere on fixture A, flat side to the arm",
+            Some("Object is in place"),
+        ),
+        (RecordingPhase::StartPose, "Bring the robot to its start", Some("Go to start pose")),
+        (RecordingPhase::GoingToStart, "The robot goes to the start pose", None),
+        (RecordingPhase::Baseline, "Touch nothing", None),
+        (RecordingPhase::Countdown, "Starts in 0 s", None),
+        (RecordingPhase::Running, "Recording", None),
+        (RecordingPhase::Checking, "Checking the take", None),
+        (RecordingPhase::Review, "Recorded", Some("Accept")),
+        (RecordingPhase::Done, "\u{2714} Every take is recorded", None),
+    ];
+    for (phase, says, primary) in phases {
+        let bench = armed(phase);
+        bench.harness.get_by_label(says);
+        let shown = ["Object is in place", "Go to start pose", "Accept"]
+            .into_iter()
+            .filter(|name| bench.harness.query_by_role_and_label(Role::Button, name).is_some());
+        assert_eq!(shown.collect::<Vec<_>>(), primary.into_iter().collect::<Vec<_>>(), "{phase:?}");
+        if let Some(name) = primary {
+            assert!(bench.can(name), "{phase:?}");
+            assert!(bench.harness.get_by_role_and_label(Role::Button, name).rect().height() >= 60.0);
+        }
+    }
+}
+
+#[test]
+fn the_object_is_confirmed_with_what_is_known_of_its_place() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    key(&mut bench, Key::Enter);
+    assert_eq!(acts(&bench), [RecordingAction::ConfirmObject { fixture_trusted: true }]);
+    bench.harness.get_by_role_and_label(Role::CheckBox, "The fixture holds it where the plan says").click();
+    bench.harness.run_steps(3);
+    bench.click("Object is in place");
+    assert_eq!(acts(&bench), [RecordingAction::ConfirmObject { fixture_trusted: false }]);
+}
+
+#[test]
+fn what_moves_waits_for_control_and_arming() {
+    let mut bench = Bench::new("#/record", &document(RecordingPhase::StartPose));
+    bench.api.0.borrow_mut().sent.clear();
+    bench.harness.get_by_label("Take control in the top bar, then arm.");
+    assert!(!bench.can("Go to start pose") && !bench.can("Run"));
+    key(&mut bench, Key::Enter);
+    assert!(acts(&bench).is_empty());
+    bench.take_control_and_arm();
+    bench.phase(Phase::Disarmed);
+    bench.harness.get_by_label("Arm in the top bar.");
+    bench.phase(Phase::Armed);
+    bench.click("Go to start pose");
+    assert_eq!(acts(&bench), [RecordingAction::GoToStart { lease: 4 }]);
+}
+
+#[test]
+fn once_it_went_to_the_start_the_primary_button_runs() {
+    let mut bench = armed(RecordingPhase::StartPose);
+    let status = |phase: &str| RecordingStatus { revision: 7, phase: phase.to_owned(), ..Default::default() };
+    bench.state.recording = Some(status("going_to_start"));
+    bench.tell();
+    bench.harness.get_by_label("The robot goes to the start pose");
+    bench.click("Cancel");
+    assert_eq!(acts(&bench), [RecordingAction::Cancel]);
+    bench.state.recording = Some(status("start_pose"));
+    bench.tell();
+    bench.harness.get_by_label("Ready to run");
+    key(&mut bench, Key::Enter);
+    assert_eq!(acts(&bench), [RecordingAction::Run { lease: 4 }]);
+}
+
+#[test]
+fn the_countdown_can_be_read_from_two_metres() {
+    let mut bench = armed(RecordingPhase::Countdown);
+    bench.state.recording = Some(RecordingStatus {
+        revision: 7,
+        phase: "countdown".to_owned(),
+        countdown_s: 2.4,
+        ..Default::default()
+    });
+    bench.tell();
+    let digits = bench.harness.get_by_label("Starts in 3 s").rect();
+    assert!(digits.height() > 200.0, "{digits:?}");
+    assert!(digits.bottom() < 700.0, "it is on the screen at once: {digits:?}");
+}
+
+#[test]
+fn a_running_take_shows_progress_coverage_and_losses_and_takes_notes() {
+    let mut bench = armed(RecordingPhase::Running);
+    let channels = bench.station.layout.num_channels();
+    bench.state.recording = Some(RecordingStatus {
+        revision: 7,
+        phase: "running".to_owned(),
+        fraction: 0.25,
+        elapsed_s: 9.0,
+        covered: bits::pack((0..channels).map(|channel| channel < 3)),
+        activity: "slide, index tip".to_owned(),
+        lost_samples: 5,
+        free_bytes: 1_000_000_000,
+        ..Default::default()
+    });
+    bench.tell();
+    bench.harness.get_by_label("slide, index tip");
+    bench.harness.get_by_label_contains("5 samples lost");
+    bench.harness.get_by_label_contains("make room");
+    bench.harness.get_by_label_contains("3 channels in this take");
+    bench.harness.get_by_label("Index tip 1: touched in this take");
+    key(&mut bench, Key::M);
+    assert_eq!(acts(&bench), [RecordingAction::Note { text: String::new() }]);
+    bench.harness.get_by_label("Note").focus();
+    bench.harness.run_steps(2);
+    bench.harness.event(egui::Event::Text("slipped".into()));
+    key(&mut bench, Key::Space);
+    assert!(bench.commands().is_empty(), "a remark may hold spaces");
+    bench.click("Add note");
+    let noted = acts(&bench);
+    assert!(matches!(&noted[..], [RecordingAction::Note { text }] if text == "slipped"), "{noted:?}");
+    bench.click("Cancel");
+    assert_eq!(acts(&bench), [RecordingAction::Cancel]);
+}
+
+#[test]
+fn a_take_is_reviewed_by_keys() {
+    let mut reviewed = document(RecordingPhase::Review);
+    let session = reviewed.session.as_mut().expect("a session");
+    session.steps[1].state = StepState::Review;
+    session.steps[1].verdict = Some(verdict(false));
+    let mut bench = Bench::new("#/record", &reviewed);
+    bench.api.0.borrow_mut().sent.clear();
+    bench.harness.get_by_label_contains("Look at this take");
+    bench.harness.get_by_label_contains("FSR came at 31 Hz");
+    bench.harness.get_by_label("Take 2: Slide, Cylinder, to review");
+    for (pressed, action) in [
+        (Key::Enter, RecordingAction::Accept),
+        (Key::R, RecordingAction::Again),
+        (Key::Delete, RecordingAction::Discard),
+    ] {
+        key(&mut bench, pressed);
+        assert_eq!(acts(&bench), [action], "{pressed:?}");
+    }
+    for (name, action) in [
+        ("Accept", RecordingAction::Accept),
+        ("Record again", RecordingAction::Again),
+        ("Discard", RecordingAction::Discard),
+    ] {
+        bench.click(name);
+        assert_eq!(acts(&bench), [action], "{name}");
+    }
+    bench.harness.get_by_label_contains("nothing at POST /api/v1/recording/act");
+}
+
+#[test]
+fn a_discard_can_be_undone() {
+    let mut discarded = document(RecordingPhase::PlaceObject);
+    discarded.session.as_mut().expect("a session").can_undo = true;
+    let mut bench = Bench::new("#/record", &discarded);
+    bench.api.0.borrow_mut().sent.clear();
+    bench.click("Undo discard");
+    assert_eq!(acts(&bench), [RecordingAction::Undo]);
+}
+
+#[test]
+fn nothing_is_done_twice_while_the_server_thinks() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    bench.api.0.borrow_mut().silent = true;
+    key(&mut bench, Key::Enter);
+    key(&mut bench, Key::Enter);
+    assert_eq!(acts(&bench).len(), 1);
+    assert!(!bench.can("Object is in place"));
+}
+
+#[test]
+fn the_newest_checklist_is_fetched_when_the_station_says_that_it_changed() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    bench.state.recording =
+        Some(RecordingStatus { revision: 8, phase: "start_pose".to_owned(), ..Default::default() });
+    let newer = RecordingDocument { revision: 8, ..document(RecordingPhase::StartPose) };
+    bench.api.0.borrow_mut().answer(&Request::Recording, serde_json::to_vec(&newer).expect("it serialises"));
+    bench.tell();
+    bench.harness.get_by_label("Bring the robot to its start");
+    let asked = std::mem::take(&mut bench.api.0.borrow_mut().sent);
+    assert_eq!(asked.iter().filter(|request| **request == Request::Recording).count(), 1);
+}
+
+#[test]
+fn the_end_leads_to_calibration_and_names_what_was_never_touched() {
+    let mut done = document(RecordingPhase::Done);
+    done.session.as_mut().expect("a session").untouched = vec!["thumb_tip_3".to_owned()];
+    let mut bench = Bench::new("#/record", &done);
+    bench.harness.get_by_label_contains("No take has touched");
+    bench.click("Calibrate on it");
+    assert_eq!(app(&bench.harness).screen(), Screen::Calibrate);
+    assert!(bench.window.current().starts_with("#/calibrate/monday"), "{}", bench.window.current());
+}
+
+#[test]
+fn a_lost_connection_freezes_the_checklist_in_words() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    deliver(&bench.api, [palpate_ui::api_client::ApiEvent::SocketClosed]);
+    bench.harness.step();
+    bench.harness.get_by_label("FROZEN SINCE 14:03:12");
+    assert!(!bench.can("Object is in place"));
+}
