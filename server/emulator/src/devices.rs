@@ -3,7 +3,8 @@
 //! [`EmulatedStation`] is all of them without ports, clocks or threads: it takes bytes with the time at which they
 //! arrived and gives bytes with the time at which they are due, so that the same bytes in at the same times give the same
 //! bytes out. Servos and arm move the truth world, whose sensors the tactile boards read: a hand that somebody moves into
-//! the object feels it. The object feels nothing: it neither yields nor holds a finger back.
+//! the object feels it. The object does not yield, and holds a finger back only where
+//! [`StationControl::set_resistance`] asks for it.
 //!
 //! [`serve_devices`] gives it pseudo-terminals, sockets and the clock. [`Faults`] says what is wrong.
 
@@ -25,7 +26,7 @@ use palpate_device_protocol::xarm::FrameDecoder;
 use palpate_robot_model::Station;
 
 use crate::truth::Emulation;
-use crate::world::{Event, Placed};
+use crate::world::{Event, Placed, Resistance};
 use crate::{EmulationError, TruthWorld};
 pub use arm::ReportPort;
 use arm::{ArmBox, ArmModel};
@@ -45,6 +46,8 @@ const SERVO_LINE: &str = "u2d2";
 const ARM: &str = "xarm";
 /// Steps of servos and arm, ns.
 const STEP_NS: u64 = 1_000_000;
+/// Steps after which what the object does to the servos is looked at anew, as often as the world moves the hand.
+const RESISTANCE_STEPS: u64 = 5;
 /// Time that the box takes for an answer, ns.
 const ARM_ANSWER_NS: u64 = 300_000;
 /// First number of the arm's connections among the wires; the serial lines have the lower ones.
@@ -119,6 +122,9 @@ pub struct EmulatedStation {
     positions: Vec<f64>,
     /// Object in place.
     object: Option<String>,
+    /// Share of the layers' forces that the servos feel.
+    resistance: f64,
+    resistances: Vec<Resistance>,
     shared: Arc<Shared>,
     seed: u64,
     /// Steps done.
@@ -187,6 +193,8 @@ impl EmulatedStation {
             offsets,
             positions: rest,
             object: Some(take.object.clone()),
+            resistance: 0.0,
+            resistances: Vec::new(),
             shared: Arc::new(Shared::new(Arc::clone(&station), objects)),
             seed,
             num_steps: 0,
@@ -284,6 +292,7 @@ impl EmulatedStation {
                 self.world.place(placed);
                 self.object = id;
             }
+            Wish::Resistance(share) => self.resistance = share,
             Wish::Faults(faults) => self.begin(faults, self.num_steps * STEP_NS),
             Wish::Push { dof, push } => {
                 let among = |dofs: &[usize]| dofs.iter().position(|&of| of == dof);
@@ -316,6 +325,25 @@ impl EmulatedStation {
         });
     }
 
+    /// Lets the servos feel what their fingers press on.
+    fn resist(&mut self) {
+        if self.resistance > 0.0 {
+            self.world.resistances(&mut self.resistances);
+        } else if self.resistances.is_empty() {
+            return;
+        } else {
+            self.resistances.fill(Resistance::default());
+        }
+        for (idx, &dof) in self.hand_dofs.iter().enumerate() {
+            let Resistance { torque_nm, stiffness_nm_per_rad } = self.resistances[dof];
+            let felt = Resistance {
+                torque_nm: self.resistance * torque_nm,
+                stiffness_nm_per_rad: self.resistance * stiffness_nm_per_rad,
+            };
+            self.bus.resist(idx, felt);
+        }
+    }
+
     fn step(&mut self) {
         let step_s = STEP_NS as f64 * 1e-9;
         let now_ns = self.num_steps * STEP_NS;
@@ -344,6 +372,9 @@ impl EmulatedStation {
                 Ok(())
             });
         debug_assert!(advanced.is_ok(), "the sink cannot fail");
+        if self.num_steps.is_multiple_of(RESISTANCE_STEPS) {
+            self.resist();
+        }
         self.tell();
         if self.faults.unplugged(ARM) {
             return;

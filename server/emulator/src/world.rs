@@ -5,6 +5,7 @@ mod device;
 mod elastomer;
 mod front_end;
 mod linkage;
+mod resistance;
 mod self_contact;
 mod spans;
 
@@ -24,6 +25,7 @@ pub(crate) use device::{Arrival, gaussian};
 use elastomer::Layer;
 use front_end::Sensors;
 use linkage::Linkage;
+pub(crate) use resistance::Resistance;
 
 /// Steps of the soft layers, s.
 const STEP_S: f64 = 1e-3;
@@ -246,6 +248,17 @@ impl TruthWorld {
     /// Puts another object in the place of the present one, or none.
     pub(crate) fn place(&mut self, object: Option<Arc<Placed>>) {
         self.object = object;
+    }
+
+    /// What the object does to every joint, as of the last block.
+    pub(crate) fn resistances(&self, of_dof: &mut Vec<Resistance>) {
+        of_dof.clear();
+        of_dof.resize(self.station.robot.num_dofs(), Resistance::default());
+        if let Some(object) = &self.object
+            && !self.frames.is_empty()
+        {
+            resistance::add_up(&self.station, &self.frames, &self.layers, object, of_dof);
+        }
     }
 
     /// Time since the take's start, s; negative while the devices are warming up.

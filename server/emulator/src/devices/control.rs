@@ -140,6 +140,12 @@ pub enum ControlError {
         /// With what.
         push: Push,
     },
+    /// No share.
+    #[error("the resistance {share} must be within 0..=1")]
+    Resistance {
+        /// What was asked for.
+        share: f64,
+    },
     /// Faults that this station cannot have.
     #[error(transparent)]
     Faults(#[from] EmulationError),
@@ -213,6 +219,16 @@ impl StationControl {
         Ok(())
     }
 
+    /// Which share (0..=1) of the soft layers' forces the servos feel from now on. At first it is 0: the object gives way
+    /// to nobody and costs nobody anything. At 1 a finger that presses draws current, and yields where that is bounded.
+    pub fn set_resistance(&self, share: f64) -> Result<(), ControlError> {
+        if !(0.0..=1.0).contains(&share) {
+            return Err(ControlError::Resistance { share });
+        }
+        self.shared.ask(Wish::Resistance(share));
+        Ok(())
+    }
+
     /// Starts a log of the motion that keeps the newest `most_steps` (at most 120 000, two minutes); 0 ends it. What was
     /// logged before is forgotten.
     pub fn log_motion(&self, most_steps: usize) {
@@ -240,6 +256,7 @@ pub(super) enum Wish {
     Place(Option<(String, Arc<Placed>)>),
     Faults(Faults),
     Push { dof: usize, push: Push },
+    Resistance(f64),
 }
 
 /// What a station and its handles share.

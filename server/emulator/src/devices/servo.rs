@@ -107,9 +107,9 @@ impl Servo {
         self.table.torque_is_on() && self.is_awake()
     }
 
-    /// What pushes the joint from outside in the next step, N m.
-    pub(crate) fn set_outside_nm(&mut self, torque_nm: f64) {
-        self.motor.outside_nm = torque_nm;
+    /// What pushes the joint from outside in the next step, N m, and the inertia that this adds, kg m2.
+    pub(crate) fn set_outside(&mut self, torque_nm: f64, inertia_kg_m2: f64) {
+        (self.motor.outside_nm, self.motor.outside_kg_m2) = (torque_nm, inertia_kg_m2);
     }
 
     /// Current drawn, A.

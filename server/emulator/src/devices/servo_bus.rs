@@ -6,12 +6,15 @@ use palpate_device_protocol::dynamixel::{
 };
 
 use super::control::{Hand, Push};
-use super::servo::{FIRMWARE, Servo, ServoFaults};
+use super::servo::{FIRMWARE, STEP_S, Servo, ServoFaults};
+use crate::world::Resistance;
 
 /// Supply of the hand, V, and what its cable and connectors cost, ohm.
 const SUPPLY_V: f64 = 5.0;
 const CABLE_OHM: f64 = 0.05;
 
+/// Damper beside the spring of a contact, s: that of the soft layers.
+const CONTACT_DAMPING_S: f64 = 0.02;
 /// A hand that moves a finger.
 const SERVO_HAND: Hand = Hand { most_nm: 0.6, nm_s_per_rad: 1.0 };
 
@@ -23,11 +26,35 @@ pub(crate) struct Answer {
     pub(crate) bytes: Vec<u8>,
 }
 
+/// An object that a joint presses on, as it was when the joint was at `at_rad`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Contact {
+    resistance: Resistance,
+    at_rad: f64,
+}
+
+impl Contact {
+    /// What it does to the joint now. Where the joint presses on it grows; where the joint moves out it ends.
+    fn torque_nm(&self, joint_rad: f64, rad_per_sec: f64) -> f64 {
+        let Resistance { torque_nm, stiffness_nm_per_rad } = self.resistance;
+        let moved_rad = joint_rad - self.at_rad + CONTACT_DAMPING_S * rad_per_sec;
+        let pressed_nm = torque_nm - stiffness_nm_per_rad * moved_rad;
+        // An object pushes and never pulls.
+        if torque_nm >= 0.0 { pressed_nm.max(0.0) } else { pressed_nm.min(0.0) }
+    }
+
+    /// What keeps a step of a stiff contact stable: as much inertia as its spring and damper gather within the step.
+    fn inertia_kg_m2(&self) -> f64 {
+        self.resistance.stiffness_nm_per_rad * STEP_S * (STEP_S + CONTACT_DAMPING_S)
+    }
+}
+
 /// All servos of a hand.
 #[derive(Clone, Debug)]
 pub(crate) struct ServoBus {
     servos: Vec<Servo>,
     pushes: Vec<Push>,
+    contacts: Vec<Contact>,
     decoder: Decoder,
     /// When the line falls silent, ns.
     free_ns: u64,
@@ -41,6 +68,7 @@ impl ServoBus {
         Self {
             servos: servos.map(|((&joint_rad, &stops), id)| Servo::new(id, joint_rad, stops)).collect(),
             pushes: vec![Push::NONE; joints_rad.len()],
+            contacts: vec![Contact::default(); joints_rad.len()],
             decoder: Decoder::default(),
             free_ns: 0,
             supply_v: SUPPLY_V,
@@ -62,6 +90,11 @@ impl ServoBus {
         self.pushes[idx] = push;
     }
 
+    /// What an object does to the joint of the servo at `idx` from where that is now.
+    pub(crate) fn resist(&mut self, idx: usize, resistance: Resistance) {
+        self.contacts[idx] = Contact { resistance, at_rad: self.servos[idx].joint_rad() };
+    }
+
     /// What is wrong, for each servo, and what the supply gives in place of its nominal voltage.
     pub(crate) fn set_faults(&mut self, faults: &[ServoFaults], supply_v: Option<f64>) {
         for (servo, faults) in self.servos.iter_mut().zip(faults) {
@@ -74,8 +107,10 @@ impl ServoBus {
     pub(crate) fn step(&mut self) {
         let current_a: f64 = self.servos.iter().map(|servo| servo.current_a().abs()).sum();
         let supply_v = (self.supply_v - CABLE_OHM * current_a).max(0.0);
-        for (servo, push) in self.servos.iter_mut().zip(&self.pushes) {
-            servo.set_outside_nm(push.torque_nm(servo.rad_per_sec(), &SERVO_HAND));
+        for ((servo, push), contact) in self.servos.iter_mut().zip(&self.pushes).zip(&self.contacts) {
+            let pushed_nm = push.torque_nm(servo.rad_per_sec(), &SERVO_HAND);
+            let pressed_nm = contact.torque_nm(servo.joint_rad(), servo.rad_per_sec());
+            servo.set_outside(pushed_nm + pressed_nm, contact.inertia_kg_m2());
             servo.step(supply_v);
         }
     }

@@ -343,3 +343,63 @@ fn reports_come_at_their_ports_rates_with_the_boxs_time() {
         assert_eq!(times.len(), if port == ReportPort::Realtime { per_2_s } else { 0 });
     }
 }
+
+/// Currents of the servos, A, and the true joint positions, after the fingers were closed onto the ball with `share` of
+/// its resistance; and how far joints still swing.
+fn grip(share: f64) -> (Vec<f64>, Vec<f64>, f64) {
+    let mut station = station(7);
+    let control = station.control();
+    control.set_resistance(share).expect("a share");
+    let client = station.connect();
+    let mut now_ns = 0;
+    for command in [
+        Command::MotionEnable { joint: 8, on: 1 },
+        Command::SetMode { mode: 0, detection: None },
+        Command::SetState { state: 0 },
+    ] {
+        station.arm_input(client, &frame(&command), now_ns);
+    }
+    lower(&mut station, client, &mut now_ns, 0.085);
+    // Current-based position, gains and bound of the real hand, then closing.
+    for id in 0..16 {
+        for (address, data) in [
+            (11, vec![5]),
+            (64, vec![1]),
+            (84, 450_u16.to_le_bytes().to_vec()),
+            (80, 150_u16.to_le_bytes().to_vec()),
+            (102, 300_u16.to_le_bytes().to_vec()),
+            (112, 60_u32.to_le_bytes().to_vec()),
+        ] {
+            station.line_input(0, &request(id, Instruction::Write { address, data }), now_ns);
+        }
+    }
+    for id in [1_u8, 2, 3, 5, 6, 7, 9, 10, 11] {
+        let data = 2600_u32.to_le_bytes().to_vec();
+        station.line_input(0, &request(id, Instruction::Write { address: 116, data }), now_ns);
+    }
+    now_ns += 3 * S_NS;
+    station.advance(now_ns);
+    control.log_motion(2000);
+    station.advance(now_ns + S_NS);
+    let log = control.take_motion_log();
+    let fastest =
+        log.steps.iter().flat_map(|step| step.velocities.clone()).fold(0.0, |a: f64, v| a.max(v.abs()));
+    let currents = station.bus.servos().iter().map(|servo| servo.current_a()).collect();
+    (currents, station.positions().to_vec(), fastest)
+}
+
+#[test]
+fn fingers_that_close_on_the_object_feel_it_where_that_is_asked_for() {
+    let (free, through, _) = grip(0.0);
+    let (loaded, held, swing) = grip(1.0);
+    let most = |currents: &[f64]| currents.iter().fold(0.0, |a: f64, current| a.max(current.abs()));
+    assert!(most(&free) < 0.03, "{free:?}");
+    assert!(most(&loaded) > 0.1 && most(&loaded) <= 0.3 + 1e-9, "{loaded:?}");
+    // The finger that draws the most stays behind the one that meets nothing.
+    let yielded = held.iter().zip(&through).map(|(held, through)| through - held).fold(0.0, f64::max);
+    assert!(yielded > 0.02, "{held:?} against {through:?}");
+    assert!(station(0).control().set_resistance(1.5).is_err());
+    assert!(swing < 0.05, "it settles: {swing} rad/s");
+    let (loaded_again, held_again, _) = grip(1.0);
+    assert_eq!((loaded, held), (loaded_again, held_again), "the same again");
+}

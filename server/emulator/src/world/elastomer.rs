@@ -188,6 +188,14 @@ impl Layer {
         }
     }
 
+    /// Elements that are pressed, in the link's frame, each with the stiffness that it has once it has given way, N/m.
+    pub(crate) fn pressed(&self) -> impl Iterator<Item = (&Point3<f64>, f64)> {
+        let Elastomer { modulus_pa, thickness_m, contact_ratio, .. } = self.config;
+        let newton_per_m = modulus_pa / thickness_m * self.area_m2 * contact_ratio / (1.0 + contact_ratio);
+        let pressed = self.pos_in_link.iter().zip(&self.depth_end_m).filter(|(_, depth_m)| **depth_m > 0.0);
+        pressed.map(move |(pos, _)| (pos, newton_per_m))
+    }
+
     /// Puts air under the layer and a dashpot into it.
     pub(crate) fn with(mut self, gap_m: f64, viscous_s: f64) -> Self {
         (self.gap_m, self.viscous_s) = (gap_m, viscous_s);

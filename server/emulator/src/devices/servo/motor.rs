@@ -50,6 +50,8 @@ pub(crate) struct Motor {
     pub(crate) temperature_c: f64,
     /// What pushes the joint from outside, N m.
     pub(crate) outside_nm: f64,
+    /// Inertia that stands for what gives way and damps within a step, kg m2.
+    pub(crate) outside_kg_m2: f64,
     /// The joint's stops.
     stops_rad: (f64, f64),
 }
@@ -63,6 +65,7 @@ impl Motor {
             pwm: 0.0,
             temperature_c: AMBIENT_C + IDLE_W * WARMING_K_PER_W,
             outside_nm: 0.0,
+            outside_kg_m2: 0.0,
             stops_rad,
         }
     }
@@ -84,9 +87,10 @@ impl Motor {
         };
         let torque_nm =
             TORQUE_NM_PER_A * self.current_a - VISCOUS_NM_S * self.velocity_rad_per_sec + self.outside_nm;
-        let pushed = self.velocity_rad_per_sec + torque_nm / INERTIA_KG_M2 * dt_s;
+        let inertia_kg_m2 = INERTIA_KG_M2 + self.outside_kg_m2;
+        let pushed = self.velocity_rad_per_sec + torque_nm / inertia_kg_m2 * dt_s;
         // Dry friction takes speed away and never gives any.
-        let slowed = (pushed.abs() - COULOMB_NM / INERTIA_KG_M2 * dt_s).max(0.0);
+        let slowed = (pushed.abs() - COULOMB_NM / inertia_kg_m2 * dt_s).max(0.0);
         self.velocity_rad_per_sec = if blocked { 0.0 } else { slowed.copysign(pushed) };
         self.angle_rad += self.velocity_rad_per_sec * dt_s;
         let (lower, upper) = self.stops_rad;
