@@ -25,6 +25,6 @@ pub use error::PlanError;
 pub use ik::{Goal, chain_dofs, range, solve};
 pub use limits::MotionLimits;
 pub use plan::{MotionConfig, Plan, PlannedTake, channel_named};
-pub use planner::{TakeMotion, plan_in, plan_take};
+pub use planner::{TakeMotion, plan_approach, plan_in, plan_take};
 pub use primitive::{Actuator, Motion, Primitive, Primitives, Speed};
 pub use scene::Scene;

@@ -89,6 +89,26 @@ pub fn plan_take(
     plan_in(&scene, plan, primitives, take_idx, limits)
 }
 
+/// Plans the way from `from`, where the robot is, to where the take at `take_idx` starts, clear of the take's object all
+/// along: straight, or over a retreat from the object. It has neither spans nor touches. `limits` are kept as
+/// [`plan_take`] keeps them, except by what `from` itself is beyond the limits of position.
+///
+/// Refused where no such way is found, as when the robot touches the object: somebody has to move it away first.
+pub fn plan_approach(
+    station: &Station,
+    plan: &Plan,
+    primitives: &Primitives,
+    take_idx: usize,
+    from: &[f64],
+    limits: Option<&MotionLimits>,
+) -> Result<TakeMotion, PlanError> {
+    let narrowed = limits.map(|limits| limits.narrow(station, &plan.file)).transpose()?;
+    let station = narrowed.as_ref().unwrap_or(station);
+    plan.check(station)?;
+    let scene = plan.scene(station, &take_at(plan, take_idx)?.object)?;
+    Planner::new(&scene, plan, primitives, take_idx, limits)?.approach(from)
+}
+
 /// [`plan_take`] in a scene that is there already, with the object of the take, for a plan that was
 /// [checked](Plan::check). Positions stay within the limits of the scene's robot.
 pub fn plan_in(
@@ -98,10 +118,7 @@ pub fn plan_in(
     take_idx: usize,
     limits: Option<&MotionLimits>,
 ) -> Result<TakeMotion, PlanError> {
-    let take = take_at(plan, take_idx)?;
-    let primitive = plan.primitive(&take.primitive, primitives)?;
-    let (rest, away) = (plan.rest(scene.station), plan.away(scene.station));
-    Planner { plan, scene, take_idx, take, primitive, limits, rest, away }.plan()
+    Planner::new(scene, plan, primitives, take_idx, limits)?.plan()
 }
 
 fn take_at(plan: &Plan, take_idx: usize) -> Result<&PlannedTake, PlanError> {
@@ -122,7 +139,66 @@ struct Planner<'a> {
     away: Vec<f64>,
 }
 
-impl Planner<'_> {
+impl<'a> Planner<'a> {
+    fn new(
+        scene: &'a Scene<'a>,
+        plan: &'a Plan,
+        primitives: &'a Primitives,
+        take_idx: usize,
+        limits: Option<&'a MotionLimits>,
+    ) -> Result<Self, PlanError> {
+        let take = take_at(plan, take_idx)?;
+        let primitive = plan.primitive(&take.primitive, primitives)?;
+        let (rest, away) = (plan.rest(scene.station), plan.away(scene.station));
+        Ok(Self { plan, scene, take_idx, take, primitive, limits, rest, away })
+    }
+
+    fn approach(&self, from: &[f64]) -> Result<TakeMotion, PlanError> {
+        if from.len() != self.rest.len() {
+            let problem = format!("{} positions to start from, expected {}", from.len(), self.rest.len());
+            return Err(self.error(problem));
+        }
+        for (joint, position) in self.scene.station.robot.dofs().zip(from) {
+            if !position.is_finite() {
+                let problem = format!("joint {:?} is at {position}: wait for its first reading", joint.name);
+                return Err(self.error(problem));
+            }
+        }
+        let way = self.way(from, &self.rest).ok_or_else(|| {
+            self.error(format!(
+                "found no way to the start that stays {:.0} mm clear of {:?}: move the robot away from it by hand or \
+                 by jogging, then try again",
+                TRANSIT_CLEARANCE_M * 1e3,
+                self.take.object
+            ))
+        })?;
+        let mut motion = TakeMotion {
+            path: JointPath::default(),
+            spans: Vec::new(),
+            activities: vec![(0.0, "to the start".to_owned())],
+            touches: Vec::new(),
+        };
+        for segment in way {
+            self.add(&mut motion.path, segment);
+        }
+        self.within_workspace(motion)
+    }
+
+    /// Adds a segment, as slow as the limits want it.
+    fn add(&self, path: &mut JointPath, segment: Segment) {
+        path.push(match self.limits {
+            Some(limits) => limits.slowed(segment),
+            None => segment,
+        });
+    }
+
+    fn within_workspace(&self, motion: TakeMotion) -> Result<TakeMotion, PlanError> {
+        match self.limits.and_then(|_| outside(self.scene.station, &motion)) {
+            Some(problem) => Err(self.error(problem)),
+            None => Ok(motion),
+        }
+    }
+
     fn plan(&self) -> Result<TakeMotion, PlanError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.plan.seed);
         rng.set_stream(1 + self.take_idx as u64);
@@ -160,11 +236,11 @@ impl Planner<'_> {
                 self.take.duration_s
             )));
         }
-        let motion = self.assemble(&touches, &way_home, spare_s.max(0.0) / (touches.len() + 1) as f64);
-        match self.limits.and_then(|_| outside(self.scene.station, &motion)) {
-            Some(problem) => Err(self.error(problem)),
-            None => Ok(motion),
-        }
+        self.within_workspace(self.assemble(
+            &touches,
+            &way_home,
+            spare_s.max(0.0) / (touches.len() + 1) as f64,
+        ))
     }
 
     /// Puts the take together with a pause of `pause_s` before each touch.
@@ -182,21 +258,15 @@ impl Planner<'_> {
             activities: vec![(0.0, "baseline".to_owned())],
             touches: Vec::new(),
         };
-        let add = |path: &mut JointPath, segment: Segment| {
-            path.push(match self.limits {
-                Some(limits) => limits.slowed(segment),
-                None => segment,
-            });
-        };
-        add(&mut take.path, Segment::still(&self.rest, baseline_s));
+        self.add(&mut take.path, Segment::still(&self.rest, baseline_s));
         for touch in touches {
             let place = &self.scene.station.layout.channels[touch.channel].id;
             take.activities.push((take.path.duration_s(), format!("to {place}")));
             if let Some(first) = touch.way_in.first() {
-                add(&mut take.path, Segment::still(&first.waypoints[0], pause_s));
+                self.add(&mut take.path, Segment::still(&first.waypoints[0], pause_s));
             }
             for segment in &touch.way_in {
-                add(&mut take.path, segment.clone());
+                self.add(&mut take.path, segment.clone());
             }
             take.activities.push((take.path.duration_s(), format!("{}, {place}", self.primitive.label)));
             if !take.touches.contains(&touch.channel) {
@@ -212,9 +282,9 @@ impl Planner<'_> {
                 for _ in 0..self.primitive.repetitions {
                     let start_s = take.path.duration_s();
                     for segment in touch.strokes.repetition(self.primitive, speed) {
-                        add(&mut take.path, segment);
+                        self.add(&mut take.path, segment);
                     }
-                    add(&mut take.path, Segment::still(touch.strokes.hover(), self.primitive.gap_s));
+                    self.add(&mut take.path, Segment::still(touch.strokes.hover(), self.primitive.gap_s));
                     let end_s = take.path.duration_s();
                     take.spans.push(Span {
                         kind: SpanKind::Repetition,
@@ -227,9 +297,9 @@ impl Planner<'_> {
         }
         take.activities.push((take.path.duration_s(), "to rest".to_owned()));
         for segment in way_home {
-            add(&mut take.path, segment.clone());
+            self.add(&mut take.path, segment.clone());
         }
-        add(&mut take.path, Segment::still(&self.rest, pause_s));
+        self.add(&mut take.path, Segment::still(&self.rest, pause_s));
         take.activities.push((take.path.duration_s(), "at rest".to_owned()));
         take
     }

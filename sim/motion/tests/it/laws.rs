@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use palpate_motion::{MotionLimits, Plan, Primitives, TakeMotion, plan_take};
+use palpate_motion::{MotionLimits, Plan, Primitives, TakeMotion, plan_approach, plan_take};
 use palpate_recording::SpanKind;
 use palpate_robot_model::{Station, WorkspaceBox};
 use proptest::prelude::*;
@@ -205,6 +205,57 @@ fn a_motion_that_leaves_the_workspace_says_which_patch_and_when() {
     station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.27], max_m: [1.0, 1.0, 1.5] });
     let error = plan_take(&station, &plan, &Primitives::new(), 0, Some(&limits)).unwrap_err().to_string();
     assert!(error.contains("take 1") && error.contains("outside safety.workspace"), "{error}");
+}
+
+/// From wherever a take was left, the way back to its start is clear of the object, or it is said that somebody has to
+/// move the robot.
+#[test]
+fn ways_to_the_start_are_clear_of_the_object() {
+    let (station, plan) = (station("xarm6_leap"), plan("quick_check"));
+    let limits = MotionLimits::of(&station);
+    let scene = plan.scene(&station, &plan.takes[0].object).unwrap();
+    let motion = planned(&station, &plan, 0, Some(&limits));
+    let mut from = motion.start().to_vec();
+    let (mut found, mut refused) = (0, 0);
+    for left_s in (0..motion.duration_s() as usize * 2).map(|half| 0.5 * half as f64) {
+        motion.at(left_s, &mut from);
+        let way = match plan_approach(&station, &plan, &Primitives::new(), 0, &from, Some(&limits)) {
+            Ok(way) => way,
+            Err(error) => {
+                let mut frames = Vec::new();
+                station.robot.forward_kinematics(&from, &mut frames);
+                assert!(scene.clearance_m(&frames) < 0.012, "refused at {left_s} s, clear of the object");
+                assert!(error.to_string().contains("take 1: found no way to the start"), "{error}");
+                refused += 1;
+                continue;
+            }
+        };
+        found += 1;
+        assert_eq!(way.start(), from);
+        let (mut before, mut last, mut now) = (from.clone(), from.clone(), from.clone());
+        let mut frames = Vec::new();
+        for step in -3..(way.duration_s() / DT_S).ceil() as i64 + 3 {
+            way.at(step as f64 * DT_S, &mut now);
+            for dof in 0..now.len() {
+                let velocity = (now[dof] - last[dof]) / DT_S;
+                let acceleration = (now[dof] - 2.0 * last[dof] + before[dof]) / (DT_S * DT_S);
+                assert!(velocity.abs() <= 0.905 * limits.velocity[dof], "left at {left_s} s: {velocity}");
+                assert!(acceleration.abs() <= 0.905 * limits.acceleration[dof], "{left_s} s: {acceleration}");
+            }
+            station.robot.forward_kinematics(&now, &mut frames);
+            assert!(scene.clearance_m(&frames) > 0.0, "left at {left_s} s: through the object");
+            before.clone_from(&last);
+            last.clone_from(&now);
+        }
+        assert_eq!(now, motion.start());
+    }
+    assert!(found > 10 && refused > 0, "{found} found, {refused} refused");
+
+    from[0] = f64::NAN;
+    let error = plan_approach(&station, &plan, &Primitives::new(), 0, &from, None).unwrap_err().to_string();
+    assert!(error.contains("joint \"joint1\" is at NaN"), "{error}");
+    let error = plan_approach(&station, &plan, &Primitives::new(), 0, &from[1..], None).unwrap_err();
+    assert!(error.to_string().contains("positions to start from, expected"), "{error}");
 }
 
 proptest! {
