@@ -33,10 +33,37 @@ pub struct RecordState {
     start: start::StartState,
     /// The remark that is being typed.
     note: String,
-    /// The step whose start pose the robot has gone to, and what it was seen doing.
-    went_to_start: Option<usize>,
+    start_pose: StartPose,
     /// Whether the object stands where the plan says.
     fixture_elsewhere: bool,
+}
+
+/// Whether the robot is where the motion of a step starts, as far as this page has seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+enum StartPose {
+    #[default]
+    Unknown,
+    /// On its way, for the step.
+    Going(usize),
+    /// It was to go, and was called off.
+    CalledOff,
+    /// There.
+    Reached(usize),
+}
+
+impl StartPose {
+    fn next(self, phase: RecordingPhase, step: Option<usize>, problem: bool) -> Self {
+        match (phase, self, step) {
+            (RecordingPhase::GoingToStart, Self::CalledOff, _) => Self::CalledOff,
+            (RecordingPhase::GoingToStart, _, Some(step)) => Self::Going(step),
+            (RecordingPhase::StartPose, Self::Going(of) | Self::Reached(of), Some(step))
+                if of == step && !problem =>
+            {
+                Self::Reached(step)
+            }
+            _ => Self::Unknown,
+        }
+    }
 }
 
 /// What the middle shows and what its keys mean.
@@ -48,6 +75,12 @@ struct Scene<'a> {
     not_ready: Option<&'static str>,
     /// Nothing can be done now: something is on its way, or the picture is frozen.
     waits: bool,
+}
+
+impl Scene<'_> {
+    fn is_at_start(&self, state: &RecordState) -> bool {
+        self.session.current.is_some_and(|step| state.start_pose == StartPose::Reached(step))
+    }
 }
 
 /// The screen.
@@ -79,7 +112,7 @@ pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Reco
     match &document.session {
         Some(session) => session_ui(ui, cx, state, session, &names),
         None => {
-            state.went_to_start = None;
+            state.start_pose = StartPose::Unknown;
             egui::CentralPanel::default()
                 .show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document.plans));
         }
@@ -123,11 +156,8 @@ fn session_ui(
         not_ready: not_ready(cx.store),
         waits: cx.store.recording_busy || frozen,
     };
-    match phase {
-        RecordingPhase::GoingToStart => state.went_to_start = session.current,
-        RecordingPhase::StartPose if state.went_to_start == session.current => {}
-        _ => state.went_to_start = None,
-    }
+    let problem = !session.problem.is_empty() || cx.store.recording_problem.is_some();
+    state.start_pose = state.start_pose.next(phase, session.current, problem);
     let mut actions = Vec::new();
     Panel::left("record_checklist")
         .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
@@ -142,6 +172,9 @@ fn session_ui(
     keys(ui, &scene, state, &mut actions, cx.store);
     // One thing at a time: a second one would be meant for another step.
     if let Some(action) = actions.into_iter().next().filter(|_| !scene.waits) {
+        if action == RecordingAction::Cancel {
+            state.start_pose = StartPose::CalledOff;
+        }
         cx.store.act_on_recording(action);
     }
 }
@@ -169,9 +202,7 @@ fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<(&'s
             "Object is in place",
             RecordingAction::ConfirmObject { fixture_trusted: !state.fixture_elsewhere },
         ),
-        RecordingPhase::StartPose if state.went_to_start == scene.session.current => {
-            ("Run", RecordingAction::Run { lease })
-        }
+        RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run { lease }),
         RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart { lease }),
         RecordingPhase::Review => ("Accept", RecordingAction::Accept),
         RecordingPhase::GoingToStart

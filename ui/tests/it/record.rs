@@ -198,13 +198,29 @@ fn once_it_went_to_the_start_the_primary_button_runs() {
     bench.state.recording = Some(status("going_to_start"));
     bench.tell();
     bench.harness.get_by_label("The robot goes to the start pose");
-    bench.click("Cancel");
-    assert_eq!(acts(&bench), [RecordingAction::Cancel]);
     bench.state.recording = Some(status("start_pose"));
     bench.tell();
     bench.harness.get_by_label("Ready to run");
     key(&mut bench, Key::Enter);
     assert_eq!(acts(&bench), [RecordingAction::Run { lease: 4 }]);
+    // The made-up server refuses: whatever the robot lacks, going to its start is the next thing to try.
+    bench.harness.get_by_label("Bring the robot to its start");
+}
+
+#[test]
+fn a_way_to_the_start_that_was_called_off_does_not_count() {
+    let mut bench = armed(RecordingPhase::StartPose);
+    let status = |phase: &str| RecordingStatus { revision: 7, phase: phase.to_owned(), ..Default::default() };
+    let same = serde_json::to_vec(&document(RecordingPhase::StartPose)).expect("it serialises");
+    bench.api.0.borrow_mut().answer(&Request::ActOnRecording(RecordingAction::Cancel), same);
+    bench.state.recording = Some(status("going_to_start"));
+    bench.tell();
+    bench.click("Cancel");
+    assert_eq!(acts(&bench), [RecordingAction::Cancel]);
+    bench.tell();
+    bench.state.recording = Some(status("start_pose"));
+    bench.tell();
+    assert!(bench.can("Go to start pose") && bench.harness.query_by_label("Ready to run").is_none());
 }
 
 #[test]

@@ -92,15 +92,17 @@ impl Controls {
             .dofs()
             .enumerate()
             .map(|(dof, joint)| {
-                let (lower, upper) =
-                    joint.limits.map_or((-UNLIMITED, UNLIMITED), |limits| (limits.lower, limits.upper));
+                // What the safety layer keeps to, which may be less than the robot could.
+                let limits = station.safety.joints.get(dof);
+                let lower = limits.map(|limits| limits.lower).filter(|limit| limit.is_finite());
+                let upper = limits.map(|limits| limits.upper).filter(|limit| limit.is_finite());
                 JointControl {
                     dof,
                     name: joint.name.clone(),
                     label: capitalised(&joint.name),
                     kind: joint.kind,
-                    lower,
-                    upper,
+                    lower: lower.unwrap_or(-UNLIMITED),
+                    upper: upper.unwrap_or(UNLIMITED),
                 }
             })
             .collect();
@@ -193,13 +195,10 @@ fn presets(station: &Station, hand: &[JointControl]) -> Vec<Preset> {
     .collect()
 }
 
-/// Where the joints rest, by name, as the first plan among the station's files says; empty if none does.
+/// Where the joints rest, by name, as the station's first plan says; empty without a plan.
 fn rest(station: &Station) -> BTreeMap<String, f64> {
-    let texts = station.files.files.iter().filter(|(path, _)| path.ends_with(".toml"));
-    texts
-        .filter_map(|(_, bytes)| std::str::from_utf8(bytes).ok())
-        .find_map(|text| toml::from_str::<RestingPlan>(text).ok())
-        .map_or_else(BTreeMap::new, |plan| plan.motion.rest)
+    let mut plans = station.plans.iter().filter_map(|(_, text)| toml::from_str::<RestingPlan>(text).ok());
+    plans.next().map_or_else(BTreeMap::new, |plan| plan.motion.rest)
 }
 
 #[cfg(test)]
@@ -248,7 +247,9 @@ mod tests {
     #[test]
     fn presets_keep_the_limits_and_the_plan_says_where_the_hand_rests() {
         let mut leap = station("xarm6_leap");
-        leap.files.files.retain(|path, _| !path.contains("plans/"));
+        let limited = leap.robot.dofs().position(|joint| joint.name == "middle_pip").expect("there");
+        leap.safety.joints[limited].upper = 0.5;
+        leap.plans.clear();
         let before = Controls::new(&leap);
         assert_eq!(before.presets.len(), 1, "no plan, no rest");
         for &(dof, position) in &before.presets[0].positions {
@@ -258,13 +259,14 @@ mod tests {
             assert!(!leap.carrier_dofs.contains(&dof));
         }
         let plan = "[motion.rest]\nindex_pip = 0.4\nmiddle_pip = 99.0\njoint3 = -1.2\nring_pip = nan\n";
-        leap.files.files.insert("plans/p.toml".to_owned(), plan.as_bytes().to_vec());
+        leap.plans = vec![("broken".to_owned(), "=".to_owned()), ("p".to_owned(), plan.to_owned())];
         let controls = Controls::new(&leap);
         let rest = &controls.presets[1];
         let joint = |name: &str| {
             controls.hand.iter().flat_map(|g| &g.joints).find(|joint| joint.name == name).expect("there")
         };
         let [index, middle] = ["index_pip", "middle_pip"].map(joint);
-        assert_eq!(rest.positions, [(index.dof, 0.4), (middle.dof, middle.upper)]);
+        assert_eq!(middle.upper, 0.5, "the station's limit, not the robot's");
+        assert_eq!(rest.positions, [(index.dof, 0.4), (middle.dof, 0.5)]);
     }
 }

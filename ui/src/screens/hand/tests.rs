@@ -117,6 +117,28 @@ fn hiding_arm_and_object_leaves_hand_and_taxels() {
 }
 
 #[test]
+fn only_what_is_told_to_move_has_a_ghost() {
+    let leap = station("xarm6_leap");
+    let geometry = Geometry::new(&leap);
+    let mut positions = posture(&leap, 3);
+    let measured = poses(&leap, &positions);
+    assert!(geometry.ghost(&measured, &measured, COLORS.ghost, SHOWN).is_empty());
+    assert!(geometry.ghost(&measured, &[], COLORS.ghost, SHOWN).is_empty(), "nothing is commanded");
+    let dof = leap.robot.dofs().position(|joint| joint.name == "index_dip").expect("a joint");
+    positions[dof] += 0.2;
+    let commanded = poses(&leap, &positions);
+    let ghosts = geometry.ghost(&measured, &commanded, COLORS.ghost, SHOWN);
+    assert!(!ghosts.is_empty() && ghosts.iter().all(|ghost| ghost.color[3] < 1.0));
+    let below = |name: &str| leap.robot.links.iter().filter(|link| link.name.starts_with(name)).count();
+    assert!(ghosts.len() <= below("index"), "other fingers stay as they are");
+    positions[leap.carrier_dofs[0]] += 0.2;
+    let turned = poses(&leap, &positions);
+    let with_arm = geometry.ghost(&measured, &turned, COLORS.ghost, SHOWN).len();
+    let hidden = Shown { object: true, arm: false };
+    assert!(geometry.ghost(&measured, &turned, COLORS.ghost, hidden).len() < with_arm);
+}
+
+#[test]
 fn every_shipped_object_has_a_surface() {
     for station in stations() {
         let geometry = Geometry::new(&station);

@@ -97,7 +97,7 @@ fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, step: &RecordingStep) {
 }
 
 fn start_pose_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, state: &RecordState, scene: &Scene<'_>) {
-    if state.went_to_start == scene.session.current {
+    if scene.is_at_start(state) {
         big_ui(ui, "Ready to run");
         ui.label(
             RichText::new("Step back. A countdown follows, then the robot moves by itself; Space stops it.")
@@ -210,7 +210,7 @@ fn buttons_ui(
         let lease = cx.store.control.lease();
         let ready = scene.not_ready.is_none();
         match scene.phase {
-            RecordingPhase::StartPose if state.went_to_start == scene.session.current => {
+            RecordingPhase::StartPose if scene.is_at_start(state) => {
                 second(ui, "Go to start pose", "", ready, RecordingAction::GoToStart { lease });
             }
             RecordingPhase::StartPose => second(ui, "Run", "", ready, RecordingAction::Run { lease }),
