@@ -55,6 +55,8 @@ pub struct Supervisor {
     state: State,
     hold: Option<Hold>,
     lead: Lead,
+    /// The arm was told to yield, and may be anywhere since.
+    hands: bool,
     /// What kept lead-through from ending at the last try.
     lead_notice: String,
     /// Why it was disarmed last; empty where somebody asked for it.
@@ -153,6 +155,7 @@ impl Supervisor {
             state: State::Disarmed,
             hold: None,
             lead: Lead::Off,
+            hands: false,
             lead_notice: String::new(),
             disarmed_because: String::new(),
             joints: (0..num_dofs).map(joint).collect(),
@@ -232,7 +235,7 @@ impl Supervisor {
         self.heartbeat_ns = self.now_ns;
         self.last_tick_ns = Some(self.now_ns);
         self.state = State::Arming { since_ns: self.now_ns };
-        (self.hold, self.lead, self.moved) = (None, Lead::Off, false);
+        (self.hold, self.lead, self.hands, self.moved) = (None, Lead::Off, false, false);
         self.lead_notice.clear();
         self.disarmed_because.clear();
         Ok(())
@@ -340,6 +343,7 @@ impl Supervisor {
             self.stand_still();
         }
         if self.energised() {
+            self.hands = self.lead != Lead::Off;
             self.follow_hands();
             self.step(step_ns as f64 * 1e-9);
             if matches!(self.state, State::Disarming)
@@ -466,7 +470,7 @@ impl Supervisor {
 
     /// While the arm is led by hand it is commanded to be where it is, so that nothing jumps when it holds again.
     fn follow_hands(&mut self) {
-        if self.lead == Lead::Off {
+        if !self.hands {
             return;
         }
         for (joint, telemetry) in self.joints.iter_mut().zip(&self.telemetry.joints) {
@@ -500,7 +504,7 @@ impl Supervisor {
     /// The arm holds where it is. As after arming, its motors have to show that they do.
     fn end_lead(&mut self) {
         self.follow_hands();
-        self.lead = Lead::Off;
+        (self.lead, self.hands) = (Lead::Off, false);
         self.lead_notice.clear();
         let now_ns = self.now_ns;
         for joint in self.joints.iter_mut().filter(|joint| joint.carrier) {
