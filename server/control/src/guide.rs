@@ -172,11 +172,15 @@ impl Guide {
     ///
     /// The effects have the takes checked that never were.
     pub(crate) fn new(
-        plan: GuidePlan,
+        mut plan: GuidePlan,
         session: &str,
         recording: &RecordingFile,
         report: &[String],
     ) -> (Self, Vec<Effect>) {
+        // As they are marked one after the other.
+        for step in &mut plan.steps {
+            step.spans.sort_by(|a, b| a.end_s.total_cmp(&b.end_s));
+        }
         let mut steps = vec![None; plan.steps.len()];
         let mut effects = Vec::new();
         let of = |take: &RecordedTake| Recorded {

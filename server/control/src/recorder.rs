@@ -31,8 +31,10 @@ pub(crate) struct RecorderConfig {
     /// A take ends when less than this is free, bytes: its end and the lists of the session still have to be written.
     pub(crate) least_free_bytes: u64,
     /// Free space where a session lies, bytes; `None` if that cannot be found out.
-    pub(crate) free_bytes: Box<dyn Fn(&Path) -> Option<u64> + Send>,
+    pub(crate) free_bytes: FreeBytes,
 }
+
+type FreeBytes = Box<dyn Fn(&Path) -> Option<u64> + Send>;
 
 impl Default for RecorderConfig {
     fn default() -> Self {

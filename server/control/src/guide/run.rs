@@ -198,8 +198,13 @@ impl Guide {
         match std::mem::replace(&mut self.phase, Phase::StartPose) {
             Phase::Run(_) => {
                 self.phase = Phase::Checking;
-                let broken_off = why.to_owned();
-                vec![Effect::StopMotion, audit, Effect::Record(RecorderCommand::EndTake { broken_off })]
+                let (broken_off, text) = (why.to_owned(), format!("stopped: {why}"));
+                vec![
+                    Effect::StopMotion,
+                    audit,
+                    Effect::Record(RecorderCommand::Log { at_ns: now_ns, text }),
+                    Effect::Record(RecorderCommand::EndTake { broken_off }),
+                ]
             }
             Phase::GoingToStart { .. } => vec![Effect::StopMotion, audit],
             other => {
@@ -212,8 +217,7 @@ impl Guide {
     /// Marks the spans of the motion that are over after `elapsed_s` of it.
     fn mark_spans(&mut self, run: &Run, marked: usize, elapsed_s: f64) -> Vec<Effect> {
         let Some(step) = self.current else { return Vec::new() };
-        let mut spans = self.plan.steps[step].spans.clone();
-        spans.sort_by(|a, b| a.end_s.total_cmp(&b.end_s));
+        let spans = &self.plan.steps[step].spans;
         let over = spans.iter().take_while(|span| span.end_s <= elapsed_s).count();
         if over > marked {
             // Not what pages show, so that the revision stays.

@@ -142,6 +142,25 @@ fn every_fault_is_named_by_itself() {
 }
 
 #[test]
+fn joints_may_be_faster_than_promised_and_their_gaps_are_found_all_the_same() {
+    let fast = |take: &mut Take, in_gap: &dyn Fn(f64) -> bool| {
+        let times_s = (0..400).map(|frame| frame as f64 * 0.01).filter(|&time_s| !in_gap(time_s));
+        let times_s: Vec<f64> = times_s.collect();
+        take.joints.positions = times_s.iter().flat_map(|_| [0.0, -0.5]).collect();
+        take.joints.times_s = times_s;
+        take.commands = take.joints.clone();
+    };
+    assert!(judged(|take| fast(take, &|_| false)).good);
+    let verdict = judged(|take| fast(take, &|time_s| (1.5..1.85).contains(&time_s)));
+    assert!(verdict.problems[0].starts_with("joints: 1 gaps, the longest 0.36 s"), "{verdict:#?}");
+    let verdict = judged(|take| {
+        take.joints.times_s.iter_mut().for_each(|time_s| *time_s *= 2.0);
+        take.commands = take.joints.clone();
+    });
+    assert!(verdict.problems[0].starts_with("joints: 5.0 Hz, nominal is 10.0 Hz"), "{verdict:#?}");
+}
+
+#[test]
 fn missed_channels_are_listed_and_unplanned_ones_need_not_be_touched() {
     let verdict = judged(|take| {
         for channel in [0, 3] {
