@@ -1,5 +1,8 @@
 //! What the box's error and warning numbers mean, and what an operator can do.
 
+/// The error between the kinematic one and a joint's limit.
+const SELF_COLLISION: u8 = 0x16;
+
 /// An error of the box in words: what happened and what to do.
 pub(crate) fn explain_error(code: u8) -> String {
     let (what, mend) = match code {
@@ -19,7 +22,7 @@ pub(crate) fn explain_error(code: u8) -> String {
         }
         19 | 28 => ("the tool at the flange does not answer the box", "check the tool's plug at the flange"),
         21 => ("no joint angles reach the commanded pose", "command another pose"),
-        22 => ("the arm would collide with itself", "lead it by hand out of the pose"),
+        SELF_COLLISION => ("the arm would collide with itself", "lead it by hand out of the pose"),
         23 => ("a joint is beyond its limit", "lead the arm by hand back within its limits"),
         24 => (
             "a joint was commanded faster than it may move",
@@ -76,7 +79,8 @@ mod tests {
 
     #[test]
     fn every_documented_code_is_explained_with_its_number_and_what_to_do() {
-        let documented = [1, 2, 3, 10, 11, 17, 19, 21, 22, 23, 24, 25, 26, 28, 30, 31, 35, 36, 37, 38, 60];
+        let documented =
+            [1, 2, 3, 10, 11, 17, 19, 21, SELF_COLLISION, 23, 24, 25, 26, 28, 30, 31, 35, 36, 37, 38, 60];
         for code in documented {
             let text = explain_error(code);
             assert!(text.contains(&format!("error {code} ")) && !text.contains("does not know"), "{text}");

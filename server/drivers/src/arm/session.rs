@@ -48,6 +48,8 @@ const STUCK_NS: u64 = 1_000_000_000;
 
 /// States that the box reports.
 mod state {
+    /// What it is told to be; some firmware also reports it.
+    pub(super) const TOLD_READY: u8 = 0;
     pub(super) const MOVING: u8 = 1;
     pub(super) const READY: u8 = 2;
     pub(super) const PAUSED: u8 = 3;
@@ -278,7 +280,7 @@ impl Session {
 
     /// Whether nothing of what this program has switched on is on any more.
     pub(crate) fn is_at_rest(&self) -> bool {
-        !self.is_engaged() && !(self.ours && self.enabled)
+        !(self.is_engaged() || self.ours && self.enabled)
     }
 
     /// Frames from the box that could not be understood.
@@ -305,7 +307,7 @@ impl Session {
             Phase::Engaging { step: Step::Confirm, mode, since_ns }
                 if received_ns > since_ns
                     && report.mode == mode
-                    && matches!(report.state, state::MOVING | state::READY) =>
+                    && matches!(report.state, state::TOLD_READY | state::MOVING | state::READY) =>
             {
                 self.enabled = true;
                 self.follow_from_here(received_ns);
@@ -425,11 +427,6 @@ impl Session {
         if !std::mem::take(&mut self.clear_requested) {
             return;
         }
-        if self.fault.is_some()
-            && matches!(self.phase, Phase::Engaging { .. } | Phase::Servo | Phase::LeadThrough)
-        {
-            self.stop(now_ns);
-        }
         if self.fault.is_some() {
             self.ask(now_ns, &Command::ClearError {});
         }
@@ -474,7 +471,7 @@ impl Session {
                 let detection = self.version.is_some_and(|version| version >= [1, 10, 0]).then_some(0);
                 self.ask(now_ns, &Command::SetMode { mode, detection });
             }
-            Step::State => self.ask(now_ns, &Command::SetState { state: 0 }),
+            Step::State => self.ask(now_ns, &Command::SetState { state: state::TOLD_READY }),
             Step::Confirm => {}
         }
     }

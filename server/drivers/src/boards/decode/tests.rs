@@ -26,8 +26,8 @@ fn matrix() -> BoardDecoder {
 fn are_whole(samples: &[Sample]) -> bool {
     samples.iter().all(|sample| {
         let first = sample.raw[0];
-        let expected = [0, 1, 2, 3, 10, 11, 12, 13, 20, 21, 22, 23].map(|offset| first + offset as f32);
-        sample.raw == expected && first % 100.0 == 0.0
+        let expected = (0..3).flat_map(|row| (0..4).map(move |column| first + (10 * row + column) as f32));
+        sample.raw.iter().copied().eq(expected) && first % 100.0 == 0.0
     })
 }
 
