@@ -199,6 +199,37 @@ fn damage_in_the_middle_of_a_long_take_is_left_alone() {
 
 const CHILD_DIR: &str = "PALPATE_TEST_CHILD_DIR";
 
+/// Set for a process that ends its take as soon as it cannot be written any more.
+const CHILD_ENDS: &str = "PALPATE_TEST_CHILD_ENDS";
+
+/// A real file that may not grow: to the process as good as a full disk.
+#[test]
+fn a_process_whose_disk_is_full_ends_its_take_by_itself() {
+    let dir = tempfile::tempdir().unwrap();
+    let session = dir.path().join("monday");
+    // The shell counts in units of 512 or 1024 bytes.
+    let script = "trap '' XFSZ; ulimit -f 90; exec \"$0\" \"$@\"";
+    let output = Command::new("sh")
+        .args(["-c", script])
+        .arg(env::current_exe().unwrap())
+        .args(["--exact", "live::a_process_that_records_until_it_is_killed", "--nocapture"])
+        .envs([(CHILD_DIR, session.as_os_str()), (CHILD_ENDS, "1".as_ref())])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let reached_ms: u64 =
+        said.lines().filter_map(|line| line.strip_prefix("at ")?.parse().ok()).max().unwrap();
+    assert!(said.contains("failed to write") && said.contains("take-01.mcap.partial"), "{said}");
+
+    let (growing, report) = crate::growing::open(&session).unwrap();
+    assert!(report.is_empty(), "nothing was left to be mended: {report:?}");
+    let take = &growing.recording().takes[0];
+    assert!(take.file == "take-01.mcap" && take.broken_off == "no space", "{take:?}");
+    let read = Take::read(&growing.take_path("take-01").unwrap()).unwrap();
+    assert!(*read.streams[0].times_s.last().unwrap() >= reached_ms as f64 * 1e-3 - 1.0);
+}
+
 /// Not a test by itself: what [`a_killed_process_loses_less_than_a_second`] starts and kills.
 #[test]
 fn a_process_that_records_until_it_is_killed() {
@@ -206,7 +237,12 @@ fn a_process_that_records_until_it_is_killed() {
     let mut growing = crate::growing::open(Path::new(&dir)).unwrap().0;
     let mut live = growing.start_take(0, &station(), &meta(), START_UNIX_NS).unwrap();
     for tick_ms in (0..).step_by(5) {
-        write_tick(&mut live, tick_ms).unwrap();
+        if let Err(error) = write_tick(&mut live, tick_ms) {
+            assert!(env::var(CHILD_ENDS).is_ok(), "{error}");
+            println!("{error}");
+            growing.end_take(live, "no space").unwrap();
+            return;
+        }
         if tick_ms % 100 == 0 {
             println!("at {tick_ms}");
         }
