@@ -1,8 +1,43 @@
 //! Runs a station: devices, safety layer, recording, guided sessions and the live twin.
-#![cfg_attr(not(test), expect(dead_code, reason = "the loop that uses these modules comes next"))]
+//!
+//! [`Control`] owns the devices and the one thread that commands them, 200 times a second; everybody else speaks to it
+//! through a [`Handle`]. What moves the robot, from a page or by itself, goes through the
+//! [safety layer](palpate_safety::Supervisor), under the lease of the connection that acquired it.
+//!
+//! ```text
+//! devices --events--> senses --frames, samples--> recorder thread --> take
+//!                       |  '--readings--> supervisor --setpoint--> devices
+//! pages --requests--> desk --targets--------^  ^
+//! guide of a session --motion of a take--------'            all of it --30 Hz--> pages
+//! ```
+//!
+//! Nothing here waits: disks, planning and the building of emulated worlds have threads of their own.
 
+mod audit;
+mod control;
+mod control_loop;
+mod error;
+mod follow;
+mod guide;
+mod guided;
+mod guiding;
+mod handle;
 mod joints;
 mod latency;
+mod pace;
+mod prepare;
+mod quality;
 mod rates;
+mod recorder;
+mod requests;
 mod round;
+mod senses;
+mod snapshot;
 mod streams;
+
+pub use audit::AuditLine;
+pub use control::{Control, ControlConfig};
+pub use control_loop::Publish;
+pub use error::ControlError;
+pub use guided::PlaceObject;
+pub use handle::Handle;

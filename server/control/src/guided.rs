@@ -1,0 +1,254 @@
+//! The guided session in the control loop: its checklist, its recorder, its motions.
+
+use std::{
+    io,
+    sync::{
+        Arc,
+        mpsc::{Receiver, Sender, channel},
+    },
+    thread::{self, JoinHandle},
+};
+
+use nalgebra::Isometry3;
+use palpate_motion::{Plan, Primitives, TakeMotion};
+use palpate_robot_model::{JointKind, Station};
+use palpate_wire::{
+    api::{PlanSummary, RecordingDocument},
+    proto::RecordingStatus,
+};
+
+use crate::{
+    error::ControlError,
+    follow::{Follow, Way},
+    guide::{Effect, Guide, GuidePlan, GuideStep},
+    prepare::Prepared,
+    recorder::{Recorder, RecorderConfig},
+};
+
+/// From the baseline to the motion, s.
+const COUNTDOWN_S: f64 = 3.0;
+/// How near to the start pose a joint has to be, rad or m: servos of a hand give way to gravity, arms do not.
+const NEAR_HAND: f64 = 0.12;
+const NEAR_CARRIER: f64 = 0.02;
+const NEAR_CARRIER_M: f64 = 0.002;
+
+/// Puts an object of the station in place where that can be done without a person: on an emulated station.
+pub type PlaceObject = Box<dyn Fn(&str) -> Result<(), String> + Send>;
+
+/// The session that is under way, if one is.
+pub(crate) struct Guided {
+    pub(crate) guide: Option<Guide>,
+    pub(crate) recorder: Recorder,
+    /// The motion that is under way, if one is.
+    pub(crate) motion: Option<Follow>,
+    station: Arc<Station>,
+    plans: Vec<PlanSummary>,
+    plan: Option<Plan>,
+    motions: Vec<Arc<TakeMotion>>,
+    /// Added to the guide's revision, so that revisions of sessions that follow one another count up.
+    revisions_before: u64,
+    placer: Option<Placer>,
+    /// The object that was put in place last, and where it stands.
+    object: Option<(String, Isometry3<f64>)>,
+}
+
+impl Guided {
+    /// No session is under way; `plans` are those that there are.
+    pub(crate) fn new(
+        station: Arc<Station>,
+        plans: Vec<PlanSummary>,
+        place_object: Option<PlaceObject>,
+    ) -> io::Result<Self> {
+        let recorder = Recorder::start(Arc::clone(&station), RecorderConfig::default())?;
+        let placer = place_object.map(Placer::start).transpose()?;
+        Ok(Self {
+            guide: None,
+            recorder,
+            motion: None,
+            station,
+            plans,
+            plan: None,
+            motions: Vec::new(),
+            revisions_before: 1,
+            placer,
+            object: None,
+        })
+    }
+
+    /// Begins or resumes a session; what has to be done first comes with it.
+    pub(crate) fn begin(&mut self, prepared: Prepared) -> Result<Vec<Effect>, ControlError> {
+        self.refuse_second_session()?;
+        let guide_plan = guide_plan(&self.station, &prepared.plan, &prepared.motions)?;
+        let recording = prepared.session.recording();
+        let (guide, effects) = Guide::new(guide_plan, &prepared.id, recording, &prepared.mended);
+        self.recorder.begin(prepared.session);
+        self.motions = prepared.motions;
+        self.plan = Some(prepared.plan);
+        self.guide = Some(guide);
+        Ok(effects)
+    }
+
+    pub(crate) fn refuse_second_session(&self) -> Result<(), ControlError> {
+        match &self.guide {
+            None => Ok(()),
+            Some(guide) => Err(ControlError::Refused(format!(
+                "session {:?} is being recorded; leave it before another is begun",
+                guide.session().session
+            ))),
+        }
+    }
+
+    /// Lets go of a session that was left.
+    pub(crate) fn forget_finished(&mut self) {
+        if self.guide.as_ref().is_some_and(Guide::finished)
+            && let Some(guide) = self.guide.take()
+        {
+            self.revisions_before += guide.revision() + 1;
+            self.motion = None;
+            self.motions.clear();
+            self.plan = None;
+        }
+    }
+
+    /// What pages are told of the checklist.
+    pub(crate) fn document(&self) -> RecordingDocument {
+        RecordingDocument {
+            revision: self.revision(),
+            plans: self.plans.clone(),
+            session: self.guide.as_ref().map(Guide::session),
+        }
+    }
+
+    /// What pages are told with every frame.
+    pub(crate) fn status(&self, now_ns: u64) -> Option<RecordingStatus> {
+        let mut status = self.guide.as_ref()?.status(now_ns);
+        status.revision = self.revision();
+        status.lost_samples = self.recorder.lost_samples();
+        status.free_bytes = self.recorder.free_bytes();
+        if status.activity.is_empty() && self.motion.is_some() {
+            "to the start pose".clone_into(&mut status.activity);
+        }
+        Some(status)
+    }
+
+    fn revision(&self) -> u64 {
+        self.revisions_before + self.guide.as_ref().map_or(0, Guide::revision)
+    }
+
+    /// Whether the station moves by itself, or is about to.
+    pub(crate) fn moves(&self) -> bool {
+        self.guide.as_ref().is_some_and(Guide::moves)
+    }
+
+    /// The motion of the step at `step`.
+    pub(crate) fn take_way(&self, step: usize) -> Option<Way> {
+        self.motions.get(step).map(|motion| Way::Take(Arc::clone(motion)))
+    }
+
+    /// Has `object` put in place where that needs no person.
+    pub(crate) fn place(&mut self, object: &str) {
+        let pose = self.plan.as_ref().and_then(|plan| plan.objects.get(object));
+        self.object = pose.and_then(|pose| Some((object.to_owned(), pose.to_isometry().ok()?)));
+        if let Some(placer) = &self.placer {
+            placer.place(object);
+        }
+    }
+
+    /// Why the last object could not be put in place, once.
+    pub(crate) fn misplaced(&self) -> Option<String> {
+        self.placer.as_ref().and_then(|placer| placer.problems.try_recv().ok())
+    }
+
+    /// The object that was put in place last, and where it stands.
+    pub(crate) fn object(&self) -> Option<(&str, Isometry3<f64>)> {
+        self.object.as_ref().map(|(object, pose)| (object.as_str(), *pose))
+    }
+}
+
+/// Puts objects in place from a thread of its own: an emulated world takes a moment to be built anew.
+struct Placer {
+    objects: Option<Sender<String>>,
+    problems: Receiver<String>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Placer {
+    fn start(place_object: PlaceObject) -> io::Result<Self> {
+        let (objects, wanted) = channel::<String>();
+        let (say, problems) = channel();
+        let thread = thread::Builder::new().name("place-object".to_owned()).spawn(move || {
+            for object in wanted {
+                if let Err(problem) = place_object(&object) {
+                    // Nobody listens once the control loop has ended.
+                    let _ = say.send(format!("{object} could not be put in place: {problem}"));
+                }
+            }
+        })?;
+        Ok(Self { objects: Some(objects), problems, thread: Some(thread) })
+    }
+
+    fn place(&self, object: &str) {
+        if let Some(objects) = &self.objects {
+            // A thread that is gone has panicked, which was printed.
+            let _ = objects.send(object.to_owned());
+        }
+    }
+}
+
+impl Drop for Placer {
+    fn drop(&mut self) {
+        self.objects = None;
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread was printed when it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The plan as the guide follows it.
+fn guide_plan(
+    station: &Station,
+    plan: &Plan,
+    motions: &[Arc<TakeMotion>],
+) -> Result<GuidePlan, ControlError> {
+    let refused = |problem: String| ControlError::Refused(problem);
+    let no_others = Primitives::new();
+    let mut steps = Vec::with_capacity(plan.takes.len());
+    for (take, motion) in plan.takes.iter().zip(motions) {
+        let unknown = || refused(format!("{}: object {:?} is not of this station", plan.file, take.object));
+        let object = station.objects.get(&take.object).ok_or_else(unknown)?;
+        let pose = plan.objects.get(&take.object).ok_or_else(unknown)?;
+        let primitive =
+            plan.primitive(&take.primitive, &no_others).map_err(|error| refused(error.to_string()))?;
+        steps.push(GuideStep {
+            object: take.object.clone(),
+            object_label: object.label.clone(),
+            base_from_object: pose.to_isometry().map_err(refused)?,
+            primitive: take.primitive.clone(),
+            primitive_label: primitive.label.clone(),
+            instruction: take.instruction.clone(),
+            start: motion.start().to_vec(),
+            duration_s: motion.duration_s(),
+            spans: motion.spans.clone(),
+            activities: motion.activities.clone(),
+            touches: motion.touches.clone(),
+        });
+    }
+    let joints = station.robot.dofs().enumerate().map(|(dof, joint)| {
+        let near = match (station.carrier_dofs.contains(&dof), joint.kind) {
+            (true, JointKind::Prismatic) => NEAR_CARRIER_M,
+            (true, _) => NEAR_CARRIER,
+            (false, _) => NEAR_HAND,
+        };
+        (joint.name.clone(), near)
+    });
+    Ok(GuidePlan {
+        id: plan.id.clone(),
+        steps,
+        joints: joints.collect(),
+        channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
+        baseline_s: plan.motion.baseline_s,
+        countdown_s: COUNTDOWN_S,
+        software: concat!("palpate ", env!("CARGO_PKG_VERSION")).to_owned(),
+    })
+}

@@ -1,0 +1,197 @@
+//! Carries out what the guide of a session asks for, and tells it what came of it.
+
+use std::collections::VecDeque;
+
+use palpate_safety::{Lease, Phase, Status};
+use palpate_wire::api::{RecordingAction, RecordingDocument};
+
+use crate::{
+    control_loop::{ControlLoop, TARE_NS},
+    error::ControlError,
+    follow::{Follow, Progress, Way},
+    guide::{Effect, Safety},
+    prepare::Prepared,
+};
+
+/// Who asks for what the guide does, in the audit log.
+const GUIDE: &str = "guided session";
+
+impl ControlLoop {
+    /// Begins a session whose motions are planned.
+    pub(crate) fn begin_session(&mut self, prepared: Prepared) -> Result<RecordingDocument, ControlError> {
+        let now_ns = self.clock.now_ns();
+        let what = format!("began session {} by plan {}", prepared.id, prepared.plan.id);
+        let operator = prepared.operator.clone();
+        let effects = self.guided.begin(prepared)?;
+        self.audit.note(now_ns, &operator, &what);
+        self.carry_out(now_ns, effects);
+        Ok(self.guided.document())
+    }
+
+    /// What the operator does in the session.
+    pub(crate) fn act(&mut self, action: &RecordingAction) -> Result<RecordingDocument, ControlError> {
+        let now_ns = self.clock.now_ns();
+        if let RecordingAction::Run { .. } = action
+            && let Some((device, problem)) = self.senses.missing().next()
+        {
+            return Err(ControlError::Refused(format!(
+                "{device} is missing, so that the take would be without it: {problem}"
+            )));
+        }
+        let status = self.supervisor.status(now_ns);
+        let measured = self.senses.positions();
+        let safety = safety(&status, measured.as_deref());
+        let Some(guide) = &mut self.guided.guide else {
+            return Err(ControlError::Refused("no session is under way; begin one first".to_owned()));
+        };
+        let effects = guide.act(now_ns, action, &safety).map_err(ControlError::Refused)?;
+        self.carry_out(now_ns, effects);
+        Ok(self.guided.document())
+    }
+
+    /// One turn of the session: what the recorder says, what time it is, where the motion stands.
+    pub(crate) fn guide(&mut self, now_ns: u64) {
+        while let Some(event) = self.guided.recorder.poll() {
+            if let Some(guide) = &mut self.guided.guide {
+                let effects = guide.recorder(event);
+                self.carry_out(now_ns, effects);
+            }
+        }
+        self.guided.forget_finished();
+        if let Some(problem) = self.guided.misplaced() {
+            self.audit.note(now_ns, GUIDE, &problem);
+            self.fail_motion(now_ns, &problem);
+        }
+        if self.guided.guide.is_none() {
+            return;
+        }
+        let missing =
+            self.senses.missing().next().map(|(device, problem)| format!("{device} is lost: {problem}"));
+        if let Some(problem) = missing {
+            self.fail_motion(now_ns, &problem);
+        }
+        let status = self.supervisor.status(now_ns);
+        let measured = self.senses.positions();
+        if let Some(guide) = &mut self.guided.guide {
+            guide.touched(&self.senses.streams.touch(now_ns).active);
+            let effects = guide.tick(now_ns, &safety(&status, measured.as_deref()));
+            self.carry_out(now_ns, effects);
+        }
+        self.follow(now_ns, measured.as_deref());
+    }
+
+    /// Commands the next moment of the motion that is under way.
+    fn follow(&mut self, now_ns: u64, measured: Option<&[f64]>) {
+        let Some(motion) = &mut self.guided.motion else { return };
+        let lease = motion.lease;
+        let targets: Vec<(usize, f64)> = motion.target(now_ns).iter().copied().enumerate().collect();
+        self.commands += 1;
+        if let Err(refusal) = self.supervisor.targets(now_ns, lease, self.commands, &targets) {
+            return self.fail_motion(now_ns, &refusal.to_string());
+        }
+        let Some(measured) = measured else { return };
+        match motion.progress(now_ns, &self.commanded, measured) {
+            Progress::Moving => {}
+            Progress::Lagging(dof, error) => {
+                let name = self.station.robot.dofs().nth(dof).map_or("?", |joint| &joint.name);
+                let problem = format!(
+                    "joint {name:?} is {error:.2} behind and does not follow; look whether something holds it"
+                );
+                self.fail_motion(now_ns, &problem);
+            }
+            Progress::Arrived => {
+                let worst = motion.worst_error();
+                tracing::info!(worst_error = worst, "a guided motion has come to its end");
+                self.guided.motion = None;
+                if let Some(guide) = &mut self.guided.guide {
+                    let effects = guide.arrived(now_ns);
+                    self.carry_out(now_ns, effects);
+                }
+            }
+        }
+    }
+
+    /// The zero of the tactile readings was captured, or could not be.
+    pub(crate) fn tared(&mut self, now_ns: u64, problems: &[String]) {
+        if let Some(guide) = &mut self.guided.guide {
+            let effects = guide.tared(now_ns, problems);
+            self.carry_out(now_ns, effects);
+        }
+    }
+
+    /// Ends the motion that is under way, if one is, and says why.
+    fn fail_motion(&mut self, now_ns: u64, problem: &str) {
+        if let Some(guide) = &mut self.guided.guide {
+            let effects = guide.motion_failed(now_ns, problem);
+            self.carry_out(now_ns, effects);
+        }
+    }
+
+    fn carry_out(&mut self, now_ns: u64, effects: Vec<Effect>) {
+        let mut effects = VecDeque::from(effects);
+        while let Some(effect) = effects.pop_front() {
+            let refused = match effect {
+                Effect::PlaceObject { object } => {
+                    self.guided.place(&object);
+                    None
+                }
+                Effect::MoveTo { lease, positions } => {
+                    let velocities: Vec<f64> =
+                        self.station.safety.joints.iter().map(|joint| joint.velocity).collect();
+                    let from = if self.commanded.is_empty() {
+                        self.senses.positions()
+                    } else {
+                        Some(self.commanded.clone())
+                    };
+                    let way = from.map(|from| Way::straight(&from, &positions, &velocities));
+                    self.start_motion(now_ns, lease, way)
+                }
+                Effect::RunMotion { lease, step } => {
+                    let way = self.guided.take_way(step);
+                    self.start_motion(now_ns, lease, way)
+                }
+                Effect::StopMotion => {
+                    self.guided.motion = None;
+                    None
+                }
+                Effect::Tare => {
+                    self.tare_for = GUIDE.to_owned();
+                    self.senses.streams.tare(now_ns, TARE_NS);
+                    None
+                }
+                Effect::Record(command) => {
+                    self.guided.recorder.command(command);
+                    None
+                }
+                Effect::Audit(what) => {
+                    self.audit.note(now_ns, GUIDE, &what);
+                    None
+                }
+            };
+            if let Some(problem) = refused
+                && let Some(guide) = &mut self.guided.guide
+            {
+                effects.extend(guide.motion_failed(now_ns, problem));
+            }
+        }
+    }
+
+    /// Starts a motion, or says why it cannot.
+    fn start_motion(&mut self, now_ns: u64, lease: u64, way: Option<Way>) -> Option<&'static str> {
+        let Some(way) = way else {
+            return Some("not every joint has said where it is; check the devices");
+        };
+        self.guided.motion = Some(Follow::new(way, now_ns, Lease(lease), self.tolerances.clone()));
+        None
+    }
+}
+
+/// What the guide has to know of the safety layer.
+fn safety<'a>(status: &'a Status, measured: Option<&'a [f64]>) -> Safety<'a> {
+    Safety {
+        armed: status.phase == Phase::Armed,
+        lease: status.lease.map_or(0, |lease| lease.0),
+        reason: &status.reason,
+        measured,
+    }
+}

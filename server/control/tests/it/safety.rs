@@ -1,0 +1,101 @@
+//! What happens when somebody is gone, or says stop. Times are the emulated station's own.
+
+use std::{thread, time::Duration};
+
+use palpate_wire::proto::{Disarm, ResetStop, control_request::Request, control_state::Phase};
+
+use crate::bench::{Bench, Operator, still_since_ns, targets};
+
+const MS: u64 = 1_000_000;
+/// Time that joints at full speed take to brake (3 rad/s at 40 rad/s2), that bus and emulation take, and that the machine
+/// may have something else to do.
+const BRAKING_NS: u64 = 75 * MS + 20 * MS;
+const SLACK_NS: u64 = 200 * MS;
+
+/// Starts a motion that would take seconds, and waits until it goes.
+fn set_in_motion(bench: &Bench, operator: &Operator) {
+    let joints = ["joint1", "index_pip", "middle_mcp_forward"].map(|joint| bench.dof(joint));
+    let now = bench.emulated.snapshot().positions;
+    bench.emulated.log_motion(60_000);
+    operator.accepted(targets(&joints, &[now[joints[0]] + 1.5, now[joints[1]] + 1.0, now[joints[2]] + 1.0]));
+    bench.wait_until("moving", |now| now.velocities[joints[0]].abs() > 0.3);
+}
+
+#[test]
+fn a_page_that_is_gone_while_moving_holds_and_disarms() {
+    let bench = Bench::new();
+    let mut operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    let gone_ns = operator.vanish(&bench);
+    let disarmed_ns = bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    let log = bench.emulated.take_motion_log();
+    assert_eq!(log.num_dropped, 0);
+    // Joints may sag once they are limp: what counts is that they stood before.
+    let held: Vec<_> = log.steps.into_iter().filter(|step| step.device_ns <= gone_ns + 450 * MS).collect();
+    let still_ns = still_since_ns(&held).expect("they stand before they are limp");
+    let to_hold = still_ns.saturating_sub(gone_ns);
+    assert!(to_hold <= 150 * MS + BRAKING_NS + SLACK_NS, "held after {} ms", to_hold / MS);
+    let to_disarm = disarmed_ns - gone_ns;
+    assert!(to_disarm <= 500 * MS + SLACK_NS, "disarmed after {} ms", to_disarm / MS);
+    let state = bench.wait_for_phase(Phase::Disarmed);
+    assert!(state.reason.contains("operator"), "{}", state.reason);
+    bench.wait_for_audit("nothing was heard of the operator");
+}
+
+#[test]
+fn a_page_that_falls_silent_is_as_good_as_gone() {
+    let bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    // It is there, and asks for something that is refused, but sends no heartbeat.
+    drop(operator);
+    bench.wait_for_phase(Phase::Holding);
+    bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    // The same operator may go on at once, and starts where the robot is.
+    let mut again = Operator::watcher(&bench, 2);
+    again.take_control(true);
+    bench.wait_for_phase(Phase::Disarmed);
+    bench.emulated.log_motion(60_000);
+    again.arm(&bench);
+    thread::sleep(Duration::from_millis(300));
+    let log = bench.emulated.take_motion_log();
+    let fastest =
+        log.steps.iter().flat_map(|step| &step.velocities).fold(0.0, |most: f64, v| most.max(v.abs()));
+    assert!(fastest < 1.0, "armed with a jump of {fastest} rad/s");
+}
+
+#[test]
+fn anybody_stops_and_the_stop_is_confirmed_and_latched() {
+    let bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    let watcher = Operator::watcher(&bench, 2);
+    set_in_motion(&bench, &operator);
+    let asked_ns = bench.emulated.snapshot().device_ns;
+    watcher.stop();
+    let limp_ns = bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    assert!(limp_ns - asked_ns <= 100 * MS + SLACK_NS, "stopped after {} ms", (limp_ns - asked_ns) / MS);
+    let state = bench.wait_for("confirmed", |state| state.stop_confirmed);
+    assert_eq!(state.phase(), Phase::Stopped);
+    let dof = bench.dof("index_pip");
+    operator.refused(targets(&[dof], &[0.3]));
+    operator.refused(Request::Arm(palpate_wire::proto::Arm {}));
+    operator.accepted(Request::ResetStop(ResetStop {}));
+    bench.wait_for_phase(Phase::Disarmed);
+    operator.arm(&bench);
+    operator.accepted(targets(&[dof], &[0.3]));
+    bench.wait_until("there", |now| (now.positions[dof] - 0.3).abs() < 0.05);
+    operator.accepted(Request::Disarm(Disarm {}));
+    bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+}
+
+#[test]
+fn a_loop_that_ends_lets_go_of_the_robot() {
+    let mut bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    bench.end_control();
+    bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    let problem = operator.refused(targets(&[0], &[0.0]));
+    assert!(problem.contains("ended"), "{problem}");
+    assert!(bench.audit().iter().any(|line| line.what.contains("has ended")));
+}

@@ -1,0 +1,170 @@
+//! A guided session: a take from the confirmed object to the accepted file.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use palpate_control::ControlError;
+use palpate_recording::{Session, SpanKind};
+use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingSession, StartRecording, StepState};
+
+use crate::bench::{Bench, Operator, targets};
+
+const PATIENCE: Duration = Duration::from_secs(240);
+
+fn start(bench: &Bench, session: &str) -> Result<RecordingSession, ControlError> {
+    let start = StartRecording {
+        plan: "quick_check".to_owned(),
+        session: session.to_owned(),
+        operator: "Ada".to_owned(),
+    };
+    let document = bench.handle.start_recording(start)?;
+    Ok(document.session.expect("it was begun"))
+}
+
+fn wait_for_phase(bench: &Bench, phase: RecordingPhase) -> RecordingSession {
+    let begun = Instant::now();
+    loop {
+        let document = bench.handle.recording().expect("the loop answers");
+        let session = document.session.expect("a session is under way");
+        if session.phase == phase {
+            return session;
+        }
+        assert!(begun.elapsed() < PATIENCE, "never {phase:?}: {session:?}");
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn act(bench: &Bench, action: RecordingAction) -> RecordingSession {
+    let document = bench.handle.act(action.clone()).expect("it is time for that");
+    document.session.unwrap_or_else(|| panic!("no session after {action:?}"))
+}
+
+/// Puts the object in place and brings the robot to the start of the step under way.
+fn to_start(bench: &Bench, operator: &Operator) {
+    let session = act(bench, RecordingAction::ConfirmObject { fixture_trusted: true });
+    let object = session.steps[session.current.expect("a step is under way")].object.clone();
+    bench.wait_until("the object in place", |now| now.object.as_deref() == Some(object.as_str()));
+    act(bench, RecordingAction::GoToStart { lease: operator.lease() });
+    wait_for_phase(bench, RecordingPhase::StartPose);
+}
+
+#[test]
+fn a_take_is_recorded_checked_accepted_and_can_be_read() {
+    let bench = Bench::new();
+    let plans = bench.handle.recording().unwrap().plans;
+    assert!(plans.iter().any(|plan| plan.id == "quick_check" && plan.takes == 3), "{plans:?}");
+    let session = start(&bench, "monday").unwrap();
+    assert_eq!((session.phase, session.steps.len()), (RecordingPhase::PlaceObject, 3));
+    // Another one cannot be begun meanwhile.
+    assert!(matches!(start(&bench, "tuesday"), Err(ControlError::Refused(_))));
+    let operator = Operator::armed(&bench, 1);
+    // Nobody else can move the robot in its name.
+    act(&bench, RecordingAction::ConfirmObject { fixture_trusted: true });
+    for lease in [0, operator.lease() + 1] {
+        let refused = bench.handle.act(RecordingAction::GoToStart { lease });
+        assert!(refused.unwrap_err().to_string().contains("lease"));
+    }
+    act(&bench, RecordingAction::GoToStart { lease: operator.lease() });
+    assert!(operator.refused(targets(&[7], &[0.4])).contains("by itself"));
+    wait_for_phase(&bench, RecordingPhase::StartPose);
+    act(&bench, RecordingAction::Run { lease: operator.lease() });
+    wait_for_phase(&bench, RecordingPhase::Running);
+    act(&bench, RecordingAction::Note { text: "a fly".to_owned() });
+    let frame = bench.wait_for_frame("something to look at", |frame| {
+        let status = frame.control.as_ref().and_then(|state| state.recording.as_ref());
+        status.is_some_and(|status| status.fraction > 0.2 && status.elapsed_s > 1.0)
+    });
+    assert!(!frame.activity.is_empty());
+    assert_eq!(frame.object, session.steps[0].object);
+    assert_eq!(frame.object_pose.len(), 7);
+    let session = wait_for_phase(&bench, RecordingPhase::Review);
+    let step = &session.steps[0];
+    let verdict = step.verdict.clone().expect("it was checked");
+    assert_eq!(step.state, StepState::Review);
+    assert!(session.problem.is_empty(), "{}", session.problem);
+    assert!(verdict.missed.is_empty(), "{verdict:?}");
+    assert!(step.touches.iter().all(|channel| verdict.covered.contains(channel)), "{verdict:?}");
+    act(&bench, RecordingAction::Accept);
+    let session = wait_for_phase(&bench, RecordingPhase::PlaceObject);
+    assert_eq!((session.steps[0].state, session.current), (StepState::Accepted, Some(1)));
+    act(&bench, RecordingAction::Leave);
+    let begun = Instant::now();
+    while bench.handle.recording().unwrap().session.is_some() {
+        assert!(begun.elapsed() < PATIENCE);
+        thread::sleep(Duration::from_millis(20));
+    }
+
+    let read = Session::open(&bench.dir.path().join("sessions/monday")).unwrap();
+    let takes = read.accepted_takes().unwrap();
+    assert_eq!(takes.len(), 1);
+    let take = &takes[0];
+    assert_eq!(take.meta.object, step.object);
+    assert_eq!(take.meta.operator, "Ada");
+    let joint_rate_hz = take.num_frames() as f64 / take.duration_s();
+    assert!(joint_rate_hz > take.station.joint_rate_hz, "{joint_rate_hz} Hz");
+    assert!(take.commands.times_s.len() > take.num_frames() / 2);
+    for (stream, log) in take.station.layout.streams.iter().zip(&take.streams) {
+        assert!(!log.times_s.is_empty(), "{}", stream.id);
+        let width = stream.channels.len();
+        assert_eq!(log.raw.len(), log.times_s.len() * width);
+    }
+    let kinds: Vec<SpanKind> = take.spans.iter().map(|span| span.kind).collect();
+    for kind in [SpanKind::Baseline, SpanKind::Repetition, SpanKind::Note] {
+        assert!(kinds.contains(&kind), "{kinds:?}");
+    }
+    bench.wait_for_audit("is accepted");
+    bench.wait_for_audit("took the zero");
+}
+
+#[test]
+fn a_take_ends_when_the_operator_is_gone_and_is_kept() {
+    let bench = Bench::new();
+    start(&bench, "monday").unwrap();
+    let mut operator = Operator::armed(&bench, 1);
+    to_start(&bench, &operator);
+    act(&bench, RecordingAction::Run { lease: operator.lease() });
+    wait_for_phase(&bench, RecordingPhase::Running);
+    bench
+        .wait_for("under way", |state| state.recording.as_ref().is_some_and(|status| status.elapsed_s > 2.0));
+    operator.vanish(&bench);
+    let session = wait_for_phase(&bench, RecordingPhase::Review);
+    assert!(session.problem.contains("operator"), "{}", session.problem);
+    let verdict = session.steps[0].verdict.clone().expect("it was checked");
+    assert!(!verdict.good && !verdict.problems.is_empty(), "{verdict:?}");
+    bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    assert!(bench.dir.path().join("sessions/monday").join("take-01.mcap").is_file());
+    // A board that is missing is said before anything is recorded without it.
+    act(&bench, RecordingAction::Again);
+    wait_for_phase(&bench, RecordingPhase::PlaceObject);
+    bench.set_faults("[[fault]]\nkind = \"unplug\"\ndevice = \"twintac2\"\n");
+    let second = {
+        let mut second = Operator::watcher(&bench, 2);
+        second.take_control(true);
+        second.arm(&bench);
+        second
+    };
+    to_start(&bench, &second);
+    let refused = bench.handle.act(RecordingAction::Run { lease: second.lease() });
+    assert!(refused.unwrap_err().to_string().contains("twintac2"));
+}
+
+#[test]
+fn sessions_that_cannot_be_are_refused_in_words() {
+    let bench = Bench::new();
+    for (plan, session, expected) in [
+        ("no_such", "monday", "quick_check"),
+        ("quick_check", "../monday", "letters"),
+        ("quick_check", "", "letters"),
+        ("quick_check", ".hidden", "letters"),
+    ] {
+        let start =
+            StartRecording { plan: plan.to_owned(), session: session.to_owned(), operator: String::new() };
+        let refused = bench.handle.start_recording(start).unwrap_err().to_string();
+        assert!(refused.contains(expected), "{refused}");
+    }
+    let refused = bench.handle.act(RecordingAction::Accept).unwrap_err().to_string();
+    assert!(refused.contains("begin one"), "{refused}");
+    assert!(!bench.dir.path().join("sessions").join("monday").exists());
+}
