@@ -95,7 +95,7 @@ mod tests {
                 // The step is what the speed says: the clamp of positions takes away rounding only.
                 prop_assert!((next.position - motion.position - next.velocity * dt_s).abs() < 1e-12);
                 let stop = next.stop_position(&LIMITS);
-                prop_assert!(stop >= LIMITS.lower - 1e-12 && stop <= LIMITS.upper + 1e-12, "{:?}", next);
+                prop_assert!((LIMITS.lower - 1e-12..=LIMITS.upper + 1e-12).contains(&stop), "{:?}", next);
                 motion = next;
             }
         }
