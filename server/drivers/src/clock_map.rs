@@ -2,9 +2,9 @@
 //!
 //! A sample is received some time after it was taken: never before, often soon, sometimes late because a thread or a
 //! bus was busy. Offset and skew of the device's clock therefore follow from the samples that came soonest. Of each
-//! half second the soonest is kept; the line below all that are kept which is nearest to them in sum is the clock. It is
-//! the edge of their lower convex hull above their mean time (Moon, Skelly, Towsley 1999, "Estimation and removal of
-//! clock skew from network delay measurements").
+//! half second the soonest is kept. The line below all that are kept which is nearest to them in sum is found first: it
+//! is the edge of their lower convex hull above their mean time (Moon, Skelly, Towsley 1999, "Estimation and removal of
+//! clock skew from network delay measurements"). Least squares through those samples that lie near it make it exact.
 
 use std::collections::VecDeque;
 
@@ -18,6 +18,8 @@ const MIN_BUCKETS: usize = 4;
 const STEP_NS: f64 = 20e6;
 /// Buckets that have to agree that all later samples are late before that counts as a step of the clock.
 const STEP_BUCKETS: usize = 4;
+/// By this much the soonest samples of two half seconds differ even on a quiet bus, ns.
+const USUAL_DELAY_NS: f64 = 50e3;
 /// No oscillator is worse; a larger skew is the mark of something else.
 const MAX_SKEW: f64 = 0.05;
 
@@ -64,13 +66,10 @@ impl ClockMap {
         }
         self.last_device_ns = device_ns;
         let mut sample = self.sample(device_ns, received_ns);
-        if (sample.lead_ns as f64) < self.line.lead_ns(sample.device_ns) - STEP_NS && !self.soonest.is_empty() {
+        if (sample.lead_ns as f64) < self.line.lead_ns(sample.device_ns) - STEP_NS && !self.soonest.is_empty()
+        {
             // Sooner than possible: the device's clock has jumped ahead.
-            *self = Self {
-                last_device_ns: device_ns,
-                last_host_ns: self.last_host_ns,
-                ..Self::default()
-            };
+            *self = Self { last_device_ns: device_ns, last_host_ns: self.last_host_ns, ..Self::default() };
             sample = self.sample(device_ns, received_ns);
         }
         self.keep(sample);
@@ -144,10 +143,29 @@ impl ClockMap {
             && x1 > x0
             && ((y1 - y0) / (x1 - x0)).abs() <= MAX_SKEW
         {
-            let skew = (y1 - y0) / (x1 - x0);
-            self.line = Line { at_ns: y0 - skew * x0, skew };
+            self.line = straighten(&points, (y1 - y0) / (x1 - x0));
         }
     }
+}
+
+/// The line of the least squares through those points that are about as low as most are above a line of the slope
+/// `skew`, moved down until none is below it: an edge of the hull may be short, and its slope rough.
+fn straighten(points: &[(f64, f64)], skew: f64) -> Line {
+    let above: Vec<f64> = points.iter().map(|&(x, y)| y - skew * x).collect();
+    let lowest = above.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut sorted = above.clone();
+    sorted.sort_by(f64::total_cmp);
+    let most = lowest + 3.0 * (sorted[sorted.len() / 2] - lowest) + USUAL_DELAY_NS;
+    let low: Vec<(f64, f64)> =
+        points.iter().zip(&above).filter(|(_, above)| **above <= most).map(|(&point, _)| point).collect();
+    let num = low.len() as f64;
+    let mean_x = low.iter().map(|&(x, _)| x).sum::<f64>() / num;
+    let mean_y = low.iter().map(|&(_, y)| y).sum::<f64>() / num;
+    let xx: f64 = low.iter().map(|&(x, _)| (x - mean_x).powi(2)).sum();
+    let xy: f64 = low.iter().map(|&(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    let skew = if xx > 0.0 { xy / xx } else { skew };
+    let at_ns = points.iter().map(|&(x, y)| y - skew * x).fold(f64::INFINITY, f64::min);
+    Line { at_ns, skew }
 }
 
 /// The points below which there are none, from left to right; `points` are in order of their first coordinate.

@@ -85,7 +85,10 @@ impl DeviceContext {
     }
 
     /// Starts the device's thread, which is called after the device.
-    pub(crate) fn spawn(self, run: impl FnOnce(DeviceContext) + Send + 'static) -> Result<BusHandle, DriverError> {
+    pub(crate) fn spawn(
+        self,
+        run: impl FnOnce(DeviceContext) + Send + 'static,
+    ) -> Result<BusHandle, DriverError> {
         let id = Arc::clone(&self.id);
         let stop = self.stop.clone();
         let thread = Builder::new()

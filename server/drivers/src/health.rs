@@ -39,6 +39,8 @@ pub struct DeviceHealth {
 pub struct MotorHealth {
     /// The joint that it moves.
     pub joint: String,
+    /// Model and firmware, once known.
+    pub identity: String,
     /// Degrees Celsius, once known.
     pub temperature_c: Option<f64>,
     /// Supply at the motor, V, once known.
@@ -72,13 +74,6 @@ impl SharedHealth {
     pub(crate) fn set_motors(&self, joints: impl IntoIterator<Item = String>) {
         let motor = |joint| MotorHealth { joint, ..MotorHealth::default() };
         self.lock().health.motors = joints.into_iter().map(motor).collect();
-    }
-
-    /// Changes what is known of motor `idx`.
-    pub(crate) fn motor(&self, idx: usize, change: impl FnOnce(&mut MotorHealth)) {
-        if let Some(motor) = self.lock().health.motors.get_mut(idx) {
-            change(motor);
-        }
     }
 
     /// Changes what is known of all motors.
@@ -124,12 +119,6 @@ impl SharedHealth {
             problem.clone_into(&mut health.problem);
         }
         changed
-    }
-
-    /// The device's link and what is wrong with it.
-    pub(crate) fn link(&self) -> (Link, String) {
-        let inner = self.lock();
-        (inner.health.link, inner.health.problem.clone())
     }
 
     /// Everything, as it is now.

@@ -48,6 +48,7 @@ impl RateMeter {
 
     /// The device is gone: the unfinished second does not count.
     pub(crate) fn disconnected(&mut self, now_ns: u64) {
+        self.recent.clear();
         if let Some(mut connection) = self.connected.take() {
             self.finish_seconds(&mut connection, now_ns);
             self.earlier_ns += now_ns.saturating_sub(connection.since_ns);
