@@ -4,14 +4,15 @@ use std::{
     io,
     sync::{
         Arc,
-        mpsc::{Receiver, Sender, channel},
+        mpsc::{Receiver, Sender, TryRecvError, channel},
     },
     thread::{self, JoinHandle},
 };
 
 use nalgebra::Isometry3;
-use palpate_motion::{Plan, Primitives, TakeMotion};
+use palpate_motion::{MotionLimits, Plan, Primitives, TakeMotion, plan_approach};
 use palpate_robot_model::{JointKind, Station};
+use palpate_safety::Lease;
 use palpate_wire::{
     api::{PlanSummary, RecordingDocument},
     proto::RecordingStatus,
@@ -19,7 +20,7 @@ use palpate_wire::{
 
 use crate::{
     error::ControlError,
-    follow::{Follow, Way},
+    follow::Follow,
     guide::{Effect, Guide, GuidePlan, GuideStep},
     prepare::Prepared,
     recorder::{Recorder, RecorderConfig},
@@ -27,6 +28,8 @@ use crate::{
 
 /// From the baseline to the motion, s.
 const COUNTDOWN_S: f64 = 3.0;
+/// Share of the speed limits that the way to a start pose uses: calm enough to watch and to stop.
+const CALM_SHARE: f64 = 0.5;
 /// How near to the start pose a joint has to be, rad or m: servos of a hand give way to gravity, arms do not.
 const NEAR_HAND: f64 = 0.12;
 const NEAR_CARRIER: f64 = 0.02;
@@ -43,7 +46,9 @@ pub(crate) struct Guided {
     pub(crate) motion: Option<Follow>,
     station: Arc<Station>,
     plans: Vec<PlanSummary>,
-    plan: Option<Plan>,
+    plan: Option<Arc<Plan>>,
+    /// The way to a start pose that is being planned, if one is.
+    approach: Option<Approach>,
     motions: Vec<Arc<TakeMotion>>,
     /// Added to the guide's revision, so that revisions of sessions that follow one another count up.
     revisions_before: u64,
@@ -68,6 +73,7 @@ impl Guided {
             station,
             plans,
             plan: None,
+            approach: None,
             motions: Vec::new(),
             revisions_before: 1,
             placer,
@@ -83,7 +89,7 @@ impl Guided {
         let (guide, effects) = Guide::new(guide_plan, &prepared.id, recording, &prepared.mended);
         self.recorder.begin(prepared.session);
         self.motions = prepared.motions;
-        self.plan = Some(prepared.plan);
+        self.plan = Some(Arc::new(prepared.plan));
         self.guide = Some(guide);
         Ok(effects)
     }
@@ -104,7 +110,7 @@ impl Guided {
             && let Some(guide) = self.guide.take()
         {
             self.revisions_before += guide.revision() + 1;
-            self.motion = None;
+            self.stand_still();
             self.motions.clear();
             self.plan = None;
         }
@@ -125,7 +131,9 @@ impl Guided {
         status.revision = self.revision();
         status.lost_samples = self.recorder.lost_samples();
         status.free_bytes = self.recorder.free_bytes();
-        if status.activity.is_empty() && self.motion.is_some() {
+        if self.approach.is_some() {
+            "looking for a way to the start pose".clone_into(&mut status.activity);
+        } else if status.activity.is_empty() && self.motion.is_some() {
             "to the start pose".clone_into(&mut status.activity);
         }
         Some(status)
@@ -141,8 +149,51 @@ impl Guided {
     }
 
     /// The motion of the step at `step`.
-    pub(crate) fn take_way(&self, step: usize) -> Option<Way> {
-        self.motions.get(step).map(|motion| Way::Take(Arc::clone(motion)))
+    pub(crate) fn take_motion(&self, step: usize) -> Option<Arc<TakeMotion>> {
+        self.motions.get(step).cloned()
+    }
+
+    /// Has the way from `from` to the start of the step under way planned, on a thread of its own, or says why not.
+    pub(crate) fn plan_approach(&mut self, lease: Lease, from: Vec<f64>) -> Result<(), String> {
+        let step = self.guide.as_ref().and_then(|guide| guide.session().current);
+        let (Some(step), Some(plan)) = (step, self.plan.clone()) else {
+            return Err("no step is under way; select one".to_owned());
+        };
+        let station = Arc::clone(&self.station);
+        let (say, planned) = channel();
+        let plan_it = move || {
+            let mut limits = MotionLimits::of(&station);
+            limits.velocity.iter_mut().for_each(|velocity| *velocity *= CALM_SHARE);
+            let way = plan_approach(&station, &plan, &Primitives::new(), step, &from, Some(&limits));
+            // Nobody listens if it was cancelled meanwhile.
+            let _ = say.send(way.map(Arc::new).map_err(|error| error.problem));
+        };
+        thread::Builder::new()
+            .name("plan-approach".to_owned())
+            .spawn(plan_it)
+            .map_err(|error| format!("the way to the start pose cannot be planned: {error}"))?;
+        self.approach = Some(Approach { lease, planned });
+        Ok(())
+    }
+
+    /// The way to the start pose that has been planned, or why there is none, once.
+    pub(crate) fn approach(&mut self) -> Option<(Lease, Result<Arc<TakeMotion>, String>)> {
+        let Approach { lease, planned } = self.approach.as_ref()?;
+        let way = match planned.try_recv() {
+            Ok(way) => way,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => {
+                Err("the way to the start pose could not be planned; jog there instead".to_owned())
+            }
+        };
+        let lease = *lease;
+        self.approach = None;
+        Some((lease, way))
+    }
+
+    /// No motion goes on, and none begins by itself.
+    pub(crate) fn stand_still(&mut self) {
+        (self.motion, self.approach) = (None, None);
     }
 
     /// Has `object` put in place where that needs no person.
@@ -163,6 +214,12 @@ impl Guided {
     pub(crate) fn object(&self) -> Option<(&str, Isometry3<f64>)> {
         self.object.as_ref().map(|(object, pose)| (object.as_str(), *pose))
     }
+}
+
+/// A way that is being planned.
+struct Approach {
+    lease: Lease,
+    planned: Receiver<Result<Arc<TakeMotion>, String>>,
 }
 
 /// Puts objects in place from a thread of its own: an emulated world takes a moment to be built anew.

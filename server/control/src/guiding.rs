@@ -1,14 +1,15 @@
 //! Carries out what the guide of a session asks for, and tells it what came of it.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, sync::Arc};
 
+use palpate_motion::TakeMotion;
 use palpate_safety::{Lease, Phase, Status};
 use palpate_wire::api::{RecordingAction, RecordingDocument};
 
 use crate::{
     control_loop::{ControlLoop, TARE_NS},
     error::ControlError,
-    follow::{Follow, Progress, Way},
+    follow::{Follow, Progress},
     guide::{Effect, Safety},
     prepare::Prepared,
 };
@@ -77,6 +78,11 @@ impl ControlLoop {
             let effects = guide.tick(now_ns, &safety(&status, measured.as_deref()));
             self.carry_out(now_ns, effects);
         }
+        match self.guided.approach() {
+            Some((lease, Ok(way))) => self.start_motion(now_ns, lease, way),
+            Some((_, Err(problem))) => self.fail_motion(now_ns, &problem),
+            None => {}
+        }
         self.follow(now_ns, measured.as_deref());
     }
 
@@ -135,23 +141,25 @@ impl ControlLoop {
                     self.guided.place(&object);
                     None
                 }
-                Effect::MoveTo { lease, positions } => {
-                    let velocities: Vec<f64> =
-                        self.station.safety.joints.iter().map(|joint| joint.velocity).collect();
-                    let from = if self.commanded.is_empty() {
-                        self.senses.positions()
-                    } else {
-                        Some(self.commanded.clone())
+                // The guide's pose is where the take of its step starts, and the way there is planned to that.
+                Effect::MoveTo { lease, .. } => {
+                    let from = match self.commanded.is_empty() {
+                        true => self.senses.positions(),
+                        false => Some(self.commanded.clone()),
                     };
-                    let way = from.map(|from| Way::straight(&from, &positions, &velocities));
-                    self.start_motion(now_ns, lease, way)
+                    let unknown = "not every joint has said where it is; check the devices".to_owned();
+                    let from = from.ok_or(unknown);
+                    from.and_then(|from| self.guided.plan_approach(Lease(lease), from)).err()
                 }
-                Effect::RunMotion { lease, step } => {
-                    let way = self.guided.take_way(step);
-                    self.start_motion(now_ns, lease, way)
-                }
+                Effect::RunMotion { lease, step } => match self.guided.take_motion(step) {
+                    Some(motion) => {
+                        self.start_motion(now_ns, Lease(lease), motion);
+                        None
+                    }
+                    None => Some("the step has no motion; leave the session and begin it again".to_owned()),
+                },
                 Effect::StopMotion => {
-                    self.guided.motion = None;
+                    self.guided.stand_still();
                     None
                 }
                 Effect::Tare => {
@@ -171,18 +179,14 @@ impl ControlLoop {
             if let Some(problem) = refused
                 && let Some(guide) = &mut self.guided.guide
             {
-                effects.extend(guide.motion_failed(now_ns, problem));
+                effects.extend(guide.motion_failed(now_ns, &problem));
             }
         }
     }
 
-    /// Starts a motion, or says why it cannot.
-    fn start_motion(&mut self, now_ns: u64, lease: u64, way: Option<Way>) -> Option<&'static str> {
-        let Some(way) = way else {
-            return Some("not every joint has said where it is; check the devices");
-        };
-        self.guided.motion = Some(Follow::new(way, now_ns, Lease(lease), self.tolerances.clone()));
-        None
+    fn start_motion(&mut self, now_ns: u64, lease: Lease, motion: Arc<TakeMotion>) {
+        let tolerances = self.tolerances.clone();
+        self.guided.motion = Some(Follow::new(Box::new(motion), now_ns, lease, tolerances));
     }
 }
 

@@ -79,8 +79,6 @@ pub(crate) struct Streams {
     channel_ids: Vec<String>,
     /// The first readings of a board, for so long, make its first reference.
     reference_ns: u64,
-    /// Readings that were left out because they made no sense.
-    num_refused: u64,
     tare_until_ns: Option<u64>,
 }
 
@@ -175,15 +173,14 @@ impl Streams {
             })
             .collect();
         let channel_ids = layout.channels.iter().map(|channel| channel.id.clone()).collect();
-        Self { streams, channel_ids, reference_ns, num_refused: 0, tare_until_ns: None }
+        Self { streams, channel_ids, reference_ns, tare_until_ns: None }
     }
 
     /// A board's reading; gives the stream's sample that is whole now, if one is.
     ///
     /// Readings of unknown boards, of another number of channels, with numbers that are none, or from before the
-    /// board's newest are left out and counted.
+    /// board's newest are left out.
     pub(crate) fn board(&mut self, reading: BoardReading<'_>) -> Option<StreamSample> {
-        let refused = &mut self.num_refused;
         let stream = self.streams.get_mut(reading.stream);
         let found = stream.and_then(|stream| {
             let is_it = |board: &Board| board.place.first_channel == reading.first_channel;
@@ -196,7 +193,7 @@ impl Streams {
                 && board.newest.is_none_or(|(newest_ns, _)| reading.host_ns > newest_ns)
                 && reading.raw.iter().all(|value| value.is_finite())
         }) else {
-            *refused += 1;
+            tracing::debug!(?reading, "a board's reading makes no sense");
             return None;
         };
         let reference_ns = self.reference_ns;
@@ -217,11 +214,6 @@ impl Streams {
         }
     }
 
-    /// Readings that were left out so far.
-    pub(crate) fn num_refused(&self) -> u64 {
-        self.num_refused
-    }
-
     /// The readings of the next `duration_ns` become the reference of every board. A tare that is under way begins anew.
     pub(crate) fn tare(&mut self, now_ns: u64, duration_ns: u64) {
         let until_ns = now_ns + duration_ns;
@@ -230,11 +222,6 @@ impl Streams {
             board.collecting = Some(Collecting::new(now_ns, until_ns, board.place.num_channels));
             board.collected = None;
         }
-    }
-
-    /// Whether a tare is under way.
-    pub(crate) fn taring(&self) -> bool {
-        self.tare_until_ns.is_some()
     }
 
     /// Ends a tare that is due and says how it went. Boards that sent nothing keep what they had.
@@ -291,12 +278,6 @@ impl Streams {
             }
         }
         touch
-    }
-
-    /// Boards that are silent at `now_ns` or never spoke, by the id of their device.
-    pub(crate) fn silent_boards(&self, now_ns: u64) -> Vec<&str> {
-        let boards = self.streams.iter().flat_map(|stream| &stream.boards);
-        boards.filter(|board| board.silent(now_ns)).map(|board| board.place.id.as_str()).collect()
     }
 }
 

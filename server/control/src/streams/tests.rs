@@ -103,7 +103,7 @@ fn a_tare_takes_the_mean_of_its_time_and_names_what_moved() {
     quiet(&mut streams, &boards, 1010 * MS, 1500 * MS, 700.0);
     assert!(streams.touch(1500 * MS).raw.iter().all(|&raw| (raw - 200.0).abs() < 1e-3));
     streams.tare(1500 * MS, 500 * MS);
-    assert!(streams.taring() && streams.finish_tare(1900 * MS).is_none());
+    assert!(streams.finish_tare(1900 * MS).is_none());
     for step in 1..=60_u64 {
         let now_ns = (1500 + step * 10) * MS;
         for (idx, place) in boards.iter().enumerate() {
@@ -119,7 +119,7 @@ fn a_tare_takes_the_mean_of_its_time_and_names_what_moved() {
     assert_eq!((outcome.num_boards, outcome.problems.len()), (3, 1));
     let moved = &station.layout.channels[station.layout.streams[1].channels.start + 1].id;
     assert!(outcome.problems[0].starts_with(moved.as_str()), "{outcome:?}");
-    assert!(!streams.taring() && streams.finish_tare(3000 * MS).is_none());
+    assert!(streams.finish_tare(3000 * MS).is_none());
     let touch = streams.touch(2100 * MS);
     assert!(touch.raw[0].abs() < 1e-3, "{:?}", touch.raw);
 }
@@ -135,7 +135,6 @@ fn a_board_that_is_away_keeps_its_reference_and_is_named() {
     let outcome = streams.finish_tare(3000 * MS).expect("it has waited long enough");
     assert_eq!(outcome.num_boards, 2);
     assert!(outcome.problems[0].contains("gel0"), "{outcome:?}");
-    assert_eq!(streams.silent_boards(3000 * MS), ["gel0"]);
     // It is back with the reference it had.
     quiet(&mut streams, &boards, 3010 * MS, 3100 * MS, 530.0);
     assert!((streams.touch(3100 * MS).raw[0] - 30.0).abs() < 1e-3);
@@ -159,7 +158,7 @@ fn a_silent_board_feels_nothing_while_others_go_on() {
 }
 
 #[test]
-fn readings_that_make_no_sense_are_counted_and_left_out() {
+fn readings_that_make_no_sense_are_left_out() {
     let station = station();
     let boards = boards(&station);
     let mut streams = Streams::new(&station, &boards, 100 * MS);
@@ -172,7 +171,6 @@ fn readings_that_make_no_sense_are_counted_and_left_out() {
     assert_eq!(read(&mut streams, film, 510 * MS, &good[1..]), None);
     assert_eq!(read(&mut streams, film, 500 * MS, &good), None);
     assert_eq!(read(&mut streams, &place("?", 9, 0, good.len()), 510 * MS, &good), None);
-    assert_eq!(streams.num_refused(), 4);
     assert!(read(&mut streams, film, 510 * MS, &good).is_some());
 }
 

@@ -340,11 +340,10 @@ pub(crate) fn targets(dofs: &[usize], positions: &[f64]) -> Request {
     Request::Targets(Targets { dofs, positions: positions.to_vec() })
 }
 
-/// Since when no joint has been faster than a crawl, in the station's own time.
-pub(crate) fn still_since_ns(steps: &[LoggedStep]) -> Option<u64> {
-    let moves = |step: &LoggedStep| step.velocities.iter().any(|velocity| velocity.abs() > 0.05);
-    let still = steps.iter().rposition(moves).map_or(0, |last| last + 1);
-    steps.get(still).map(|step| step.device_ns)
+/// When all joints stand still for the first time from `from_ns` on, in the station's own time.
+pub(crate) fn still_from_ns(steps: &[LoggedStep], from_ns: u64) -> Option<u64> {
+    let stands = |step: &&LoggedStep| step.velocities.iter().all(|velocity| velocity.abs() < 0.15);
+    steps.iter().filter(|step| step.device_ns >= from_ns).find(stands).map(|step| step.device_ns)
 }
 
 pub(crate) fn assets() -> PathBuf {

@@ -66,11 +66,16 @@ fn a_take_is_recorded_checked_accepted_and_can_be_read() {
         let refused = bench.handle.act(RecordingAction::GoToStart { lease });
         assert!(refused.unwrap_err().to_string().contains("lease"));
     }
+    // From a pose that is not the start, as an operator leaves it.
+    let dof = bench.dof("index_pip");
+    operator.accepted(targets(&[dof], &[0.9]));
+    bench.wait_until("away from the start", |now| (now.positions[dof] - 0.9).abs() < 0.05);
     act(&bench, RecordingAction::GoToStart { lease: operator.lease() });
-    assert!(operator.refused(targets(&[7], &[0.4])).contains("by itself"));
+    assert!(operator.refused(targets(&[dof], &[0.4])).contains("by itself"));
     wait_for_phase(&bench, RecordingPhase::StartPose);
     act(&bench, RecordingAction::Run { lease: operator.lease() });
     wait_for_phase(&bench, RecordingPhase::Running);
+    assert!((bench.emulated.snapshot().positions[dof] - 0.9).abs() > 0.2);
     act(&bench, RecordingAction::Note { text: "a fly".to_owned() });
     let frame = bench.wait_for_frame("something to look at", |frame| {
         let status = frame.control.as_ref().and_then(|state| state.recording.as_ref());
