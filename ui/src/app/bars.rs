@@ -168,9 +168,9 @@ impl StudioApp {
         match &self.store.connection {
             Connection::Open => {
                 dot_ui(ui, "Connected", palette.diagnosed, true);
-                if let Some(rate_hz) =
-                    self.store.live_frame().and_then(|frame| frame.rates_hz.first().copied())
-                {
+                // Where a station takes commands, the row below says more.
+                let rates = self.store.live_frame().filter(|frame| frame.control.is_none());
+                if let Some(rate_hz) = rates.and_then(|frame| frame.rates_hz.first().copied()) {
                     ui.label(format!("joints {rate_hz:.0} Hz"));
                 }
                 if self.store.dropped_messages > 0 {

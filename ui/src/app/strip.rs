@@ -38,13 +38,19 @@ impl StudioApp {
     /// The stop. It acts when it is pressed, not when it is let go.
     pub(super) fn stop_ui(&mut self, ui: &mut egui::Ui, rect: egui::Rect, palette: &Palette) {
         // Neither red nor yellow: ISO 13850 keeps these for stops that work without software and cannot be carried away.
-        let text = RichText::new("STOP\n(software)").strong().size(17.0).color(palette.surface);
-        let button = egui::Button::new(text).fill(palette.real).corner_radius(8.0);
+        let button = egui::Button::new("").fill(palette.real).corner_radius(8.0);
         let response = ui.put(rect, button).on_hover_text(
             "Stops every motor by software, from any page. Space does the same while armed. It does not replace a \
              switch that cuts the power.",
         );
         response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, "STOP (software)"));
+        let center = rect.center();
+        let line = |below: f32, text: &str, size: f32| {
+            let (at, font) = (center + egui::vec2(0.0, below), egui::FontId::proportional(size));
+            ui.painter().text(at, egui::Align2::CENTER_CENTER, text, font, palette.surface);
+        };
+        line(-9.0, "STOP", 26.0);
+        line(17.0, "(software)", 15.0);
         let (pressed, released) =
             ui.input(|input| (input.pointer.primary_pressed(), input.pointer.primary_released()));
         let by_pointer = response.is_pointer_button_down_on() && pressed;

@@ -14,6 +14,8 @@ use crate::api_client::{ApiEvent, ControlCounter};
 
 /// Twenty heartbeats a second.
 const BEAT_EVERY_MS: i32 = 50;
+/// A beat is due again after this: a timer may come a little early, and frames come between.
+const DUE_AFTER_MS: f64 = 35.0;
 
 const EVENTS: SocketEvents = (ApiEvent::ControlOpen, ApiEvent::ControlClosed, ApiEvent::ControlMessage);
 
@@ -31,9 +33,22 @@ struct Channel {
     socket: Option<Socket>,
     counter: ControlCounter,
     lease: Option<u64>,
+    last_beat_ms: f64,
 }
 
 impl Channel {
+    /// A heartbeat, if one is due and somebody can be looking.
+    fn beat(&mut self) {
+        let now_ms = js_sys::Date::now();
+        if let Some(lease) = self.lease
+            && (now_ms - self.last_beat_ms).abs() >= DUE_AFTER_MS
+            && super::window::is_watched()
+        {
+            self.last_beat_ms = now_ms;
+            self.send(lease, control_request::Request::Heartbeat(Heartbeat {}));
+        }
+    }
+
     fn send(&mut self, lease: u64, request: control_request::Request) -> Option<u64> {
         let socket = &self.socket.as_ref()?.socket;
         if socket.ready_state() != web_sys::WebSocket::OPEN {
@@ -84,7 +99,11 @@ impl ControlSocket {
     }
 
     pub(super) fn beat(&mut self, lease: Option<u64>) {
-        self.channel.borrow_mut().lease = lease;
+        let mut channel = self.channel.borrow_mut();
+        channel.lease = lease;
+        // Where frames take long, a timer comes late: a painted frame shows as well that the page is alive.
+        channel.beat();
+        drop(channel);
         if lease.is_none() {
             self.timer = None;
         } else if self.timer.is_none() {
@@ -98,11 +117,7 @@ fn start_timer(channel: &Rc<RefCell<Channel>>) -> Option<Timer> {
     let on_beat = Closure::<dyn FnMut()>::new(move || {
         // The page is never in the middle of a command when a timer fires; were it ever, the next beat is soon.
         let Ok(mut channel) = channel.try_borrow_mut() else { return };
-        if let Some(lease) = channel.lease
-            && super::window::is_watched()
-        {
-            channel.send(lease, control_request::Request::Heartbeat(Heartbeat {}));
-        }
+        channel.beat();
     });
     let window = web_sys::window()?;
     let id = window

@@ -32,7 +32,10 @@ pub(super) fn controls_ui(
 ) {
     ui.horizontal_wrapped(|ui| {
         ui.label(RichText::new(&shot.banner.source).strong().size(16.0).color(shot.banner.color));
-        ui.label(&shot.banner.about);
+        // An empty label would put what follows over what is before.
+        if !shot.banner.about.is_empty() {
+            ui.label(&shot.banner.about);
+        }
         if cx.store.is_live() {
             ui.separator();
             ui.selectable_value(&mut cx.playback.hand_source, HandSource::Recorded, "Recorded");

@@ -56,6 +56,8 @@ use crate::{
 };
 
 const SIDE_WIDTH: f32 = 360.0;
+/// With sliders, which are finer the longer they are.
+const CONTROL_WIDTH: f32 = 410.0;
 
 /// What the screen remembers between frames.
 #[derive(Default)]
@@ -437,10 +439,11 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
             None => live_rates_ui(ui, cx, &shot.station),
         }
     });
+    let commandable = shot.take.is_none() && cx.store.control_state().is_some();
     Panel::right("hand_side")
         .frame(frame)
         .resizable(false)
-        .exact_size(SIDE_WIDTH)
+        .exact_size(if commandable { CONTROL_WIDTH } else { SIDE_WIDTH })
         .show_separator_line(false)
         .show(ui, |ui| {
             let map = FlatMap {
@@ -452,7 +455,6 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
                 name: &name,
             };
             let full_scale = residual.as_ref().map(|residual| residual.full_scale_per_s);
-            let commandable = shot.take.is_none() && cx.store.control_state().is_some();
             let tab = if commandable { tabs_ui(ui, &mut state.tab) } else { SideTab::Touch };
             if tab == SideTab::Touch {
                 side_ui(ui, cx, &map, &details, (coloring, full_scale));

@@ -415,14 +415,14 @@ fn scene_colors(palette: &Palette) -> SceneColors {
             body: [0.62, 0.64, 0.68, 1.0],
             skin: linear(Color32::from_rgb(0x4a, 0x4d, 0x55), 1.0),
             object: linear(Color32::from_rgb(0xb9, 0xa8, 0x8c), 0.45),
-            ghost: linear(palette.real, 0.3),
+            ghost: linear(palette.text_weak, 0.2),
         }
     } else {
         SceneColors {
             body: [0.78, 0.79, 0.81, 1.0],
             skin: linear(Color32::from_rgb(0x6a, 0x6d, 0x75), 1.0),
             object: linear(Color32::from_rgb(0xb0, 0x98, 0x72), 0.45),
-            ghost: linear(palette.real, 0.3),
+            ghost: linear(palette.text_weak, 0.2),
         }
     }
 }

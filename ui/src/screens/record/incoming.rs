@@ -123,13 +123,13 @@ fn coverage_ui(
     let rect = Rect::from_min_size(ui.cursor().min, egui::vec2(ui.available_width(), height));
     channel_map_ui(ui, rect, station, &colors, &name, cx.playback, &palette);
     ui.advance_cursor_after_rect(rect);
+    ui.spacing_mut().interact_size.y = 18.0;
     for (color, text) in [
         (palette.real, "touched in this take"),
         (palette.text_weak.gamma_multiply(0.5), "in an accepted take"),
         (palette.warning, "meant to be touched in this take"),
     ] {
         ui.horizontal(|ui| {
-            ui.spacing_mut().interact_size.y = 18.0;
             let (rect, _) = ui.allocate_exact_size(egui::vec2(12.0, 12.0), egui::Sense::hover());
             ui.painter().circle_filled(rect.center(), 5.0, color);
             ui.label(RichText::new(text).color(palette.text_weak));

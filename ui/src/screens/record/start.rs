@@ -1,6 +1,6 @@
 //! Before a session: which plan, under which name.
 
-use egui::RichText;
+use egui::{RichText, accesskit::Role};
 use palpate_wire::api::{PlanSummary, StartRecording};
 
 use crate::screens::{
@@ -89,9 +89,13 @@ fn form_ui(
     }
     ui.add_space(10.0);
     let ready = problem.is_none() && !cx.store.recording_busy;
-    let button = egui::Button::new(RichText::new("Start session").strong().size(17.0))
-        .min_size(egui::vec2(220.0, 46.0));
-    let clicked = ui.add_enabled(ready, button).clicked();
+    let button = egui::Button::new(RichText::new("Start session  (Enter)").strong().size(20.0))
+        .fill(ui.visuals().selection.bg_fill)
+        .stroke(egui::Stroke::new(2.0, cx.palette.real))
+        .min_size(egui::vec2(260.0, 60.0));
+    let response = ui.add_enabled(ready, button);
+    response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, "Start session"));
+    let clicked = response.clicked();
     let enter = enter || {
         let free = ui.memory(|memory| memory.focused().is_none());
         free && ui.input(|input| input.modifiers.is_none() && input.key_pressed(egui::Key::Enter))
