@@ -301,6 +301,13 @@ fn a_take_is_reviewed_by_keys() {
         assert_eq!(acts(&bench), [action], "{name}");
     }
     bench.harness.get_by_label_contains("nothing at POST /api/v1/recording/act");
+    assert!(!bench.can("Add note"), "a mark without words belongs to a moment");
+    bench.harness.get_by_label("Note").focus();
+    bench.harness.run_steps(2);
+    bench.harness.event(egui::Event::Text("good".into()));
+    bench.harness.run_steps(2);
+    bench.click("Add note");
+    assert_eq!(acts(&bench), [RecordingAction::Note { text: "good".to_owned() }]);
 }
 
 #[test]

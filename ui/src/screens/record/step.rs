@@ -186,7 +186,8 @@ fn buttons_ui(
     ui.horizontal_wrapped(|ui| {
         let main = primary(scene, state, cx.store);
         if let Some((name, action)) = &main {
-            let ready = !scene.waits && !(moves(action) && scene.not_ready.is_some());
+            let blocked = moves(action) && scene.not_ready.is_some();
+            let ready = !(scene.waits || blocked);
             let button = egui::Button::new(RichText::new(format!("{name}  (Enter)")).size(20.0).strong())
                 .fill(ui.visuals().selection.bg_fill)
                 .stroke(egui::Stroke::new(2.0, cx.palette.real))
@@ -261,17 +262,20 @@ fn note_ui(
     ui.add_space(12.0);
     ui.horizontal(|ui| {
         let field = egui::TextEdit::singleline(&mut state.note)
-            .hint_text("A remark on this moment, e.g. \"the ball slipped\"")
+            .hint_text("A remark, e.g. \"the ball slipped\"")
             .desired_width(320.0)
             .min_size(egui::vec2(0.0, 32.0));
         let response = ui.add(field).accessible_name("Note");
         let enter = response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
         let text = state.note.trim();
-        let name = if text.is_empty() { "Mark" } else { "Add note" };
-        let face = if text.is_empty() { "Mark  M" } else { "Add note" };
-        let button = ui.add_enabled(!scene.waits, egui::Button::new(face));
-        button.widget_info(|| egui::WidgetInfo::labeled(Role::Button, !scene.waits, name));
-        if (button.clicked() || (enter && !text.is_empty())) && !scene.waits {
+        // A bare mark belongs to a moment, and a take that is reviewed has none.
+        let may_mark = takes_notes(scene.phase);
+        let (name, face) =
+            if text.is_empty() && may_mark { ("Mark", "Mark  (M)") } else { ("Add note", "Add note") };
+        let ready = !scene.waits && (may_mark || !text.is_empty());
+        let button = ui.add_enabled(ready, egui::Button::new(face));
+        button.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, name));
+        if ready && (button.clicked() || (enter && !text.is_empty())) {
             actions.push(RecordingAction::Note { text: text.to_owned() });
             state.note.clear();
         }
