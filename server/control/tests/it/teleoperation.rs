@@ -1,7 +1,8 @@
 //! Somebody takes control and moves the robot; others watch.
 
+use palpate_emulator::devices::Push;
 use palpate_wire::proto::{
-    Acquire, Arm, Heartbeat, Release, Tare, control_request::Request, control_state::Phase,
+    Acquire, Arm, Heartbeat, LeadThrough, Release, Tare, control_request::Request, control_state::Phase,
 };
 
 use crate::bench::{Bench, Operator, targets};
@@ -78,6 +79,27 @@ fn what_makes_no_sense_is_refused_and_moves_nothing() {
     let fastest =
         log.steps.iter().flat_map(|step| &step.velocities).fold(0.0, |most: f64, v| most.max(v.abs()));
     assert!(fastest < 0.3, "{fastest} rad/s");
+}
+
+#[test]
+fn an_arm_that_is_led_by_hand_yields_and_then_holds_where_it_is() {
+    let bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    let dof = bench.dof("joint1");
+    operator.accepted(Request::LeadThrough(LeadThrough { on: true }));
+    bench.wait_for("yielding", |state| state.lead_through);
+    bench.wait_until("in manual mode", |now| now.arm.mode == 2);
+    bench.emulated.push("joint1", Push::Speed(0.2)).unwrap();
+    bench.wait_until("pushed", |now| now.positions[dof] > 0.1);
+    bench.emulated.push("joint1", Push::NONE).unwrap();
+    operator.accepted(Request::LeadThrough(LeadThrough { on: false }));
+    bench.wait_for("holding itself", |state| !state.lead_through && state.phase() == Phase::Armed);
+    bench.wait_until("out of manual mode", |now| now.arm.mode != 2);
+    let led_to = bench.emulated.snapshot().positions[dof];
+    assert!(led_to > 0.1);
+    // It follows commands again, from there.
+    operator.accepted(targets(&[dof], &[led_to - 0.05]));
+    bench.wait_until("there", |now| (now.positions[dof] - led_to + 0.05).abs() < 0.01);
 }
 
 #[test]
