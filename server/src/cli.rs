@@ -13,6 +13,7 @@ mod progress;
 mod replay;
 mod serve;
 mod session;
+mod station;
 
 use std::process::ExitCode;
 

@@ -3,7 +3,9 @@
 use std::{fmt::Write as _, io, path::PathBuf};
 
 use palpate_calibration::CalibrationError;
+use palpate_control::ControlError;
 use palpate_diagnosis::DiagnosisError;
+use palpate_drivers::DriverError;
 use palpate_emulator::EmulationError;
 use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
@@ -37,6 +39,12 @@ pub enum Error {
     /// The diagnosis.
     #[error(transparent)]
     Diagnosis(#[from] DiagnosisError),
+    /// The live station.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// The devices of a station.
+    #[error(transparent)]
+    Devices(#[from] DriverError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -98,6 +106,15 @@ impl Error {
         move |source| Self::Io { action, path, source }
     }
 
+    /// There is no live station.
+    pub(crate) fn no_station() -> Self {
+        Self::NotFound {
+            what: "station",
+            id: "live".to_owned(),
+            hint: "start the studio with --station or --emulate, or open the station of a session",
+        }
+    }
+
     /// Whose turn it is.
     pub fn class(&self) -> Class {
         match self {
@@ -112,14 +129,23 @@ impl Error {
             Self::Calibration(CalibrationError::Input(_)) | Self::Diagnosis(DiagnosisError::Input(_)) => {
                 Class::BadContent
             }
-            Self::NotFound { .. } => Class::NotFound,
+            Self::NotFound { .. } | Self::Control(ControlError::Unknown(_)) => Class::NotFound,
+            Self::Control(ControlError::Refused(_)) => Class::Conflict,
+            Self::Control(ControlError::Plan(_)) => Class::BadContent,
+            Self::Control(ControlError::Io { action, source, .. }) => io_class(action, source),
+            Self::Devices(err) | Self::Control(ControlError::Devices(err)) => match err {
+                DriverError::Thread { .. } => Class::Failed,
+                _ => Class::BadContent,
+            },
             Self::Conflict(_) => Class::Conflict,
             Self::TooLarge(_) => Class::TooLarge,
             Self::Io { action, source, .. } => io_class(action, source),
             // The enums of other crates may grow.
-            Self::Emulation(_) | Self::Calibration(_) | Self::Diagnosis(_) | Self::Internal(_) => {
-                Class::Failed
-            }
+            Self::Emulation(_)
+            | Self::Calibration(_)
+            | Self::Diagnosis(_)
+            | Self::Control(_)
+            | Self::Internal(_) => Class::Failed,
         }
     }
 

@@ -32,6 +32,11 @@ impl Hub {
         client
     }
 
+    /// The newest state of the live station, if there is one.
+    pub(crate) fn newest_frame(&self) -> Option<Arc<LiveFrame>> {
+        lock(&self.newest_frame).clone()
+    }
+
     /// Sends the newest state of the live station to everybody.
     pub fn publish_live(&self, frame: LiveFrame) {
         let frame = Arc::new(frame);

@@ -36,6 +36,14 @@
 //! | POST | `/api/v1/diagnoses/{id}/save` | body `SaveDiagnosisRequest`; 201 (new model) or 200 (added to one) `ModelSummary`, `Location` |
 //! | GET | `/api/v1/diagnoses/{id}/report.html` | the self-contained report |
 //! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
+//! | GET | `/api/v1/live` | `LiveDocument`; 404 without a live station, as the routes below |
+//! | GET | `/api/v1/control` | WebSocket; binary protobuf `ControlRequest`, each answered by a `ControlReply` |
+//! | GET | `/api/v1/recording` | `RecordingDocument` |
+//! | POST | `/api/v1/recording` | body `StartRecording`; `RecordingDocument` |
+//! | POST | `/api/v1/recording/act` | body `RecordingAction`; `RecordingDocument` |
+//! | GET | `/api/v1/audit` | who moved or stopped the station: JSON lines |
+//! | GET, PUT | `/api/v1/emulator/faults` | what is wrong with emulated devices, TOML (`docs/emulated_devices.md`) |
+//! | POST | `/api/v1/emulator/object` | body `PlaceObject` |
 //! | GET | everything else | the page |
 //!
 //! Errors are RFC 9457 `application/problem+json` (`ProblemDetails`); `detail` says what happened, where, and what to
@@ -51,6 +59,8 @@ pub mod assets;
 pub mod bars;
 mod cache;
 mod client_queue;
+mod control_socket;
+mod emulated;
 mod error;
 pub mod files;
 mod hub;
@@ -67,7 +77,7 @@ mod upload;
 
 pub use error::{Class, Error, chain};
 pub use hub::Hub;
-pub use live::LiveFeed;
+pub use live::LiveStation;
 pub use routes::app;
 pub use serve::{AppState, ServeConfig, serve};
 pub use store::Store;

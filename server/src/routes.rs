@@ -3,8 +3,10 @@
 mod calibrations;
 mod diagnoses;
 mod extract;
+mod live;
 mod models;
 mod problem;
+mod recording;
 mod sessions;
 mod takes;
 
@@ -21,8 +23,9 @@ use base64::Engine as _;
 use palpate_robot_model::StationFiles;
 use palpate_wire::api::{Info, Source, StationDocument};
 
-use crate::{AppState, Error, assets, page, stream};
-use problem::{Answer, Problem, problem_response};
+use crate::{AppState, Error, assets, control_socket, page, stream};
+pub(crate) use problem::Problem;
+use problem::{Answer, problem_response};
 
 /// The whole service.
 pub fn app(state: Arc<AppState>) -> Router {
@@ -52,6 +55,13 @@ pub fn app(state: Arc<AppState>) -> Router {
         .route("/diagnoses/{run}/save", post(diagnoses::save))
         .route("/diagnoses/{run}/report.html", get(diagnoses::report))
         .route("/stream", get(stream::upgrade))
+        .route("/live", get(live::document))
+        .route("/control", get(control_socket::upgrade))
+        .route("/recording", get(recording::document).post(recording::start))
+        .route("/recording/act", post(recording::act))
+        .route("/audit", get(live::audit))
+        .route("/emulator/faults", get(live::faults).put(live::set_faults))
+        .route("/emulator/object", post(live::place_object))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
         .with_state(state);
@@ -66,18 +76,12 @@ async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
         name: "palpate".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         station: state.live().map(|live| live.station().label.clone()),
-        source: if state.live().is_some() { Source::Emulated } else { Source::Replay },
+        source: state.live().map_or(Source::Replay, |live| live.source()),
     })
 }
 
 async fn station(State(state): State<Arc<AppState>>) -> Answer<Json<StationDocument>> {
-    let Some(live) = state.live() else {
-        return Err(Problem(Error::NotFound {
-            what: "station",
-            id: "live".to_owned(),
-            hint: "start the studio with --emulate, or open the station of a session",
-        }));
-    };
+    let Some(live) = state.live() else { return Err(Problem(Error::no_station())) };
     Ok(Json(station_document(&live.station().files)))
 }
 

@@ -9,8 +9,9 @@ use std::{
 use tokio::{net::TcpListener, sync::watch};
 
 use crate::{
-    Error, Hub, LiveFeed, Store, app,
+    Error, Hub, Store, app,
     library::Library,
+    live::{Live, LiveStation},
     page,
     runs::{Calibrations, Diagnoses, Queue, Runs},
 };
@@ -22,8 +23,8 @@ pub struct ServeConfig {
     pub listen: SocketAddr,
     /// Where sessions, models and runs are kept.
     pub data: PathBuf,
-    /// Truth file of an emulated station to run.
-    pub emulate: Option<PathBuf>,
+    /// The station to run, if one is.
+    pub station: Option<LiveStation>,
 }
 
 /// What requests share.
@@ -33,20 +34,20 @@ pub struct AppState {
     hub: Arc<Hub>,
     calibrations: Runs<Calibrations>,
     diagnoses: Runs<Diagnoses>,
-    live: Option<LiveFeed>,
+    live: Option<Live>,
     shutdown: watch::Sender<bool>,
 }
 
 impl AppState {
-    /// Opens the data folder `data`; with a live station if `truth` names a truth file.
-    pub fn open(data: &Path, truth: Option<&Path>) -> Result<Arc<Self>, Error> {
+    /// Opens the data folder `data`, and the live station if there is one.
+    pub fn open(data: &Path, station: Option<&LiveStation>) -> Result<Arc<Self>, Error> {
         let store = Arc::new(Store::open(data)?);
         let library = Arc::new(Library::default());
         let hub = Arc::new(Hub::default());
         let queue = Queue::start()?;
         let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue.clone())?;
         let diagnoses = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
-        let live = truth.map(|truth| LiveFeed::start(truth, 0, hub.clone())).transpose()?;
+        let live = station.map(|station| Live::start(station, 0, &store, hub.clone())).transpose()?;
         Ok(Arc::new(Self {
             store,
             library,
@@ -79,7 +80,7 @@ impl AppState {
         &self.diagnoses
     }
 
-    pub(crate) fn live(&self) -> Option<&LiveFeed> {
+    pub(crate) fn live(&self) -> Option<&Live> {
         self.live.as_ref()
     }
 
@@ -102,8 +103,8 @@ pub async fn serve(
     ready: impl FnOnce(SocketAddr),
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), Error> {
-    let ServeConfig { listen, data, emulate } = config;
-    let state = AppState::open(&data, emulate.as_deref())?;
+    let ServeConfig { listen, data, station } = config;
+    let state = AppState::open(&data, station.as_ref())?;
     let failed_to = |action: &'static str| {
         move |err: std::io::Error| {
             Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))

@@ -66,6 +66,16 @@ impl Store {
         &self.root
     }
 
+    /// Where sessions are recorded to.
+    pub(crate) fn sessions_dir(&self) -> PathBuf {
+        self.root.join("sessions")
+    }
+
+    /// The log of who moved or stopped the live station.
+    pub(crate) fn audit_path(&self) -> PathBuf {
+        self.root.join("audit.jsonl")
+    }
+
     /// `(id, folder)` of every session, by id.
     pub(crate) fn sessions(&self) -> Result<Vec<(String, PathBuf)>, Error> {
         let entries = self.entries("sessions")?;

@@ -1,15 +1,29 @@
 //! `palpate devices ...`.
 
-use std::{net::IpAddr, path::PathBuf, process::ExitCode};
+use std::{net::IpAddr, path::PathBuf, process::ExitCode, sync::Arc};
 
 use clap::{Args, Subcommand};
+use palpate_drivers::{DeviceCheck, Link, probe};
+use palpate_server::Error;
+use serde_json::{Value, json};
 
-use super::Outcome;
+use super::{Outcome, output, station::StationArgs};
 
 #[derive(Subcommand)]
 pub(crate) enum DevicesCommand {
     /// Run an emulated station that any client of the real devices can talk to
     Emulate(EmulateArgs),
+    /// Open every device of a station, say what is there and what is missing, and how to mend it; joints go limp
+    Check(CheckArgs),
+}
+
+#[derive(Args)]
+pub(crate) struct CheckArgs {
+    #[command(flatten)]
+    station: StationArgs,
+    /// Print what was found as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Args)]
@@ -40,12 +54,60 @@ enum XarmPorts {
 pub(super) fn run(command: &DevicesCommand) -> Outcome {
     match command {
         DevicesCommand::Emulate(args) => emulate(args),
+        DevicesCommand::Check(args) => check(args),
     }
+}
+
+/// Exit code 1 if any device is missing or has something wrong.
+fn check(args: &CheckArgs) -> Outcome {
+    let Some((station, ports)) = args.station.open()? else {
+        return Err(Error::Argument("--station says which devices to look for".to_owned()));
+    };
+    if station.devices.is_empty() {
+        return Err(Error::Content(format!(
+            "station {:?} names no devices; add [[device]] entries to its file, docs/hardware.md says how",
+            station.id
+        )));
+    }
+    let found = probe(&Arc::new(station), &ports)?;
+    let ok = found.iter().all(|device| device.ok);
+    if args.json {
+        let devices: Vec<Value> = found.iter().map(document).collect();
+        output::json(&json!({ "ok": ok, "devices": devices }))?;
+    } else {
+        found.iter().try_for_each(|device| output::line(device.to_string().trim_end()))?;
+    }
+    Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn document(device: &DeviceCheck) -> Value {
+    let health = &device.health;
+    let link = match health.link {
+        Link::Connecting => "connecting",
+        Link::Ready => "ready",
+        Link::Fault => "fault",
+        Link::Lost => "lost",
+    };
+    let motors: Vec<Value> = health
+        .motors
+        .iter()
+        .map(|motor| {
+            json!({
+                "joint": motor.joint, "identity": motor.identity, "temperature_c": motor.temperature_c,
+                "supply_v": motor.supply_v, "current_a": motor.current_a, "problem": motor.problem,
+            })
+        })
+        .collect();
+    json!({
+        "id": health.id, "kind": health.kind, "ok": device.ok, "link": link, "problem": health.problem,
+        "rate_hz": health.rate_hz, "rate_worst_hz": health.rate_worst_hz, "gaps": health.gaps,
+        "bad_frames": health.bad_frames, "clock_skew_ppm": health.clock_skew_ppm, "motors": motors,
+    })
 }
 
 #[cfg(not(unix))]
 fn emulate(_args: &EmulateArgs) -> Outcome {
-    Err(palpate_server::Error::Argument(
+    Err(Error::Argument(
         "emulated devices need pseudo-terminals, which only Unix has".to_owned(),
     ))
 }
@@ -53,7 +115,7 @@ fn emulate(_args: &EmulateArgs) -> Outcome {
 #[cfg(unix)]
 fn emulate(args: &EmulateArgs) -> Outcome {
     use palpate_emulator::devices::{ArmPorts, EmulatedStation, PortsConfig, PortsError, serve_devices};
-    use palpate_server::{Error, assets, chain};
+    use palpate_server::{assets, chain};
 
     let (truth, _unpacked) = assets::truth(&args.truth)?;
     let mut station = EmulatedStation::new(&truth, args.seed)?;

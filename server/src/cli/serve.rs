@@ -1,12 +1,12 @@
 //! `palpate serve`.
 
-use std::{net::SocketAddr, path::PathBuf, process::ExitCode};
+use std::{net::SocketAddr, path::PathBuf, process::ExitCode, sync::Arc};
 
 use clap::Args;
-use palpate_server::{Error, ServeConfig, assets, serve};
+use palpate_server::{Error, LiveStation, ServeConfig, assets, serve};
 use serde_json::json;
 
-use super::{Outcome, output};
+use super::{Outcome, output, station::StationArgs};
 
 #[derive(Args)]
 pub(crate) struct ServeArgs {
@@ -16,8 +16,10 @@ pub(crate) struct ServeArgs {
     /// Where sessions, models and calibration runs are kept
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
+    #[command(flatten)]
+    station: StationArgs,
     /// Run an emulated station: a truth file, or the name of a shipped one
-    #[arg(long, value_name = "TRUTH.toml")]
+    #[arg(long, value_name = "TRUTH.toml", conflicts_with = "station")]
     emulate: Option<PathBuf>,
     /// Print the address as JSON, once the studio is ready
     #[arg(long)]
@@ -26,11 +28,14 @@ pub(crate) struct ServeArgs {
 
 pub(super) fn run(args: ServeArgs) -> Outcome {
     let truth = args.emulate.as_deref().map(assets::truth).transpose()?;
-    let config = ServeConfig {
-        listen: args.listen,
-        data: args.data,
-        emulate: truth.as_ref().map(|(path, _unpacked)| path.clone()),
+    let station = match &truth {
+        Some((path, _unpacked)) => Some(LiveStation::Emulated(path.clone())),
+        None => args
+            .station
+            .open()?
+            .map(|(station, ports)| LiveStation::Real { station: Arc::new(station), ports }),
     };
+    let config = ServeConfig { listen: args.listen, data: args.data, station };
     let ready = move |addr: SocketAddr| {
         let url = format!("http://{addr}");
         let printed = match args.json {

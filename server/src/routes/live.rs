@@ -1,0 +1,133 @@
+//! The live station: what it is up to, what it hears, and what is wrong with an emulated one.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use axum::{
+    Json,
+    extract::State,
+    http::header,
+    response::{IntoResponse as _, Response},
+};
+use palpate_robot_model::Station;
+use palpate_wire::{
+    api::{LiveDevice, LiveDocument, PlaceObject},
+    bits,
+    proto::{ControlState, LiveFrame, control_state::Phase, device_status::Link},
+};
+
+use super::{
+    blocking,
+    extract::Body,
+    problem::{Answer, Problem},
+};
+use crate::{AppState, Error, emulated::EmulatedDevices};
+
+/// `GET /api/v1/live`.
+pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<LiveDocument>> {
+    let Some(live) = state.live() else { return Err(Problem(Error::no_station())) };
+    let frame = state.hub().newest_frame().unwrap_or_default();
+    Ok(Json(live_document(live.station(), &frame)))
+}
+
+/// `GET /api/v1/audit`: who moved or stopped the station, a JSON document a line.
+pub(super) async fn audit(State(state): State<Arc<AppState>>) -> Answer<Response> {
+    blocking(move || {
+        let path = state.store().audit_path();
+        let text = match std::fs::read(&path) {
+            Ok(text) => text,
+            // Nothing has happened yet.
+            Err(err) if err.kind() == std::io::ErrorKind::NotFound => Vec::new(),
+            Err(err) => return Err(Error::io("read", &path)(err)),
+        };
+        Ok(([(header::CONTENT_TYPE, "application/jsonl")], text).into_response())
+    })
+    .await
+}
+
+/// `GET /api/v1/emulator/faults`: what is wrong with the emulated devices, as a file of faults.
+pub(super) async fn faults(State(state): State<Arc<AppState>>) -> Answer<Response> {
+    let text = emulated(&state)?.faults_toml()?;
+    Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
+}
+
+/// `PUT /api/v1/emulator/faults`: says what is wrong from now on, in place of what was.
+pub(super) async fn set_faults(State(state): State<Arc<AppState>>, text: String) -> Answer<Response> {
+    emulated(&state)?.set_faults_toml(&text)?;
+    faults(State(state)).await
+}
+
+/// `POST /api/v1/emulator/object`: puts an object where the plan has it, or takes it away.
+pub(super) async fn place_object(
+    State(state): State<Arc<AppState>>,
+    Body(request): Body<PlaceObject>,
+) -> Answer<()> {
+    Ok(emulated(&state)?.place_object(request.object.as_deref())?)
+}
+
+fn emulated(state: &AppState) -> Answer<&EmulatedDevices> {
+    match state.live() {
+        Some(live) => live.emulated().ok_or_else(|| {
+            Problem(Error::Conflict("the station is real; only emulated devices can be given faults".to_owned()))
+        }),
+        None => Err(Problem(Error::no_station())),
+    }
+}
+
+fn live_document(station: &Station, frame: &LiveFrame) -> LiveDocument {
+    let by_joint = |positions: &[f32]| -> BTreeMap<String, f64> {
+        let names = station.robot.dofs().map(|joint| joint.name.clone());
+        names.zip(positions.iter().map(|&position| f64::from(position))).collect()
+    };
+    let channels = station.layout.channels.iter().enumerate();
+    let active = channels
+        .filter(|(channel, _)| bits::get(&frame.active, *channel))
+        .map(|(_, channel)| channel.id.clone())
+        .collect();
+    let idle = ControlState::default();
+    let control = frame.control.as_ref().unwrap_or(&idle);
+    LiveDocument {
+        time_s: frame.time_s,
+        joints: by_joint(&frame.joint_positions),
+        commanded: by_joint(&control.commanded),
+        active,
+        phase: phase_word(control.phase()).to_owned(),
+        reason: control.reason.clone(),
+        holder: control.holder.clone(),
+        stop_confirmed: control.stop_confirmed,
+        loop_hz: [control.loop_hz, control.loop_mean_hz, control.loop_worst_hz].map(f64::from),
+        latency_ms: [control.latency_ms, control.latency_p95_ms].map(f64::from),
+        devices: control
+            .devices
+            .iter()
+            .map(|device| LiveDevice {
+                id: device.id.clone(),
+                link: link_word(device.link()).to_owned(),
+                problem: device.problem.clone(),
+                rate_hz: [device.rate_hz, device.rate_mean_hz, device.rate_worst_hz].map(f64::from),
+                gaps: device.gaps,
+                bad_frames: device.bad_frames,
+                reconnects: device.reconnects,
+            })
+            .collect(),
+    }
+}
+
+fn phase_word(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Unspecified | Phase::Disarmed => "disarmed",
+        Phase::Arming => "arming",
+        Phase::Armed => "armed",
+        Phase::Holding => "holding",
+        Phase::Disarming => "disarming",
+        Phase::Stopped => "stopped",
+    }
+}
+
+fn link_word(link: Link) -> &'static str {
+    match link {
+        Link::Unspecified | Link::Connecting => "connecting",
+        Link::Ready => "ready",
+        Link::Fault => "fault",
+        Link::Lost => "lost",
+    }
+}
