@@ -1,6 +1,10 @@
 //! What happens when somebody is gone, or says stop. Times are the emulated station's own.
 
-use std::{thread, time::Duration};
+use std::{
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
 
 use palpate_wire::proto::{Disarm, ResetStop, control_request::Request, control_state::Phase};
 
@@ -85,6 +89,32 @@ fn anybody_stops_and_the_stop_is_confirmed_and_latched() {
     bench.wait_until("there", |now| (now.positions[dof] - 0.3).abs() < 0.05);
     operator.accepted(Request::Disarm(Disarm {}));
     bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+}
+
+#[test]
+fn a_flood_of_requests_holds_up_no_stop() {
+    let bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    let flooding = AtomicBool::new(true);
+    let limp_after_ns = thread::scope(|scope| {
+        for number in 10..14 {
+            let (flooding, bench) = (&flooding, &bench);
+            scope.spawn(move || {
+                let watcher = Operator::watcher(bench, number);
+                while flooding.load(Ordering::Relaxed) {
+                    watcher.refused(targets(&[0], &[0.0]));
+                }
+            });
+        }
+        thread::sleep(Duration::from_millis(100));
+        let asked_ns = bench.emulated.snapshot().device_ns;
+        operator.stop();
+        let limp_ns = bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+        flooding.store(false, Ordering::Relaxed);
+        limp_ns - asked_ns
+    });
+    assert!(limp_after_ns <= 100 * MS + SLACK_NS, "stopped after {} ms", limp_after_ns / MS);
 }
 
 #[test]
