@@ -192,8 +192,8 @@ impl StudioApp {
             ui.set_width(420.0);
             ui.heading(format!("Take control from {name}?"));
             ui.label(format!(
-                "The station holds where it is, and {name} cannot command any more. Speak to {name} first if you can: \
-                 a hand may be near the robot."
+                "The station disarms, and {name} cannot command any more. Speak to {name} first if you can: a hand may \
+                 be near the robot."
             ));
             ui.add_space(8.0);
             ui.horizontal(|ui| {

@@ -47,13 +47,16 @@ pub(super) fn step_ui(
         RecordingPhase::StartPose => start_pose_ui(ui, cx, state, scene),
         RecordingPhase::GoingToStart => {
             big_ui(ui, "The robot goes to the start pose");
-            ui.label("Keep your hands away from it. Space stops it.");
-            ui.add(egui::ProgressBar::new(scene.status.fraction.clamp(0.0, 1.0)));
+            ui.label(RichText::new("Keep your hands away from it. Space stops it.").size(18.0));
+            ui.spinner();
         }
         RecordingPhase::Baseline => {
             big_ui(ui, "Touch nothing");
-            ui.label("The readings at rest are taken: they become the zero of this take.");
-            ui.add(egui::ProgressBar::new(scene.status.fraction.clamp(0.0, 1.0)));
+            ui.label(
+                RichText::new("The readings at rest are taken: they become the zero of this take.")
+                    .size(18.0),
+            );
+            countdown_ui(ui, scene.status.countdown_s, &cx.palette);
         }
         RecordingPhase::Countdown => countdown_ui(ui, scene.status.countdown_s, &cx.palette),
         RecordingPhase::Running => running_ui(ui, scene, step),
