@@ -225,6 +225,7 @@ mod tests {
         delays_ns: &[u64],
         resolution_ns: u64,
     ) -> Vec<(f64, f64)> {
+        let mut last_received_ns = 0;
         delays_ns
             .iter()
             .zip(0..)
@@ -232,8 +233,11 @@ mod tests {
                 let device_ns = device_from_ns + idx * PERIOD_NS;
                 let truth = HOST_AT_ZERO as f64 + device_ns as f64 * (1.0 + skew_ppm * 1e-6);
                 let seen_ns = device_ns / resolution_ns * resolution_ns;
-                let host_ns = map.observe(seen_ns, truth as u64 + delay_ns);
-                assert!(host_ns <= truth as u64 + delay_ns, "mapped behind its receipt");
+                // Samples do not overtake each other.
+                let received_ns = (truth as u64 + delay_ns).max(last_received_ns);
+                last_received_ns = received_ns;
+                let host_ns = map.observe(seen_ns, received_ns);
+                assert!(host_ns <= received_ns, "mapped behind its receipt");
                 (truth, host_ns as f64)
             })
             .collect()

@@ -235,10 +235,9 @@ impl<'a> Bus<'a> {
             if !tripped && servo.presence != Presence::Unusable {
                 continue;
             }
-            match self.line.ask(servo.plan.id, Instruction::Reboot) {
-                Err(error @ RequestError::Port(_)) => return Err(error),
-                // One that restarted without its answer arriving is silent, too.
-                Ok(_) | Err(_) => {}
+            // One that restarted without its answer arriving is silent, too.
+            if let Err(error @ RequestError::Port(_)) = self.line.ask(servo.plan.id, Instruction::Reboot) {
+                return Err(error);
             }
             (servo.armed, servo.torque_on) = (false, false);
             servo.presence = Presence::Restarting { look_ns: now_ns + RESTART_NS, since_ns: now_ns };

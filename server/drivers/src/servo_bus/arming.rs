@@ -16,7 +16,7 @@ const ATTEMPTS: usize = 5;
 /// A position that old is still where a limp joint is, ns.
 const MAX_AGE_NS: u64 = 30_000_000;
 /// A first goal further away than this does not start from where the joint is, rad.
-pub(crate) const MAX_FIRST_STEP_RAD: f64 = 0.35;
+const MAX_FIRST_STEP_RAD: f64 = 0.35;
 
 /// Switches torque on where the joints are. Either all servos that can are armed afterwards, or the reason is given in
 /// words and the caller lets everything go limp. Servos that are missing or have tripped stay as they are.
@@ -38,8 +38,7 @@ pub(crate) fn arm(
         };
         let joint_rad = servo.plan.joint_rad(position_rad);
         let away_rad = (goals_rad.get(servo.plan.dof).copied().unwrap_or(f64::NAN) - joint_rad).abs();
-        // A comparison that NaN fails.
-        if !(away_rad <= MAX_FIRST_STEP_RAD) {
+        if away_rad.is_nan() || away_rad > MAX_FIRST_STEP_RAD {
             return Ok(Err(format!(
                 "{} is at {joint_rad:.2} rad, and the first goal is {away_rad:.2} rad away: disarm, and arm where the \
                  joints are",
