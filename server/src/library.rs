@@ -187,6 +187,7 @@ pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> 
         frame_times_s: &take.joints.times_s,
         positions: &take.joints.positions,
         arrival_times_s: &[],
+        frozen_for_s: &[],
     };
     model.readings(&scene, &paired.contact).map_err(|err| Error::Content(err.to_string()))
 }

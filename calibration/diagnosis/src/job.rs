@@ -65,7 +65,7 @@ const FIRST_STEPS: usize = 6;
 /// Candidates fitted in a round.
 pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
-pub(crate) const LEAST_SHARE: f64 = 0.002;
+pub(crate) const LEAST_SHARE: f64 = 0.001;
 
 /// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
 /// the moments at which channels switch, with no reading to tell it by: sessions of an emulated station that hide nothing
@@ -109,12 +109,18 @@ pub fn diagnose(
         num_fits: NUM_FITS,
         without: config.without.clone(),
     };
-    let naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
+    let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
-    let adequacy = adequacy(station, &domain, &naming.model, &fitted)?;
+    let before = adequacy(station, &domain, &start, &fitted)?;
+    let mut adequacy = adequacy(station, &domain, &naming.model, &fitted)?;
+    let limits = bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
+    if domain.num_raw_takes() > 0 && !adequacy.accounts_for(&before, &limits) {
+        naming.withhold(&start);
+        adequacy = before;
+    }
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
     let steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     watch(0.95, "writing the report")?;

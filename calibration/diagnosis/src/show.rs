@@ -88,6 +88,12 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     if evidence.bar.is_none() {
         notes.push("no null bar of this station: the shipped one applies".to_owned());
     }
+    for effect in &naming.withheld {
+        notes.push(format!(
+            "{} comes nearest, but leaves too much unexplained to be the name of what is missing",
+            effect.id
+        ));
+    }
     for effect in &naming.dropped {
         notes.push(format!(
             "{} was named at first and dropped when later effects accounted for it",
@@ -202,8 +208,10 @@ fn candidate(station: &Station, tried: &Tried) -> Candidate {
 
 fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
     let limits = evidence.bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
-    let left =
-        evidence.adequacy.repeating > limits.repeating || evidence.adequacy.common_mode > limits.common_mode;
+    let of = &evidence.adequacy;
+    let left = of.repeating > limits.repeating
+        || of.common_mode > limits.common_mode
+        || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);
     match (named.is_empty(), left) {
         (true, true) => Verdict::Unexplained,
         (true, false) => Verdict::NoDiscrepancy,

@@ -53,6 +53,8 @@ pub struct TactileDomain<'a> {
     alike: Vec<Vec<usize>>,
     /// Per joint, by its degree of freedom: which channels it moves.
     moves: Vec<Vec<bool>>,
+    /// Per stream, how its readings were repeated to the bit.
+    frozen: Vec<Option<Frozen>>,
     /// Where everything was under the last few sets of kinematic effects, by take.
     geometries: Vec<Mutex<Vec<KeptGeometry>>>,
 }
@@ -132,8 +134,9 @@ impl<'a> TactileDomain<'a> {
             })
             .collect();
         let geometries = takes.iter().map(|_| Mutex::new(Vec::new())).collect();
-        let domain =
-            Self { station, takes, kinds, base, candidates, alike, moves: moves(station), geometries };
+        let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&takes, stream)).collect();
+        let moves = moves(station);
+        let domain = Self { station, takes, kinds, base, candidates, alike, moves, frozen, geometries };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
     }
 
@@ -202,6 +205,7 @@ impl<'a> TactileDomain<'a> {
             candidates: self.candidates.clone(),
             alike: self.alike.clone(),
             moves: self.moves.clone(),
+            frozen: self.frozen.clone(),
         })
     }
 
@@ -313,8 +317,20 @@ impl Domain for TactileDomain<'_> {
     }
 
     fn parameters(&self, effect: &Effect) -> Vec<Parameter> {
-        effects::tactile(&effect.id)
-            .map_or_else(Vec::new, |kind| kind.parameters(&effect.place, self.station))
+        let mut parameters = effects::tactile(&effect.id)
+            .map_or_else(Vec::new, |kind| kind.parameters(&effect.place, self.station));
+        // How long a stream stands still is seen, not fitted, where it is seen at all.
+        if let (SAMPLE_HOLD, Place::Stream(id)) = (effect.id.as_str(), &effect.place)
+            && let Some(frozen) = self.station.layout.stream_index(id).and_then(|idx| self.frozen[idx])
+        {
+            for parameter in &mut parameters {
+                match parameter.name.as_str() {
+                    "span_s" => parameter.neutral = frozen.span_s.clamp(parameter.lower, parameter.upper),
+                    _ => parameter.dose = frozen.fraction.clamp(0.01, parameter.upper),
+                }
+            }
+        }
+        parameters
     }
 
     fn num_units(&self) -> usize {
@@ -429,6 +445,29 @@ impl Domain for TactileDomain<'_> {
     }
 }
 
+/// Spans in which a stream stood still, over some takes.
+#[derive(Clone, Copy, Debug)]
+struct Frozen {
+    /// Mean length, s.
+    span_s: f64,
+    /// Share of the time.
+    fraction: f64,
+}
+
+impl Frozen {
+    fn of(takes: &[Observed<'_>], stream: usize) -> Option<Self> {
+        let spans: Vec<f64> = takes.iter().flat_map(|take| take.frozen_spans_s(stream)).collect();
+        let frozen_s: f64 = spans.iter().sum();
+        let duration_s: f64 = takes.iter().map(|take| take.take.duration_s()).sum();
+        (frozen_s > 0.0).then(|| Self {
+            span_s: frozen_s / spans.len() as f64,
+            fraction: frozen_s / duration_s.max(f64::MIN_POSITIVE),
+        })
+    }
+}
+
+/// The effect that recordings show by themselves.
+const SAMPLE_HOLD: &str = "sample_hold";
 /// Variance of an event that the model is sure of.
 const LEAST_DOUBT: f64 = 0.02;
 /// Share of a raw reading that the model may be wrong by.

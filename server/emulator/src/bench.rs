@@ -162,9 +162,15 @@ impl Draw<'_> {
                 (Place::Stream(stream), vec![("spread", of([0.1, 0.2, 0.4])), ("draw", draw)])
             }
             "elastic_crosstalk" => {
-                (Place::Stream(self.pressure_stream()), one("added_m", of([0.0008, 0.0015, 0.0025])))
+                // In one patch: along all of a stream it is what calibration fits anyway.
+                let patch = self.patch(Some(SensorKind::Pressure));
+                let id = self.station.layout.patches[patch].id.clone();
+                (Place::Patch(id), one("added_m", of([0.0015, 0.0025, 0.004])))
             }
-            "rate_dependence" => (Place::Stream(stream), one("damping_s", of([0.02, 0.05, 0.1]))),
+            "rate_dependence" => {
+                // It belongs to the penalty force, which only pressure patches have.
+                (Place::Stream(self.pressure_stream()), one("damping_s", of([0.02, 0.05, 0.1])))
+            }
             "preload" => {
                 let patch = self.patch(None);
                 let id = self.station.layout.patches[patch].id.clone();
@@ -250,12 +256,15 @@ impl Draw<'_> {
         self.station.layout.channels[idx].id.clone()
     }
 
-    /// Two channels of one stream.
+    /// Two channels at one connector: taxels of a patch, or patches of one taxel each that share a board.
     fn pair(&mut self) -> Vec<String> {
-        let channels = &self.station.layout.channels;
+        let layout = &self.station.layout;
+        let channels = &layout.channels;
         let first = self.below(channels.len());
+        let alone = |idx: usize| layout.patches[channels[idx].patch].channels.len() == 1;
         let mates: Vec<usize> = (0..channels.len())
             .filter(|&idx| idx != first && channels[idx].stream == channels[first].stream)
+            .filter(|&idx| channels[idx].patch == channels[first].patch || (alone(idx) && alone(first)))
             .collect();
         let second = mates[self.below(mates.len())];
         vec![channels[first].id.clone(), channels[second].id.clone()]

@@ -38,6 +38,8 @@ pub(crate) struct PatchSecrets {
     pub(crate) mount: Option<Isometry3<f64>>,
     /// Air between layer and sensor, m.
     pub(crate) gap_m: f64,
+    /// More reach of the coupling along the layer, m.
+    pub(crate) coupling_m: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -68,8 +70,6 @@ pub(crate) struct Bend {
 
 #[derive(Clone, Debug, Default)]
 pub(crate) struct StreamSecrets {
-    /// More reach of the coupling along the layer, m.
-    pub(crate) coupling_m: f64,
     /// Dashpot beside the layer's spring, s.
     pub(crate) viscous_s: f64,
     /// Share of a dent that remains, and its time constant, s.
@@ -134,7 +134,7 @@ impl Secrets {
             object_errors: BTreeMap::new(),
             object_scales: BTreeMap::new(),
             touching: Vec::new(),
-            patches: vec![PatchSecrets { mount: None, gap_m: 0.0 }; layout.patches.len()],
+            patches: vec![PatchSecrets { mount: None, gap_m: 0.0, coupling_m: 0.0 }; layout.patches.len()],
             channels: (0..layout.num_channels()).map(channel).collect(),
             streams: vec![StreamSecrets::default(); layout.streams.len()],
         };
@@ -200,7 +200,9 @@ impl Secrets {
                     self.channels[channel].gain *= value("gain") * own;
                 }
             }
-            "elastic_crosstalk" => stream.coupling_m += value("added_m"),
+            "elastic_crosstalk" => {
+                patches.iter().for_each(|&patch| self.patches[patch].coupling_m += value("added_m"));
+            }
             "rate_dependence" => stream.viscous_s += value("damping_s"),
             "preload" => patches.iter().for_each(|&patch| self.patches[patch].gap_m += value("depth_m")),
             "viscoelastic_release" => stream.release = Some((value("fraction"), value("time_s"))),

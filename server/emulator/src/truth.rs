@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
 use crate::hidden::Hidden;
-use crate::secrets::{Secrets, StreamSecrets};
+use crate::secrets::{PatchSecrets, Secrets, StreamSecrets};
 
 /// What the emulated world is like, and what it hides.
 ///
@@ -182,8 +182,8 @@ pub(crate) struct Emulation {
 
 impl Elastomer {
     /// The layer that has what is hidden in it.
-    pub(crate) fn with(mut self, hidden: &StreamSecrets) -> Self {
-        self.coupling_m += hidden.coupling_m;
+    pub(crate) fn with(mut self, hidden: &StreamSecrets, of_patch: &PatchSecrets) -> Self {
+        self.coupling_m += of_patch.coupling_m;
         if let Some((fraction, time_s)) = hidden.release {
             // Let go, the spring is held at r / (1 + r) of the dent by the relaxing branch, which then yields with
             // (1 + r) times its own time constant.

@@ -160,7 +160,7 @@ impl TruthWorld {
                 );
             }
             let hidden = &secrets.streams[patch.stream];
-            let elastomer = stream.elastomer.with(hidden);
+            let elastomer = stream.elastomer.with(hidden, patch_secrets);
             let layer = Layer::new(patch, &elastomer, &offset, STEP_S)
                 .map_err(|problem| emulation.error(format!("stream {id:?}"), problem))?
                 .with(patch_secrets.gap_m, hidden.viscous_s);

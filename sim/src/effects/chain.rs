@@ -27,6 +27,9 @@ pub struct TakeScene<'a> {
     pub positions: &'a [f64],
     /// Per stream, host time at which the reading in effect at each frame had arrived, s; empty: at the frame itself.
     pub arrival_times_s: &'a [Vec<f64>],
+    /// Per stream, for how long the reading in effect at each frame had been repeated to the bit when it arrived, s; 0
+    /// for one that is new. Empty where nobody can tell.
+    pub frozen_for_s: &'a [Vec<f64>],
 }
 
 /// Where joints, object and patches really are.
@@ -102,12 +105,15 @@ pub struct Transport {
 /// A chain that switches hard freezes regularly from the start of the take: after `span_s * (1 / fraction - 1)` of the
 /// present come `span_s` of its last moment. A soft chain does not know when the spans begin and gives the mean over
 /// all of them: `(1 - fraction)` of the present and `fraction` of the mean over the last `span_s`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Hold {
-    /// Share of the time that is frozen, above 0, below 1.
+    /// Share of the time that is frozen, above 0, below 1; or, where the spans are seen, how much of them counts.
     pub fraction: f64,
     /// Length of a frozen span, s.
     pub span_s: f64,
+    /// Per frame, for how long the stream is seen to be frozen, s, as in [`TakeScene::frozen_for_s`]; empty where it is
+    /// not known. A chain that switches hard freezes for just that long, a soft one blends the present with it.
+    pub seen_for_s: Vec<f64>,
 }
 
 /// Readings of every channel at the frames of a take.
@@ -303,6 +309,10 @@ impl Transport {
     fn freeze(&mut self) {
         for (times_s, hold) in self.device_times_s.iter_mut().zip(&self.holds) {
             let (Some(hold), Some(&start_s)) = (hold, times_s.first()) else { continue };
+            if !hold.seen_for_s.is_empty() {
+                times_s.iter_mut().zip(&hold.seen_for_s).for_each(|(time_s, age_s)| *time_s -= age_s);
+                continue;
+            }
             let period_s = hold.span_s / hold.fraction;
             for time_s in times_s {
                 let into_period_s = (*time_s - start_s).rem_euclid(period_s);
@@ -313,12 +323,16 @@ impl Transport {
 
     /// The moments that frozen streams may show instead of the present, equally likely.
     fn past(&self) -> impl Iterator<Item = Self> + '_ {
-        (0..NUM_MOMENTS).map(|moment| {
+        let all_seen = self.holds.iter().flatten().all(|hold| !hold.seen_for_s.is_empty());
+        let num_moments = if all_seen { 1 } else { NUM_MOMENTS };
+        (0..num_moments).map(move |moment| {
             let mut past = self.clone();
-            let share = (moment as f64 + 0.5) / NUM_MOMENTS as f64;
+            let share = (moment as f64 + 0.5) / num_moments as f64;
             for (times_s, hold) in past.device_times_s.iter_mut().zip(&self.holds) {
-                let age_s = hold.map_or(0.0, |hold| share * hold.span_s);
-                times_s.iter_mut().for_each(|time_s| *time_s -= age_s);
+                let Some(hold) = hold else { continue };
+                for (frame, time_s) in times_s.iter_mut().enumerate() {
+                    *time_s -= hold.seen_for_s.get(frame).copied().unwrap_or(share * hold.span_s);
+                }
             }
             past
         })
@@ -337,8 +351,8 @@ impl Sensed {
                 stream.channels.clone().map(move |channel| frame * layout.num_channels() + channel)
             }) {
                 self.load[at] = mean(self.load[at], past.iter().map(|(loads, _)| loads[at]).sum());
-                self.activation[at] =
-                    mean(self.activation[at], past.iter().map(|(_, active)| active[at]).sum());
+                let active = mean(self.activation[at], past.iter().map(|(_, active)| active[at]).sum());
+                self.activation[at] = active.clamp(0.0, 1.0);
             }
         }
     }

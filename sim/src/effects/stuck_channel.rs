@@ -4,7 +4,8 @@ use palpate_robot_model::{Place, Station};
 
 use super::{Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, places};
 
-/// The channel is active all the time; its reading is twice what switches it on.
+/// The channel is active all the time. Its reading stands still, and the reference that a recording takes at rest with it:
+/// above the reference there is nothing.
 pub(super) struct StuckChannel;
 
 impl EffectKind for StuckChannel {
@@ -22,7 +23,7 @@ impl EffectKind for StuckChannel {
     }
 
     fn signature(&self) -> &'static str {
-        "one channel is on without any touch, and through every touch"
+        "one channel is on without any touch and through every touch, and its reading never moves"
     }
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
@@ -39,9 +40,7 @@ impl EffectKind for StuckChannel {
             return;
         }
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
-            let stuck = 2.0 * state.on_loads[channel];
-            let loads = state.of_channel_mut(channel);
-            loads.for_each(|load| *load = (1.0 - presence) * *load + presence * stuck);
+            state.of_channel_mut(channel).for_each(|load| *load *= 1.0 - presence);
         }
     }
 

@@ -53,12 +53,9 @@ impl EffectKind for SwappedChannels {
     }
 }
 
-/// Whether the two could be confused at a connector: taxels of one patch, or patches of one taxel each that belong to
-/// one group or lie next to each other on the cable.
+/// Whether the two could be confused at a connector: taxels of one patch, or patches of one taxel each on one board.
 fn can_swap(first: usize, second: usize, layout: &TactileLayout) -> bool {
     let (one, other) = (&layout.channels[first], &layout.channels[second]);
-    let (one_patch, other_patch) = (&layout.patches[one.patch], &layout.patches[other.patch]);
-    let alone = one_patch.channels.len() == 1 && other_patch.channels.len() == 1;
-    let near = one_patch.group == other_patch.group || first + 1 == second;
-    one.patch == other.patch || (one.stream == other.stream && alone && near)
+    let alone = |patch: usize| layout.patches[patch].channels.len() == 1;
+    one.patch == other.patch || (one.stream == other.stream && alone(one.patch) && alone(other.patch))
 }

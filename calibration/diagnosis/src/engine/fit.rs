@@ -20,6 +20,18 @@ pub(crate) struct Fitted {
 /// Steps of Gauss and Newton for a candidate.
 const STEPS: usize = 3;
 
+/// Where else a fit starts, as multiples of the screened estimate.
+const STARTS: [f64; 2] = [2.0, 4.0];
+
+/// `effect` at a multiple of its distance from its neutral parameters, as far as their bounds allow.
+fn scaled(effect: &Effect, parameters: &[Parameter], scale: f64) -> Effect {
+    let steps: Vec<f64> = parameters
+        .iter()
+        .map(|parameter| (scale - 1.0) * (effect.parameter(&parameter.name) - parameter.neutral))
+        .collect();
+    stepped(effect, parameters, &steps)
+}
+
 /// Fits `start` with the parameters of `linear`'s model projected out.
 pub(crate) fn fit<D: Domain>(
     linear: &Linear<'_, D>,
@@ -30,8 +42,16 @@ pub(crate) fn fit<D: Domain>(
         let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
         Ok(linear.residual_of(&predicted))
     };
+    // A dose response flattens out: where an effect is large, its estimate from a small dose falls short.
     let mut effect = start.clone();
     let mut residual = left_by(&effect)?;
+    for scale in STARTS {
+        let farther = scaled(start, parameters, scale);
+        let left = left_by(&farther)?;
+        if left.square() < residual.square() {
+            (effect, residual) = (farther, left);
+        }
+    }
     let mut assessment = linear.assess(&responses(linear, &effect, parameters)?, &residual);
     for _ in 0..STEPS {
         let mut better = None;

@@ -6,7 +6,7 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 
 use super::fit::{fit, refit};
-use super::linear::{Assessment, Linear};
+use super::linear::Linear;
 use super::screen::screen;
 use super::{Domain, Model};
 use crate::DiagnosisError;
@@ -68,6 +68,19 @@ pub struct Naming {
     pub rounds: Vec<Round>,
     /// Effects that were named and dropped again, because others account for them.
     pub dropped: Vec<Effect>,
+    /// Effects that were named and taken back, because together they do not account for what is there.
+    pub withheld: Vec<Effect>,
+}
+
+impl Naming {
+    /// Takes all names back, to what was there at the `start`.
+    pub fn withhold(&mut self, start: &Model) {
+        let known = start.effects.len();
+        self.withheld = self.model.effects.split_off(known);
+        self.model = start.clone();
+        self.evidence.truncate(known);
+        self.standard_errors.truncate(known);
+    }
 }
 
 /// Steps of a full fit after an addition.
@@ -76,10 +89,16 @@ const REFIT_STEPS: usize = 3;
 const RIVAL_SHARE: f64 = 0.8;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
 const PROMISING: usize = 160;
+/// Rivals that are fitted along with everything else before one is named.
+const MOST_CONTENDERS: usize = 3;
 /// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
 const MOST_DROPPED: usize = 2;
 /// Numbers of parameters up to this many apart count as equally simple.
 const SIMILAR_COUNT: usize = 7;
+/// Steps of a fit without one effect, to see what it carries.
+const WEIGHING_STEPS: usize = 2;
+/// Share of the remaining loss that a named effect removes at least beside the others.
+const LEAST_CARRIED: f64 = 0.01;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -123,19 +142,18 @@ pub fn name<D: Domain>(
             candidates.truncate(PROMISING);
         }
         let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
-        screened.sort_by(|a, b| {
-            let gain = |a: &Assessment| a.held_out_gains.iter().sum::<f64>();
-            gain(&b.assessment).total_cmp(&gain(&a.assessment))
-        });
+        screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
         for candidate in &screened {
-            let gain = candidate.assessment.held_out_gains.iter().sum::<f64>();
-            known_gains.insert((candidate.effect.id.clone(), candidate.effect.place.clone()), gain);
+            known_gains
+                .insert((candidate.effect.id.clone(), candidate.effect.place.clone()), candidate.promise);
         }
         let mut finalists: Vec<usize> = Vec::new();
         for (idx, candidate) in screened.iter().enumerate() {
             let same = finalists.iter().filter(|&&other| screened[other].effect.id == candidate.effect.id);
-            let gain: f64 = candidate.assessment.held_out_gains.iter().sum();
-            if finalists.len() < config.num_fits && gain > 0.0 && same.count() < PLACES_PER_EFFECT {
+            if finalists.len() < config.num_fits
+                && candidate.promise > 0.0
+                && same.count() < PLACES_PER_EFFECT
+            {
                 finalists.push(idx);
             }
         }
@@ -161,24 +179,96 @@ pub fn name<D: Domain>(
         // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
         let best = tried.iter().position(passes).filter(|_| more);
-        let named = best.and_then(|best| {
-            let least = RIVAL_SHARE * tried[best].held_out_gain;
-            (best..tried.len())
-                .filter(|&idx| passes(&tried[idx]) && tried[idx].held_out_gain >= least)
-                .min_by_key(|&idx| tried[idx].effect.parameters.len().div_ceil(SIMILAR_COUNT))
-        });
+        let mut named = None;
+        let mut least_loss = f64::INFINITY;
+        for contender in if more { contenders(&tried, best, config.least_share) } else { Vec::new() } {
+            let mut with = model.clone();
+            with.effects.push(tried[contender].effect.clone());
+            let with = refit(domain, &with, takes, REFIT_STEPS)?;
+            let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
+            if loss < least_loss && (passes(&tried[contender]) || founded(domain, &with, takes, config.bar)?)
+            {
+                (named, least_loss) = (Some((contender, with)), loss);
+            }
+        }
+        let (named, refitted) = named.unzip();
         let class = named.map_or_else(Vec::new, |named| {
             let least = RIVAL_SHARE * tried[0].held_out_gain;
             (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
         });
         rounds.push(Round { before: model.clone(), tried: tried.clone(), named, class });
-        let Some(named) = named else { break };
-        model.effects.push(tried[named].effect.clone());
-        model = refit(domain, &model, takes, REFIT_STEPS)?;
+        let Some(refitted) = refitted else { break };
+        model = refitted;
         drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
     }
+    let known = start.effects.len();
+    finish(domain, &mut model, known, takes, config.bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
-    Ok(Naming { model, standard_errors, evidence, rounds, dropped })
+    Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
+}
+
+/// Weighs every effect beyond the first `known` by the loss that comes back without it: drops what carries too little, or
+/// has lost its evidence, and puts the others in order, the weightiest first.
+fn finish<D: Domain>(
+    domain: &D,
+    model: &mut Model,
+    known: usize,
+    takes: &[usize],
+    bar: f64,
+    dropped: &mut Vec<Effect>,
+) -> Result<(), DiagnosisError> {
+    while model.effects.len() > known {
+        let after = Linear::without_nuisances(domain, model, takes)?.loss;
+        let (evidence, _) = joint_evidence(domain, model, takes)?;
+        let mut carried = Vec::new();
+        for idx in known..model.effects.len() {
+            let mut without = model.clone();
+            without.effects.remove(idx);
+            let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
+            carried.push((Linear::without_nuisances(domain, &without, takes)?.loss - after) / after);
+        }
+        let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].total_cmp(&carried[b]));
+        let Some(weakest) = weakest else { break };
+        let unfounded = (0..carried.len()).find(|&idx| evidence[known + idx] < bar);
+        if let Some(idx) = unfounded.or((carried[weakest] < LEAST_CARRIED).then_some(weakest)) {
+            dropped.push(model.effects.remove(known + idx));
+            *model = refit(domain, model, takes, REFIT_STEPS)?;
+            continue;
+        }
+        let mut order: Vec<usize> = (0..carried.len()).collect();
+        order.sort_by(|&a, &b| carried[b].total_cmp(&carried[a]));
+        let named = model.effects.split_off(known);
+        model.effects.extend(order.into_iter().map(|idx| named[idx].clone()));
+        break;
+    }
+    Ok(())
+}
+
+/// What may be named: what passes and explains the most, or nearly as much and is as simple as the simplest of those;
+/// and what would explain more if its size were beyond doubt. First order does not tell them apart; full fits may.
+fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usize> {
+    let Some(top) = tried.iter().position(|tried| tried.share > least_share) else { return Vec::new() };
+    let complexity = |idx: usize| tried[idx].effect.parameters.len().div_ceil(SIMILAR_COUNT);
+    let simplest_like = |first: usize| -> Vec<usize> {
+        let least = RIVAL_SHARE * tried[first].held_out_gain;
+        let as_good: Vec<usize> =
+            (first..tried.len()).filter(|&idx| tried[idx].held_out_gain >= least).collect();
+        let simplest = as_good.iter().map(|&idx| complexity(idx)).min();
+        as_good.into_iter().filter(|&idx| Some(complexity(idx)) == simplest).take(MOST_CONTENDERS).collect()
+    };
+    let mut contenders = simplest_like(top);
+    for idx in best.map_or_else(Vec::new, simplest_like) {
+        if !contenders.contains(&idx) {
+            contenders.push(idx);
+        }
+    }
+    contenders
+}
+
+/// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
+fn founded<D: Domain>(domain: &D, model: &Model, takes: &[usize], bar: f64) -> Result<bool, DiagnosisError> {
+    let (evidence, _) = joint_evidence(domain, model, takes)?;
+    Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
 }
 
 /// Takes back effects that lost their evidence to later ones, the weakest first.

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
-use super::linear::{Assessment, Column, Linear, inside, predict};
+use super::linear::{Column, Linear, inside, predict};
 use super::{Domain, neutral};
 use crate::DiagnosisError;
 
@@ -14,7 +15,8 @@ pub(crate) struct Screened {
     /// The effect with its estimated parameters, within their bounds.
     pub(crate) effect: Effect,
     pub(crate) parameters: Vec<Parameter>,
-    pub(crate) assessment: Assessment,
+    /// Loss that it promises to remove.
+    pub(crate) promise: f64,
 }
 
 /// Screens `candidates` around `linear`; `done` hears the fraction of the work and may stop it.
@@ -59,15 +61,51 @@ pub(crate) fn screen<D: Domain>(
         }
     }
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
-    Ok(jobs
-        .into_par_iter()
+    jobs.into_par_iter()
         .filter(|(_, columns)| columns.iter().any(|column| !column.rows.is_empty()))
         .map(|((effect, parameters), columns)| {
             let assessment = linear.assess(&columns, &linear.residual);
-            let effect = stepped(&effect, &parameters, assessment.step.as_slice());
-            Screened { effect, parameters, assessment }
+            let estimate = stepped(&effect, &parameters, assessment.step.as_slice());
+            let promise = assessment.held_out_gains.iter().sum();
+            let screened = Screened { effect: estimate, parameters, promise };
+            match &screened.effect.place {
+                Place::Stream(_) if screened.parameters.len() <= FEW => {
+                    dosed_largely(linear, &effect, screened)
+                }
+                _ => Ok(screened),
+            }
         })
-        .collect())
+        .collect()
+}
+
+/// Parameters of an effect that is tried at large doses too.
+const FEW: usize = 2;
+/// Large doses, as multiples of the standard one.
+const LARGE_DOSES: [f64; 2] = [1.0, 3.0];
+
+/// `screened`, or the effect at a large dose of its first parameter where that removes more than the estimate promises:
+/// what delays or filters a whole stream is far from linear, so that a small dose says little about a large effect.
+fn dosed_largely<D: Domain>(
+    linear: &Linear<'_, D>,
+    neutral: &Effect,
+    mut screened: Screened,
+) -> Result<Screened, DiagnosisError> {
+    let Some(parameter) = screened.parameters.first().cloned() else { return Ok(screened) };
+    let before = linear.residual.square();
+    for dose in LARGE_DOSES.iter().flat_map(|share| [share * parameter.dose, -share * parameter.dose]) {
+        let value = parameter.neutral + dose;
+        if !(parameter.lower..=parameter.upper).contains(&value) {
+            continue;
+        }
+        let mut effect = neutral.clone();
+        effect.parameters.insert(parameter.name.clone(), value);
+        let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
+        let removed = before - linear.residual_of(&predicted).square();
+        if removed > screened.promise {
+            (screened.effect, screened.promise) = (effect, removed);
+        }
+    }
+    Ok(screened)
 }
 
 /// Responses to each parameter of `effect` around its present values.

@@ -5,7 +5,7 @@ use palpate_robot_model::Station;
 use super::judge::repeated;
 use super::{Observed, TactileDomain};
 use crate::DiagnosisError;
-use crate::engine::{Domain, Model};
+use crate::engine::{Domain, Model, huber};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,7 +16,29 @@ pub struct Adequacy {
     /// Variance of the mean over a stream's quiet channels, over what independent channels would show; about 1 if they
     /// are independent.
     pub common_mode: f64,
+    /// Huber's loss of a row, in variances, over all rows that were measured.
+    pub loss: f64,
 }
+
+impl Adequacy {
+    /// Whether names that leave this account for what there was `before` them: whoever is named in place of an effect that
+    /// is in no library explains a part of it and leaves the rest.
+    pub(crate) fn accounts_for(&self, before: &Self, limits: &Self) -> bool {
+        let left = |now: f64, then: f64, complete: f64| {
+            (now - complete).max(0.0) <= MOST_LEFT * (then - complete).max(0.0)
+        };
+        if before.loss > limits.loss {
+            self.loss <= limits.loss || left(self.loss, before.loss, COMPLETE.loss)
+        } else {
+            self.repeating <= limits.repeating || left(self.repeating, before.repeating, COMPLETE.repeating)
+        }
+    }
+}
+
+/// What a model that misses nothing shows, tuned like the limits.
+const COMPLETE: Adequacy = Adequacy { repeating: 0.45, common_mode: 1.07, loss: 0.57 };
+/// Share of the excess that names may leave and still be the right ones.
+const MOST_LEFT: f64 = 0.4;
 
 /// Residuals count up to this many standard deviations.
 const CLIP: f64 = 4.0;
@@ -32,18 +54,24 @@ pub(crate) fn adequacy(
 ) -> Result<Adequacy, DiagnosisError> {
     let stride = 2 * station.layout.num_channels();
     let (mut product, mut count) = (0.0, 0.0);
+    let (mut loss, mut rows) = (0.0, 0.0);
     let mut quiet = vec![Quiet::default(); station.layout.streams.len()];
     for &take in takes {
         let observed = domain.take(take);
         let prediction = domain.predict(take, model)?;
         let weights = domain.weights(take, &prediction);
-        let residual: Vec<f64> = observed
+        let deviation: Vec<f64> = observed
             .rows
             .iter()
             .zip(&prediction)
             .zip(&weights)
-            .map(|((row, predicted), weight)| ((row - predicted) * weight).clamp(-CLIP, CLIP))
+            .map(|((row, predicted), weight)| (row - predicted) * weight)
             .collect();
+        for deviation in deviation.iter().filter(|deviation| deviation.is_finite()) {
+            loss += huber(*deviation);
+            rows += 1.0;
+        }
+        let residual: Vec<f64> = deviation.iter().map(|deviation| deviation.clamp(-CLIP, CLIP)).collect();
         for (first, second) in repeated(observed) {
             for offset in 0..first.len().min(second.len()) {
                 let (a, b) = ((first.start + offset) * stride, (second.start + offset) * stride);
@@ -64,6 +92,7 @@ pub(crate) fn adequacy(
     Ok(Adequacy {
         repeating: if count > 0.0 { (product / count).max(0.0) } else { 0.0 },
         common_mode: quiet.iter().map(Quiet::ratio).fold(0.0, f64::max),
+        loss: if rows > 0.0 { loss / rows } else { 0.0 },
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use palpate_recording::{SpanKind, Take};
+use palpate_recording::{SpanKind, StreamLog, Take};
 use palpate_robot_model::{JointKind, ObjectModel, Station};
 use palpate_sim::effects::TakeScene;
 use rand::RngExt;
@@ -34,6 +34,8 @@ pub(crate) struct Observed<'a> {
     pub(crate) positions: Vec<f64>,
     /// Per stream, when the sample in effect at each frame arrived, s.
     pub(crate) arrivals_s: Vec<Vec<f64>>,
+    /// As [`TakeScene::frozen_for_s`]; empty without raw readings, whose noise is what tells.
+    pub(crate) frozen_for_s: Vec<Vec<f64>>,
     /// As [`super::TactileDomain`] numbers them.
     pub(crate) rows: Vec<f64>,
     /// Ranges of rows that belong together.
@@ -64,10 +66,13 @@ impl<'a> Observed<'a> {
         let frame_times_s = &take.joints.times_s;
         let mut rows = vec![f64::NAN; num_frames * num_channels * 2];
         let mut arrivals_s = Vec::new();
+        let mut frozen_for_s = Vec::new();
         let mut noise = vec![0.0; num_channels];
         let mut ceilings = vec![f64::INFINITY; num_channels];
         for ((stream, config), log) in layout.streams.iter().zip(&station.streams).zip(&take.streams) {
             let width = stream.channels.len();
+            let repeated_for_s = repeated_for_s(log, width);
+            let mut frozen = vec![0.0; num_frames];
             let mut arrivals = frame_times_s.clone();
             let mut num_arrived = 0;
             for (frame, arrival) in arrivals.iter_mut().enumerate() {
@@ -76,6 +81,7 @@ impl<'a> Observed<'a> {
                 }
                 let Some(sample) = num_arrived.checked_sub(1) else { continue };
                 *arrival = log.times_s[sample];
+                frozen[frame] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
                 for (idx, channel) in stream.channels.clone().enumerate() {
                     let row = (frame * num_channels + channel) * 2;
                     rows[row] = f64::from(u8::from(log.active[sample * width + idx]));
@@ -87,6 +93,7 @@ impl<'a> Observed<'a> {
                 }
             }
             arrivals_s.push(arrivals);
+            frozen_for_s.push(frozen);
             for (idx, channel) in stream.channels.clone().enumerate() {
                 if let Some(reference) = log.reference.get(idx) {
                     ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
@@ -100,7 +107,39 @@ impl<'a> Observed<'a> {
             repetitions.iter().map(|(frames, _)| frames.start * stride..frames.end * stride).collect();
         let has_raw = take.has_raw();
         let positions = take.joints.positions.clone();
-        Ok(Self { take, object, has_raw, positions, arrivals_s, rows, blocks, repetitions, noise, ceilings })
+        if !has_raw {
+            frozen_for_s.clear();
+        }
+        Ok(Self {
+            take,
+            object,
+            has_raw,
+            positions,
+            arrivals_s,
+            frozen_for_s,
+            rows,
+            blocks,
+            repetitions,
+            noise,
+            ceilings,
+        })
+    }
+
+    /// Lengths of the spans for which `stream` was frozen, s.
+    pub(crate) fn frozen_spans_s(&self, stream: usize) -> impl Iterator<Item = f64> + '_ {
+        let log = &self.take.streams[stream];
+        let repeated_for_s = if self.has_raw {
+            repeated_for_s(log, log.active.len() / log.times_s.len().max(1))
+        } else {
+            Vec::new()
+        };
+        let ends: Vec<f64> = (0..repeated_for_s.len())
+            .filter(|&sample| {
+                repeated_for_s[sample] > 0.0 && repeated_for_s.get(sample + 1).is_none_or(|next| *next == 0.0)
+            })
+            .map(|sample| repeated_for_s[sample])
+            .collect();
+        ends.into_iter()
     }
 
     /// This take with what a model predicts in place of what was measured, and noise.
@@ -152,23 +191,50 @@ impl<'a> Observed<'a> {
             frame_times_s: &self.take.joints.times_s,
             positions: &self.positions,
             arrival_times_s: &self.arrivals_s,
+            frozen_for_s: &self.frozen_for_s,
         }
     }
 }
 
-/// Standard deviation of a channel's raw readings in the baseline spans, raw units.
-fn quiet_noise(take: &Take, log: &palpate_recording::StreamLog, idx: usize, width: usize) -> f64 {
-    let baselines: Vec<_> = take.spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
-    let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
-    for (sample, &time_s) in log.times_s.iter().enumerate() {
-        if baselines.iter().any(|span| (span.start_s..=span.end_s).contains(&time_s)) {
-            let deviation = f64::from(log.raw[sample * width + idx] - log.reference[idx]);
-            count += 1.0;
-            sum += deviation;
-            squares += deviation * deviation;
+/// Samples that are all the same before a device counts as frozen: two alike may be chance.
+const LEAST_REPEATED: usize = 4;
+
+/// For how long each sample of `log` had been repeated to the bit, s; empty without raw readings. `width` is its number of
+/// channels.
+fn repeated_for_s(log: &StreamLog, width: usize) -> Vec<f64> {
+    let samples: Vec<&[f32]> = log.raw.chunks_exact(width.max(1)).collect();
+    let mut repeated_for_s = vec![0.0; samples.len()];
+    let mut first = 0;
+    for run in samples.chunk_by(|a, b| a == b) {
+        if run.len() >= LEAST_REPEATED {
+            for sample in first..first + run.len() {
+                repeated_for_s[sample] = log.times_s[sample] - log.times_s[first];
+            }
         }
+        first += run.len();
     }
-    if count < 2.0 { 0.0 } else { ((squares - sum * sum / count) / (count - 1.0)).max(0.0).sqrt() }
+    repeated_for_s
+}
+
+/// Standard deviation of a channel's raw readings in the baseline spans, raw units: about their mean, or from one reading
+/// to the next where that is less, as it is where the readings wander.
+fn quiet_noise(take: &Take, log: &StreamLog, idx: usize, width: usize) -> f64 {
+    let baselines: Vec<_> = take.spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
+    let readings: Vec<f64> = log
+        .times_s
+        .iter()
+        .enumerate()
+        .filter(|(_, time_s)| baselines.iter().any(|span| (span.start_s..=span.end_s).contains(*time_s)))
+        .map(|(sample, _)| f64::from(log.raw[sample * width + idx]))
+        .collect();
+    let count = readings.len() as f64;
+    if readings.len() < 2 {
+        return 0.0;
+    }
+    let mean = readings.iter().sum::<f64>() / count;
+    let about_mean = readings.iter().map(|reading| (reading - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let steps = readings.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>() / (count - 1.0);
+    about_mean.min(0.5 * steps).sqrt()
 }
 
 /// Frames of each marked repetition, and of what lies between, in order: together all frames.

@@ -166,7 +166,7 @@ pub(super) const EFFECTS: &[Effect] = &[
     ),
     effect(
         "elastic_crosstalk",
-        &[Choice::Stream],
+        &[Choice::Patch, Choice::Stream],
         &[size("added_m", 0.0, 0.01)],
         "the layer pulls its surroundings along this much farther",
     ),

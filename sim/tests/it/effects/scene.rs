@@ -48,6 +48,7 @@ impl Take {
             frame_times_s: &self.times_s,
             positions,
             arrival_times_s: &[],
+            frozen_for_s: &[],
         }
     }
 }
