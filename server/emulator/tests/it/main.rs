@@ -5,7 +5,6 @@
 mod bad_truth;
 mod demo;
 mod hidden;
-mod live;
 mod session;
 
 use std::collections::BTreeMap;
