@@ -165,7 +165,7 @@ impl Draw<'_> {
                 // In one patch: along all of a stream it is what calibration fits anyway.
                 let patch = self.patch(Some(SensorKind::Pressure));
                 let id = self.station.layout.patches[patch].id.clone();
-                (Place::Patch(id), one("added_m", of([0.0015, 0.0025, 0.004])))
+                (Place::Patch(id), one("added_m", of([0.0012, 0.0018, 0.0025])))
             }
             "rate_dependence" => {
                 // It belongs to the penalty force, which only pressure patches have.
