@@ -311,11 +311,6 @@ impl TruthWorld {
         Ok(())
     }
 
-    /// The firmware's reference reading of every channel, in channel order, raw units.
-    pub(crate) fn references(&self) -> Vec<f64> {
-        self.devices.iter().flat_map(Device::reference).collect()
-    }
-
     /// Steps the layers, sensors and devices through one block that ends with the motors at `positions`.
     fn step_block(&mut self, positions: &[f64]) {
         let block_s = STEPS_PER_BLOCK as f64 * STEP_S;

@@ -179,12 +179,6 @@ impl Device {
     pub(crate) fn arrived(&mut self, now_ns: i64) -> Option<Arrival> {
         if self.queue.front()?.host_ns <= now_ns { self.queue.pop_front() } else { None }
     }
-
-    /// The firmware's reference reading of each channel, raw units.
-    pub(crate) fn reference(&self) -> impl Iterator<Item = f64> + '_ {
-        let count = self.num_summed.max(1) as f64;
-        self.sums.iter().map(move |sum| sum / count)
-    }
 }
 
 /// A standard normal deviate (Box and Muller).
