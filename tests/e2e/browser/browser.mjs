@@ -1,6 +1,6 @@
 // A headless Chromium that renders WebGL 2 in software, and a page that fails the test on any error of its own.
 import { mkdtempSync } from "node:fs";
-import { tmpdir } from "node:os";
+import { setPriority, tmpdir } from "node:os";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
 
@@ -19,6 +19,8 @@ const FLAGS = [
 const executablePath = process.env.PALPATE_CHROMIUM ?? "/usr/bin/chromium";
 
 export async function openBrowser({ width = 1280, height = 800, colorScheme = "light" } = {}) {
+  // Pictures are drawn by the processor here: they must not keep a station that runs in real time waiting.
+  setPriority(10);
   const profile = mkdtempSync(join(tmpdir(), "palpate-chromium-"));
   const context = await chromium.launchPersistentContext(profile, {
     executablePath,
@@ -28,10 +30,20 @@ export async function openBrowser({ width = 1280, height = 800, colorScheme = "l
   });
   context.setDefaultTimeout(60_000);
   const page = context.pages()[0] ?? (await context.newPage());
+  return { context, page, errors: collectErrors(page) };
+}
+
+/** Another window of the same browser. */
+export async function openPage(context) {
+  const page = await context.newPage();
+  return { page, errors: collectErrors(page) };
+}
+
+function collectErrors(page) {
   const errors = [];
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("console", (message) => {
     if (message.type() === "error") errors.push(message.text());
   });
-  return { context, page, errors };
+  return errors;
 }

@@ -5,21 +5,18 @@ use std::{
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::RwLockWriteGuard,
 };
 
 use anyhow::{Context as _, bail};
 use serde_json::Value;
 
-use crate::{Tools, root};
-
-/// Emulations run in real time, so that they run one after another.
-static ALONE: Mutex<()> = Mutex::new(());
+use crate::{Tools, alone, root};
 
 /// `palpate devices emulate`; it ends when this is dropped.
 pub struct Devices {
     process: Child,
-    _alone: MutexGuard<'static, ()>,
+    _alone: RwLockWriteGuard<'static, ()>,
     /// Link to the servos' line.
     pub u2d2: PathBuf,
     /// Links to the fingertips' boards.
@@ -36,8 +33,7 @@ impl Devices {
     ///
     /// `None` (with a message) where ports below 1024 may not be listened on.
     pub fn start(tools: &Tools, dir: &Path, host: u8) -> anyhow::Result<Option<Self>> {
-        // A test that failed before has nothing to do with the next one.
-        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let alone = alone();
         let xarm = IpAddr::V4(Ipv4Addr::new(127, 0, 5, host));
         if let Err(err) = TcpListener::bind((xarm, 502)) {
             if err.kind() != std::io::ErrorKind::PermissionDenied {

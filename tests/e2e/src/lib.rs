@@ -1,12 +1,19 @@
 //! The whole system from outside: the built binary, a real browser, other people's readers.
 //!
-//! [`Tools`] says where `cargo xtask test` put everything; [`Studio`] is a running studio and [`Devices`] are emulated
-//! devices, both of which end with their owner.
+//! [`Tools`] says where `cargo xtask test` put everything; [`Studio`] is a running studio, [`Devices`] are emulated
+//! devices in a process of their own, and a [`Bench`] is emulated devices that a test can look into. All end with their
+//! owner. An [`Operator`] sits at a studio's command socket as a page does.
 
+mod bench;
 mod devices;
+mod operator;
 mod studio;
 mod tools;
+mod turn;
 
+pub use bench::{Bench, MS, still_from_ns};
 pub use devices::Devices;
+pub use operator::{Operator, Watcher, targets};
 pub use studio::Studio;
 pub use tools::{Tools, demo_session, root, run_json};
+pub use turn::{alone, together};

@@ -1,17 +1,21 @@
 //! A running studio.
 
 use std::{
-    io::{BufRead as _, BufReader},
+    ffi::OsStr,
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::TcpStream,
     os::unix::process::CommandExt as _,
     path::Path,
     process::{Child, Command, Stdio},
+    time::Duration,
 };
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
+use serde_json::Value;
 
 use crate::Tools;
 
-/// The studio as `cargo xtask studio` starts it, on a free port; it ends when this is dropped.
+/// A studio on a free port; it ends when this is dropped.
 pub struct Studio {
     process: Child,
     /// Where the page is.
@@ -19,18 +23,35 @@ pub struct Studio {
 }
 
 impl Studio {
-    /// Starts the studio on `data` and waits until it says where it listens.
+    /// Starts the studio on `data` as `cargo xtask studio` does, and waits until it says where it listens.
     pub fn start(tools: &Tools, data: &Path) -> anyhow::Result<Self> {
-        let mut process = Command::new(&tools.xtask)
+        let mut command = Command::new(&tools.xtask);
+        command
             .args(["studio", "--listen", "127.0.0.1:0", "--bin"])
             .arg(&tools.palpate)
             .arg("--data")
-            .arg(data)
+            .arg(data);
+        Self::spawn(command)
+    }
+
+    /// Starts `palpate serve` with more arguments, which say which station is live.
+    pub fn serve(
+        tools: &Tools,
+        data: &Path,
+        station: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    ) -> anyhow::Result<Self> {
+        let mut command = tools.palpate();
+        command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).args(station);
+        Self::spawn(command)
+    }
+
+    fn spawn(mut command: Command) -> anyhow::Result<Self> {
+        let mut process = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .process_group(0)
             .spawn()
-            .with_context(|| format!("failed to start {:?}", tools.xtask))?;
+            .with_context(|| format!("failed to start {command:?}"))?;
         let stdout = process.stdout.take().context("the studio has no standard output")?;
         let mut lines = BufReader::new(stdout).lines();
         let url = loop {
@@ -43,13 +64,55 @@ impl Studio {
         std::thread::spawn(move || lines.for_each(drop));
         Ok(Self { process, url })
     }
+
+    /// Kills it, as when the machine loses its power: it has no time for a last word.
+    pub fn kill(mut self) -> anyhow::Result<()> {
+        self.process.kill()?;
+        self.process.wait()?;
+        Ok(())
+    }
+
+    /// `GET` of a JSON document.
+    pub fn get(&self, path: &str) -> anyhow::Result<Value> {
+        self.exchange("GET", path, "")
+    }
+
+    /// `POST` of a JSON document, answered by another one (or by nothing).
+    pub fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
+        self.exchange("POST", path, &body.to_string())
+    }
+
+    fn exchange(&self, method: &str, path: &str, body: &str) -> anyhow::Result<Value> {
+        let address = self.url.trim_start_matches("http://");
+        let mut stream = TcpStream::connect(address)?;
+        stream.set_read_timeout(Some(Duration::from_secs(60)))?;
+        // HTTP/1.0: the answer ends where the connection does.
+        let head = format!(
+            "{method} /api/v1{path} HTTP/1.0\r\nHost: {address}\r\nContent-Type: application/json\r\n\
+             Content-Length: {}\r\n\r\n",
+            body.len()
+        );
+        stream.write_all(head.as_bytes())?;
+        stream.write_all(body.as_bytes())?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer)?;
+        let (head, content) = answer.split_once("\r\n\r\n").context("the answer has no end of its head")?;
+        let status = head.lines().next().unwrap_or_default();
+        if !status.contains(" 200 ") {
+            bail!("{method} {path}: {status}: {content}");
+        }
+        if content.is_empty() {
+            return Ok(Value::Null);
+        }
+        serde_json::from_str(content).with_context(|| format!("{method} {path}: no JSON: {content}"))
+    }
 }
 
 impl Drop for Studio {
     fn drop(&mut self) {
-        // The studio is xtask and the server that it started: the whole group ends.
+        // The studio may be xtask and the server that it started: the whole group ends.
         let group = format!("-{}", self.process.id());
-        let _ = Command::new("kill").args(["-TERM", "--", &group]).status();
+        let _ = Command::new("kill").args(["-TERM", "--", &group]).stderr(Stdio::null()).status();
         let _ = self.process.wait();
     }
 }

@@ -1,6 +1,6 @@
 //! Calibration of the emulated session from the command line.
 
-use e2e::{Tools, demo_session, run_json};
+use e2e::{Tools, demo_session, run_json, together};
 use serde_json::Value;
 
 fn number(report: &Value, pointer: &str) -> f64 {
@@ -13,6 +13,7 @@ fn number(report: &Value, pointer: &str) -> f64 {
 #[test]
 fn demo_session_is_complete() {
     let Some(tools) = Tools::find() else { return };
+    let _turn = together();
     let data = demo_session(&tools).unwrap();
     let session = data.join("sessions/demo");
     let check = run_json(tools.palpate().args(["session", "check", "--json"]).arg(&session)).unwrap();
@@ -29,6 +30,7 @@ fn demo_session_is_complete() {
 #[test]
 fn calibrated_beats_nominal_on_held_out_takes() {
     let Some(tools) = Tools::find() else { return };
+    let _turn = together();
     let data = demo_session(&tools).unwrap();
     let out = tempfile::tempdir().unwrap();
     let report = run_json(
@@ -65,6 +67,7 @@ fn calibrated_beats_nominal_on_held_out_takes() {
 #[test]
 fn exact_search_is_never_worse_than_the_grid() {
     let Some(tools) = Tools::find() else { return };
+    let _turn = together();
     let data = demo_session(&tools).unwrap();
     // The objective is what both minimise: L1 over the takes they were fitted on.
     let fitted_l1 = |method: &str| {

@@ -2,6 +2,8 @@
 
 mod calibration;
 mod devices;
+mod devices_check;
+mod faults;
 mod page;
 mod probe_bench;
 mod takes;

@@ -3,7 +3,7 @@
 use std::{path::Path, process::Command};
 
 use anyhow::ensure;
-use e2e::{Tools, root, run_json};
+use e2e::{Tools, root, run_json, together};
 use serde_json::Value;
 
 fn succeed(command: &mut Command) -> anyhow::Result<()> {
@@ -37,6 +37,7 @@ fn calibrate(tools: &Tools, session: &Path, model: &Path) -> anyhow::Result<()> 
 #[test]
 fn probe_bench_replays_and_calibrates() -> anyhow::Result<()> {
     let Some(tools) = Tools::find() else { return Ok(()) };
+    let _turn = together();
     let dir = tempfile::tempdir()?;
     let (session, model) = (dir.path().join("bench"), dir.path().join("model.toml"));
     record(&tools, &session)?;
@@ -57,6 +58,7 @@ fn probe_bench_replays_and_calibrates() -> anyhow::Result<()> {
 #[test]
 fn recordings_made_elsewhere_import_as_csv() -> anyhow::Result<()> {
     let Some(tools) = Tools::find() else { return Ok(()) };
+    let _turn = together();
     let dir = tempfile::tempdir()?;
     let [recorded, csv, session] = ["bench", "csv", "imported"].map(|name| dir.path().join(name));
     record(&tools, &recorded)?;

@@ -2,11 +2,12 @@
 
 use std::process::Command;
 
-use e2e::{Tools, demo_session, run_json};
+use e2e::{Tools, demo_session, run_json, together};
 
 #[test]
 fn take_opens_in_stock_mcap_reader() {
     let Some(tools) = Tools::find() else { return };
+    let _turn = together();
     let data = demo_session(&tools).unwrap();
     let script = e2e::root().join("tests/e2e/python/read_take.py");
     let take = data.join("sessions/demo/take-01.mcap");

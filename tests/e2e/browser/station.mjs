@@ -1,0 +1,68 @@
+// What the scripts for live stations share: named steps, the station's own word, an operator who is in control.
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { openBrowser } from "./browser.mjs";
+
+/** Whatever is waited for comes long before this, unless it never does. */
+const PATIENCE_MS = 120_000;
+
+/** The first window on the studio at `url`, and what the scripts do with it. */
+export async function openStation(url, shots) {
+  const { context, page, errors } = await openBrowser();
+  const api = (path) => `${url}/api/v1/${path}`;
+  const button = (name, on = page) => on.getByRole("button", { name, exact: true });
+  const shot = (name, on = page) => on.screenshot({ path: join(shots, `${name}.png`) });
+  const get = async (path) => (await context.request.get(api(path))).json();
+  const live = () => get("live");
+
+  /** Waits until `ask` gives what is `wanted`; gives that. */
+  async function until(what, wanted, ask = live) {
+    const start = Date.now();
+    for (;;) {
+      const state = await ask();
+      if (wanted(state)) return state;
+      assert.ok(Date.now() - start < PATIENCE_MS, `never ${what}: ${JSON.stringify(state)}`);
+      await page.waitForTimeout(50);
+    }
+  }
+
+  async function step(name, run) {
+    const start = Date.now();
+    try {
+      await run();
+      console.log(`ok   ${name} (${((Date.now() - start) / 1000).toFixed(1)} s)`);
+    } catch (error) {
+      await shot("failure");
+      console.error(`FAIL ${name}\n${error.stack}\n${errors.join("\n")}\n${JSON.stringify(await live())}`);
+      await context.close();
+      process.exit(1);
+    }
+  }
+
+  const allReady = (state) => state.devices.length > 0 && state.devices.every((device) => device.link === "ready");
+
+  /** Arms; where the machine was too slow for the station, again. */
+  async function arm() {
+    await until("armed", async () => {
+      const state = await live();
+      if (state.phase === "armed") return true;
+      if (state.phase === "disarmed" && (await button("Arm").isVisible()) && !(await disabled(button("Arm")))) {
+        await button("Arm").click({ timeout: 2000 }).catch(() => {});
+      }
+      return false;
+    });
+  }
+
+  async function takeControl(name) {
+    await page.getByRole("textbox", { name: "Your name" }).fill(name);
+    await button("Take control").click();
+    await page.getByText("You have control").waitFor();
+  }
+
+  return { context, page, errors, button, shot, get, live, until, step, allReady, arm, takeControl };
+}
+
+/** Whether a button or a field can be used now. */
+export async function disabled(locator) {
+  return (await locator.getAttribute("aria-disabled")) === "true";
+}
