@@ -21,6 +21,7 @@ use crate::{
     rates::RateMeter,
     requests::Desk,
     senses::Senses,
+    twin::{Twin, TwinModel},
 };
 
 /// How far a joint may be behind a guided motion before the motion is given up: servos that press against something
@@ -77,6 +78,7 @@ impl Control {
             )));
         }
         let failed = |name: &'static str| move |source| ControlError::Thread { name, source };
+        let twin_model = TwinModel::nominal(&station).map_err(ControlError::Refused)?;
         let plans = Plans::new(Arc::clone(&station), sessions_dir)?;
         let guided =
             Guided::new(Arc::clone(&station), plans.summaries(), place_object).map_err(failed("recorder"))?;
@@ -88,8 +90,16 @@ impl Control {
         audit.note(0, "station", &format!("the control loop of {} was started", station.id));
         let (report, events) = channel();
         let devices = Devices::open(&station, &ports, report)?;
-        let (handle, messages) = Handle::new(Shared { station: Arc::clone(&station), source, plans });
+        let (handle, messages) = Handle::new(Shared {
+            station: Arc::clone(&station),
+            source,
+            plans,
+            twin_model: twin_model.clone(),
+        });
+        let twin = Twin::start(Arc::clone(&station), twin_model, devices.clock().now_ns())
+            .map_err(failed("twin"))?;
         let control_loop = ControlLoop {
+            twin,
             supervisor: Supervisor::new(&station),
             clock: devices.clock(),
             devices,

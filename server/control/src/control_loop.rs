@@ -24,10 +24,13 @@ use crate::{
     senses::{Sensed, Senses},
     snapshot::Snapshot,
     streams::StreamSample,
+    twin::{Twin, TwinFrame},
 };
 
 /// Turns of the loop: 200 Hz, so that no command waits for longer than 5 ms.
 const TURN_NS: u64 = 5_000_000;
+/// Turns of the loop, Hz, where nothing holds it up.
+pub const LOOP_HZ: f64 = 1e9 / TURN_NS as f64;
 /// Messages to pages: 30 Hz at most.
 const FRAME_NS: u64 = 33_333_334;
 /// A tare takes this long.
@@ -50,6 +53,7 @@ pub(crate) struct ControlLoop {
     pub(crate) publish: Publish,
     pub(crate) senses: Senses,
     pub(crate) guided: Guided,
+    pub(crate) twin: Twin,
     pub(crate) audit: AuditLog,
     pub(crate) desk: Desk,
     /// Counts everything that sets targets.
@@ -221,6 +225,8 @@ impl ControlLoop {
         let touch = self.senses.streams.touch(now_ns);
         let recording = self.guided.status(now_ns);
         self.senses.latency.published(now_ns);
+        self.show_twin(now_ns);
+        let twin = self.twin.view().clone();
         let frame = Snapshot {
             time_s: now_ns as f64 * 1e-9,
             positions: &positions,
@@ -238,11 +244,26 @@ impl ControlLoop {
             ],
             latency_ms: [self.senses.latency.newest_ms(), self.senses.latency.p95_ms()],
             devices: &self.devices.health(),
-            taxels: Vec::new(),
+            taxels: twin.warnings,
             recording,
-            twin: None,
+            twin: Some(twin.status),
         };
         (self.publish)(frame.message());
+    }
+
+    /// Lets the twin look at this moment, if it is time.
+    fn show_twin(&mut self, now_ns: u64) {
+        if !self.twin.due(now_ns) {
+            return;
+        }
+        // Between sessions nobody says what stands there.
+        let object = self.guided.guide.as_ref().and_then(|_| self.guided.object());
+        self.twin.show(TwinFrame {
+            at_s: now_ns as f64 * 1e-9,
+            positions: self.senses.positions(),
+            readings: self.senses.streams.readings(now_ns),
+            object: object.map(|(id, pose)| (id.to_owned(), pose)),
+        });
     }
 
     /// Lets go of the robot in an orderly way, and says so.

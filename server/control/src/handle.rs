@@ -9,6 +9,7 @@ use std::{
 };
 
 use palpate_robot_model::Station;
+use palpate_sim::SensorModel;
 use palpate_wire::{
     api::{RecordingAction, RecordingDocument, Source, StartRecording},
     proto::{ControlReply, ControlRequest},
@@ -17,6 +18,7 @@ use palpate_wire::{
 use crate::{
     error::ControlError,
     prepare::{Plans, Prepared},
+    twin::TwinModel,
 };
 
 /// The loop answers within milliseconds; who waits for longer than this waits for a loop that is not there any more.
@@ -36,6 +38,7 @@ pub(crate) struct Shared {
     pub(crate) station: Arc<Station>,
     pub(crate) source: Source,
     pub(crate) plans: Plans,
+    pub(crate) twin_model: TwinModel,
 }
 
 /// What the loop is asked. Commands are never dropped: every caller waits for its reply, so there are never more of
@@ -108,6 +111,12 @@ impl Handle {
     /// What the operator does in the guided session.
     pub fn act(&self, action: RecordingAction) -> Result<RecordingDocument, ControlError> {
         self.ask(|reply| Message::Act(action, reply))?
+    }
+
+    /// Sensor model that the live twin simulates with from now on, the station's own without one; gives its name. A model
+    /// that speaks of what the station does not have is refused.
+    pub fn set_model(&self, model: Option<SensorModel>) -> Result<String, ControlError> {
+        self.shared.twin_model.set(&self.shared.station, model).map_err(ControlError::Refused)
     }
 
     pub(crate) fn end(&self) {

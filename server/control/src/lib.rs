@@ -11,7 +11,8 @@
 //! guide of a session --motion of a take--------'            all of it --30 Hz--> pages
 //! ```
 //!
-//! Nothing here waits: disks, planning and the building of emulated worlds have threads of their own.
+//! Beside all of it the live twin simulates what the tactile channels should feel and says which of them it does not
+//! believe. Nothing here waits: disks, planning and the building of emulated worlds, and the twin have threads of their own.
 
 mod audit;
 mod control;
@@ -34,10 +35,11 @@ mod round;
 mod senses;
 mod snapshot;
 mod streams;
+mod twin;
 
 pub use audit::AuditLine;
 pub use control::{Control, ControlConfig};
-pub use control_loop::Publish;
+pub use control_loop::{LOOP_HZ, Publish};
 pub use error::ControlError;
 pub use guided::PlaceObject;
 pub use handle::Handle;

@@ -68,6 +68,16 @@ pub(crate) struct Touch {
     pub(crate) raw: Vec<f32>,
 }
 
+/// What a channel reads now, and its zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reading {
+    /// Raw units.
+    pub(crate) raw: f32,
+    /// Raw units.
+    pub(crate) reference: f64,
+    pub(crate) active: bool,
+}
+
 /// Every tactile stream of a station.
 ///
 /// A channel is active as the firmware of recorded stations has it: above `on_threshold` over its reference, and until
@@ -278,6 +288,21 @@ impl Streams {
             }
         }
         touch
+    }
+
+    /// What every channel of the layout reads at `now_ns`; `None` where its board is silent or has no zero yet.
+    pub(crate) fn readings(&self, now_ns: u64) -> Vec<Option<Reading>> {
+        let mut readings = vec![None; self.channel_ids.len()];
+        for stream in &self.streams {
+            for board in stream.boards.iter().filter(|board| !board.silent(now_ns)) {
+                for (channel, &reference) in board.reference.iter().flatten().enumerate() {
+                    let in_stream = board.place.first_channel + channel;
+                    let (raw, active) = (stream.raw[in_stream], stream.active[in_stream]);
+                    readings[stream.first_channel + in_stream] = Some(Reading { raw, reference, active });
+                }
+            }
+        }
+        readings
     }
 }
 

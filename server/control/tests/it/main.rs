@@ -6,3 +6,4 @@ mod devices;
 mod safety;
 mod session;
 mod teleoperation;
+mod twin;
