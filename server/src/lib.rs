@@ -37,6 +37,7 @@
 //! | GET | `/api/v1/diagnoses/{id}/report.html` | the self-contained report |
 //! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
 //! | GET | `/api/v1/live` | `LiveDocument`; 404 without a live station, as the routes below |
+//! | PUT | `/api/v1/live/model` | body `LiveModel`: what the live twin simulates with |
 //! | GET | `/api/v1/control` | WebSocket; binary protobuf `ControlRequest`, each answered by a `ControlReply` |
 //! | GET | `/api/v1/recording` | `RecordingDocument` |
 //! | POST | `/api/v1/recording` | body `StartRecording`; `RecordingDocument` |

@@ -17,7 +17,7 @@ use axum::{
     extract::State,
     http::{Method, StatusCode, Uri},
     response::{IntoResponse as _, Response},
-    routing::{get, post},
+    routing::{get, post, put},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
@@ -56,6 +56,7 @@ pub fn app(state: Arc<AppState>) -> Router {
         .route("/diagnoses/{run}/report.html", get(diagnoses::report))
         .route("/stream", get(stream::upgrade))
         .route("/live", get(live::document))
+        .route("/live/model", put(live::set_model))
         .route("/control", get(control_socket::upgrade))
         .route("/recording", get(recording::document).post(recording::start))
         .route("/recording/act", post(recording::act))

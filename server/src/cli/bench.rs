@@ -1,4 +1,6 @@
-//! `palpate bench`: the paths that have to be fast, measured on a whole session.
+//! `palpate bench`: the paths that have to be fast, measured on a whole session or a live station.
+
+mod stream;
 
 use std::{path::PathBuf, process::ExitCode, time::Instant};
 
@@ -25,6 +27,8 @@ pub(crate) enum BenchCommand {
     Sweep(SweepArgs),
     /// Kinematics, signed distance of every surface node, and penalty pressure, over a whole session
     Replay(BenchArgs),
+    /// An emulated station that records while many clients watch it
+    Stream(stream::StreamArgs),
 }
 
 #[derive(Args)]
@@ -53,6 +57,7 @@ pub(super) fn run(command: &BenchCommand) -> Outcome {
     match command {
         BenchCommand::Sweep(args) => sweep(args)?,
         BenchCommand::Replay(args) => replay(args)?,
+        BenchCommand::Stream(args) => stream::run(args)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -106,7 +111,7 @@ fn replay(args: &BenchArgs) -> Result<(), Error> {
     let frames: usize = takes.iter().map(Take::num_frames).sum();
     let nodes: usize = layout(&takes)?.patches.iter().map(|patch| patch.nodes.len()).sum();
     print(
-        args,
+        args.json,
         &ReplayBenchReport {
             frames,
             nodes,
@@ -128,12 +133,12 @@ fn sweep(args: &SweepArgs) -> Result<(), Error> {
     }
     let start = Instant::now();
     let report = bench_sweep(config, layout, &paired, &|| start.elapsed().as_secs_f64())?;
-    print(&args.bench, &report)
+    print(args.bench.json, &report)
 }
 
 /// Prints `report` as JSON, or a line for each figure.
-fn print(args: &BenchArgs, report: &impl Serialize) -> Result<(), Error> {
-    if args.json {
+fn print(json: bool, report: &impl Serialize) -> Result<(), Error> {
+    if json {
         return output::json(report);
     }
     let document = serde_json::to_value(report).map_err(|err| Error::Internal(err.to_string()))?;

@@ -10,7 +10,7 @@ use axum::{
 };
 use palpate_robot_model::Station;
 use palpate_wire::{
-    api::{LiveDevice, LiveDocument, PlaceObject},
+    api::{LiveDevice, LiveDocument, LiveModel, PlaceObject},
     bits,
     proto::{ControlState, LiveFrame, control_state::Phase, device_status::Link},
 };
@@ -64,10 +64,30 @@ pub(super) async fn place_object(
     Ok(emulated(&state)?.place_object(request.object.as_deref())?)
 }
 
+/// `PUT /api/v1/live/model`: what the live twin simulates with from now on.
+pub(super) async fn set_model(
+    State(state): State<Arc<AppState>>,
+    Body(request): Body<LiveModel>,
+) -> Answer<()> {
+    blocking(move || {
+        let live = state.live().ok_or_else(Error::no_station)?;
+        let model = match request.model.as_str() {
+            "nominal" => None,
+            id => Some(state.store().model(id)?.0),
+        };
+        let name = live.handle().set_model(model)?;
+        tracing::info!(model = name, "the live twin has another sensor model");
+        Ok(())
+    })
+    .await
+}
+
 fn emulated(state: &AppState) -> Answer<&EmulatedDevices> {
     match state.live() {
         Some(live) => live.emulated().ok_or_else(|| {
-            Problem(Error::Conflict("the station is real; only emulated devices can be given faults".to_owned()))
+            Problem(Error::Conflict(
+                "the station is real; only emulated devices can be given faults".to_owned(),
+            ))
         }),
         None => Err(Problem(Error::no_station())),
     }

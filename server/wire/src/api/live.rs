@@ -56,3 +56,10 @@ pub struct PlaceObject {
     /// Object id of the station; nothing stands there without one.
     pub object: Option<String>,
 }
+
+/// Body of `PUT /api/v1/live/model`: the sensor model that the live twin simulates with.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LiveModel {
+    /// Id of a saved model, or `nominal` for the station's own.
+    pub model: String,
+}

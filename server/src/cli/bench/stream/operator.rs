@@ -1,0 +1,211 @@
+//! An operator who records take after take, over the sockets and routes that a page uses.
+
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+
+use futures_util::{SinkExt as _, StreamExt as _};
+use palpate_server::Error;
+use palpate_wire::{
+    api::{
+        LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StartRecording,
+    },
+    proto::{Acquire, Arm, ControlReply, ControlRequest, Heartbeat, control_request::Request},
+};
+use prost::Message as _;
+use serde::{Serialize, de::DeserializeOwned};
+use tokio::{
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    net::TcpStream,
+    sync::{Mutex, watch},
+    time::sleep,
+};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async, tungstenite::Message};
+
+use super::socket_url;
+
+/// The session that is recorded.
+pub(super) const SESSION: &str = "load";
+const PLAN: &str = "nine_takes";
+/// Heartbeats, as a page sends them.
+const HEARTBEAT: Duration = Duration::from_millis(50);
+/// The checklist is looked at this often.
+const LOOK: Duration = Duration::from_millis(100);
+/// Looks until the devices must be there: two minutes.
+const MOST_LOOKS: u32 = 1200;
+
+/// Somebody in control of an armed station whose session has begun.
+pub(super) struct Operator {
+    addr: SocketAddr,
+    socket: Arc<Mutex<CommandSocket>>,
+    lease: u64,
+}
+
+struct CommandSocket {
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    sequence: u64,
+    lease: u64,
+}
+
+impl Operator {
+    /// Waits for the devices, begins the session, takes control and arms.
+    pub(super) async fn prepare(addr: SocketAddr) -> Result<Self, Error> {
+        let mut looks = 0;
+        loop {
+            let live: LiveDocument = ask(addr, "GET", "live", None::<&()>).await?;
+            let mut missing = live.devices.iter().filter(|device| device.link != "ready");
+            match missing.next() {
+                None if !live.devices.is_empty() => break,
+                Some(device) if looks >= MOST_LOOKS => {
+                    return Err(Error::Internal(format!(
+                        "{} was never ready: {}",
+                        device.id, device.problem
+                    )));
+                }
+                _ => {}
+            }
+            looks += 1;
+            sleep(LOOK).await;
+        }
+        let start = StartRecording {
+            plan: PLAN.to_owned(),
+            session: SESSION.to_owned(),
+            operator: "palpate bench".to_owned(),
+        };
+        let _begun: RecordingDocument = ask(addr, "POST", "recording", Some(&start)).await?;
+        let url = socket_url(addr, "control");
+        let (socket, _) = connect_async(url).await.map_err(|err| broken(&err))?;
+        let mut socket = CommandSocket { socket, sequence: 0, lease: 0 };
+        socket
+            .accepted(Request::Acquire(Acquire { operator: "palpate bench".to_owned(), take_over: false }))
+            .await?;
+        socket.accepted(Request::Arm(Arm {})).await?;
+        let lease = socket.lease;
+        Ok(Self { addr, socket: Arc::new(Mutex::new(socket)), lease })
+    }
+
+    /// Records until `ends`, and ends the take that is under way then.
+    pub(super) async fn record(self, mut ends: watch::Receiver<bool>) -> Result<(), Error> {
+        let heart = tokio::spawn({
+            let socket = self.socket.clone();
+            async move {
+                loop {
+                    // A refused heartbeat shows in the session: it says that the operator is gone.
+                    if socket.lock().await.ask(Request::Heartbeat(Heartbeat {})).await.is_err() {
+                        return;
+                    }
+                    sleep(HEARTBEAT).await;
+                }
+            }
+        });
+        let recorded = tokio::select! {
+            recorded = self.follow_checklist() => recorded,
+            _ = ends.wait_for(|&ends| ends) => Ok(()),
+        };
+        if self.session().await?.is_some_and(|session| session.phase == RecordingPhase::Running) {
+            self.act(&RecordingAction::Cancel).await?;
+            while self.session().await?.is_some_and(|session| {
+                !matches!(session.phase, RecordingPhase::Review | RecordingPhase::PlaceObject)
+            }) {
+                sleep(LOOK).await;
+            }
+        }
+        heart.abort();
+        recorded
+    }
+
+    async fn follow_checklist(&self) -> Result<(), Error> {
+        let lease = self.lease;
+        // A step's way to its start pose is gone once.
+        let mut at_start = None;
+        loop {
+            let Some(session) = self.session().await? else { return Ok(()) };
+            let action = match session.phase {
+                RecordingPhase::PlaceObject => Some(RecordingAction::ConfirmObject { fixture_trusted: true }),
+                RecordingPhase::StartPose if at_start == session.current => {
+                    at_start = None;
+                    Some(RecordingAction::Run { lease })
+                }
+                RecordingPhase::StartPose => {
+                    at_start = session.current;
+                    Some(RecordingAction::GoToStart { lease })
+                }
+                RecordingPhase::Review => Some(RecordingAction::Accept),
+                RecordingPhase::Done => return Ok(()),
+                _ => None,
+            };
+            if let Some(action) = action
+                && let Err(err) = self.act(&action).await
+            {
+                let problem = &session.problem;
+                return Err(Error::Internal(format!("the session does not go on: {err}; {problem}")));
+            }
+            sleep(LOOK).await;
+        }
+    }
+
+    async fn session(&self) -> Result<Option<RecordingSession>, Error> {
+        let document: RecordingDocument = ask(self.addr, "GET", "recording", None::<&()>).await?;
+        Ok(document.session)
+    }
+
+    async fn act(&self, action: &RecordingAction) -> Result<(), Error> {
+        let _document: RecordingDocument = ask(self.addr, "POST", "recording/act", Some(action)).await?;
+        Ok(())
+    }
+}
+
+impl CommandSocket {
+    async fn ask(&mut self, request: Request) -> Result<ControlReply, Error> {
+        self.sequence += 1;
+        let request = ControlRequest { sequence: self.sequence, lease: self.lease, request: Some(request) };
+        let bytes = request.encode_to_vec();
+        self.socket.send(Message::Binary(bytes.into())).await.map_err(|err| broken(&err))?;
+        loop {
+            match self.socket.next().await {
+                Some(Ok(Message::Binary(bytes))) => {
+                    let reply = ControlReply::decode(bytes).map_err(|err| broken(&err))?;
+                    self.lease = reply.lease;
+                    return Ok(reply);
+                }
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                Some(Err(err)) => return Err(broken(&err)),
+                other => return Err(broken(&format!("{other:?} is no reply"))),
+            }
+        }
+    }
+
+    async fn accepted(&mut self, request: Request) -> Result<(), Error> {
+        let reply = self.ask(request).await?;
+        if reply.accepted { Ok(()) } else { Err(broken(&reply.problem)) }
+    }
+}
+
+fn broken(err: &dyn std::fmt::Display) -> Error {
+    Error::Internal(format!("the operator's command failed: {err}"))
+}
+
+/// One request of the API; any answer but success is an error with the server's words.
+async fn ask<T: DeserializeOwned>(
+    addr: SocketAddr,
+    method: &str,
+    path: &str,
+    body: Option<&impl Serialize>,
+) -> Result<T, Error> {
+    let failed =
+        |err: &dyn std::fmt::Display| Error::Internal(format!("{method} /api/v1/{path} failed: {err}"));
+    let body = body.map(serde_json::to_string).transpose().map_err(|err| failed(&err))?.unwrap_or_default();
+    let request = format!(
+        "{method} /api/v1/{path} HTTP/1.1\r\nHost: {addr}\r\nConnection: close\r\nContent-Type: application/json\r\n\
+         Content-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = TcpStream::connect(addr).await.map_err(|err| failed(&err))?;
+    stream.write_all(request.as_bytes()).await.map_err(|err| failed(&err))?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).await.map_err(|err| failed(&err))?;
+    let (head, body) = answer.split_once("\r\n\r\n").ok_or_else(|| failed(&"the answer has no end"))?;
+    let status = head.split(' ').nth(1).unwrap_or_default();
+    if !status.starts_with('2') {
+        return Err(failed(&format!("{status} {body}")));
+    }
+    serde_json::from_str(body).map_err(|err| failed(&err))
+}
