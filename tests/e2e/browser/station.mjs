@@ -16,12 +16,12 @@ export async function openStation(url, shots) {
   const live = () => get("live");
 
   /** Waits until `ask` gives what is `wanted`; gives that. */
-  async function until(what, wanted, ask = live) {
+  async function until(what, wanted, ask = live, patience_ms = PATIENCE_MS) {
     const start = Date.now();
     for (;;) {
       const state = await ask();
       if (wanted(state)) return state;
-      assert.ok(Date.now() - start < PATIENCE_MS, `never ${what}: ${JSON.stringify(state)}`);
+      assert.ok(Date.now() - start < patience_ms, `never ${what}: ${JSON.stringify(state)}`);
       await page.waitForTimeout(50);
     }
   }

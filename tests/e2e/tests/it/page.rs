@@ -1,6 +1,11 @@
 //! The page in a real browser.
 
-use std::{ffi::OsStr, fs, process::Command};
+use std::{
+    ffi::OsStr,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 use e2e::{Studio, Tools, alone, demo_session, root, together};
 
@@ -38,16 +43,47 @@ fn browser_test(script: &str) {
     run_script(&tools, &studio, script);
 }
 
-/// Runs a script that commands the emulated station. It comes first on the machine: a page that waits a moment does no
-/// harm, a station that does holds.
-fn station_test(script: &str) {
+/// Runs a script that commands the emulated station of `truth`. It comes first on the machine: a page that waits a moment
+/// does no harm, a station that does holds.
+fn station_test(script: &str, truth: &Path) {
     let Some(tools) = Tools::find() else { return };
     let _turn = alone();
     let data = tempfile::tempdir().expect("a folder");
-    let truth = root().join("assets/truth/demo.toml");
     let arguments = [OsStr::new("--emulate"), truth.as_os_str()];
     let studio = Studio::serve(&tools, data.path(), arguments).expect("a studio");
     run_script(&tools, &studio, script);
+}
+
+/// The shipped station with a plan of short takes, which comes first among its plans; gives the folder and the truth file.
+fn station_with_short_takes() -> anyhow::Result<(tempfile::TempDir, PathBuf)> {
+    let dir = tempfile::tempdir()?;
+    copy_folder(&root().join("assets"), dir.path())?;
+    let plan = "nine_short_takes.toml";
+    fs::copy(root().join("tests/e2e/plans").join(plan), dir.path().join("plans").join(plan))?;
+    let truth = dir.path().join("truth/demo.toml");
+    for (file, list) in [("truth/demo.toml", "plan = "), ("stations/xarm6_leap.toml", "plans = [")] {
+        let path = dir.path().join(file);
+        let text = fs::read_to_string(&path)?;
+        let comma = if list.ends_with('[') { ", " } else { " #" };
+        let first = format!("{list}\"../plans/{plan}\"{comma}");
+        anyhow::ensure!(text.contains(list), "{file} has no {list:?}");
+        fs::write(&path, text.replacen(list, &first, 1))?;
+    }
+    Ok((dir, truth))
+}
+
+fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let copy = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy_folder(&entry.path(), &copy)?;
+        } else {
+            fs::copy(entry.path(), copy)?;
+        }
+    }
+    Ok(())
 }
 
 #[test]
@@ -62,5 +98,11 @@ fn operator_diagnoses_adds_and_undoes_by_clicking() {
 
 #[test]
 fn operator_commands_the_station_and_others_can_watch() {
-    station_test("operate.mjs");
+    station_test("operate.mjs", &root().join("assets/truth/demo.toml"));
+}
+
+#[test]
+fn operator_records_nine_takes_by_the_wizard_and_calibrates_on_them() {
+    let (_dir, truth) = station_with_short_takes().expect("a station with a plan of its own");
+    station_test("record.mjs", &truth);
 }
