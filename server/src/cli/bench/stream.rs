@@ -56,6 +56,8 @@ struct StreamBenchReport {
     takes: usize,
     /// What they hold, by stream.
     recorded: BTreeMap<String, RecordedStream>,
+    /// What the operator was refused while recording, and got over.
+    problems: Vec<String>,
     /// Samples that the recorder could not keep.
     lost_samples: u64,
     /// Messages that each client got, those that keep up: fewest and most.
@@ -65,6 +67,8 @@ struct StreamBenchReport {
     /// What the slow client got, and what it was told that it lost.
     slow_client_frames: u64,
     slow_client_dropped: u64,
+    /// How old the slow client's picture was at the end, s: what the lines in between hold is not lost, but late.
+    slow_client_behind_s: f64,
     /// Cores that this process used, the emulated hardware and the clients included, and how many there are.
     cores_used: f64,
     cores: usize,
@@ -124,9 +128,10 @@ async fn measure(args: &StreamArgs, state: Arc<AppState>) -> Result<StreamBenchR
     for client in clients {
         watched.push(client.await.map_err(|err| Error::Internal(format!("a client ended: {err}")))??);
     }
-    recording.await.map_err(|err| Error::Internal(format!("the operator ended: {err}")))??;
+    let problems = recording.await.map_err(|err| Error::Internal(format!("the operator ended: {err}")))??;
     let slow = watched.pop().unwrap_or_default();
-    Ok(report(args, seconds, &watched, &slow, &cpu_difference(&cpu_before, &cpu_after), load_before))
+    let cpu = cpu_difference(&cpu_before, &cpu_after);
+    Ok(StreamBenchReport { problems, ..report(args, seconds, &watched, &slow, &cpu, load_before) })
 }
 
 fn report(
@@ -162,11 +167,13 @@ fn report(
         delivery_above_fastest_ms: [0.5, 0.95, 1.0].map(|share| quantile(&delays, share)),
         takes: 0,
         recorded: BTreeMap::new(),
+        problems: Vec::new(),
         lost_samples: first.lost_samples,
         frames_per_client: [frames().min().unwrap_or(0), frames().max().unwrap_or(0)],
         dropped_most: watched.iter().map(|client| client.dropped).max().unwrap_or(0),
         slow_client_frames: slow.frames,
         slow_client_dropped: slow.dropped,
+        slow_client_behind_s: slow.behind_s,
         cores_used: cpu.values().sum::<f64>() / seconds,
         cores: std::thread::available_parallelism().map_or(1, usize::from),
         cores_by_thread: cpu

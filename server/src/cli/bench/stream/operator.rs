@@ -8,7 +8,7 @@ use palpate_wire::{
     api::{
         LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StartRecording,
     },
-    proto::{Acquire, Arm, ControlReply, ControlRequest, Heartbeat, control_request::Request},
+    proto::{Acquire, Arm, ControlReply, ControlRequest, Disarm, Heartbeat, control_request::Request},
 };
 use prost::Message as _;
 use serde::{Serialize, de::DeserializeOwned};
@@ -29,6 +29,8 @@ const PLAN: &str = "nine_takes";
 const HEARTBEAT: Duration = Duration::from_millis(50);
 /// The checklist is looked at this often.
 const LOOK: Duration = Duration::from_millis(100);
+/// After a refusal the station is disarmed for so long, and armed for so long before anything is asked of it.
+const REARM: Duration = Duration::from_secs(1);
 /// Looks until the devices must be there: two minutes.
 const MOST_LOOKS: u32 = 1200;
 
@@ -82,8 +84,9 @@ impl Operator {
         Ok(Self { addr, socket: Arc::new(Mutex::new(socket)), lease })
     }
 
-    /// Records until `ends`, and ends the take that is under way then.
-    pub(super) async fn record(self, mut ends: watch::Receiver<bool>) -> Result<(), Error> {
+    /// Records until `ends`, and ends the take that is under way then. Gives what went wrong meanwhile.
+    pub(super) async fn record(self, mut ends: watch::Receiver<bool>) -> Result<Vec<String>, Error> {
+        let mut problems = Vec::new();
         let heart = tokio::spawn({
             let socket = self.socket.clone();
             async move {
@@ -97,7 +100,7 @@ impl Operator {
             }
         });
         let recorded = tokio::select! {
-            recorded = self.follow_checklist() => recorded,
+            recorded = self.follow_checklist(&mut problems) => recorded,
             _ = ends.wait_for(|&ends| ends) => Ok(()),
         };
         if self.session().await?.is_some_and(|session| session.phase == RecordingPhase::Running) {
@@ -109,10 +112,10 @@ impl Operator {
             }
         }
         heart.abort();
-        recorded
+        recorded.map(|()| problems)
     }
 
-    async fn follow_checklist(&self) -> Result<(), Error> {
+    async fn follow_checklist(&self, problems: &mut Vec<String>) -> Result<(), Error> {
         let lease = self.lease;
         // A step's way to its start pose is gone once.
         let mut at_start = None;
@@ -135,8 +138,15 @@ impl Operator {
             if let Some(action) = action
                 && let Err(err) = self.act(&action).await
             {
-                let problem = &session.problem;
-                return Err(Error::Internal(format!("the session does not go on: {err}; {problem}")));
+                // As an operator would: read why, arm anew, go on.
+                problems.push(format!("{err}; {}", session.problem));
+                at_start = None;
+                let mut socket = self.socket.lock().await;
+                socket.ask(Request::Disarm(Disarm {})).await?;
+                drop(socket);
+                sleep(REARM).await;
+                self.socket.lock().await.ask(Request::Arm(Arm {})).await?;
+                sleep(REARM).await;
             }
             sleep(LOOK).await;
         }

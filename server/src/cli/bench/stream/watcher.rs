@@ -41,7 +41,13 @@ pub(super) struct Watched {
     pub(super) delays_s: Vec<f64>,
     /// Samples that the recorder could not keep.
     pub(super) lost_samples: u64,
+    /// How much older than the fastest the newest message was when the end came, s.
+    pub(super) behind_s: f64,
 }
+
+/// Who has fallen behind reads up to this far, s, or for so long, before it leaves.
+const CAUGHT_UP_S: f64 = 0.2;
+const MOST_CATCHING_UP: Duration = Duration::from_secs(10);
 
 /// Reads the stream of `addr` until `ends`.
 pub(super) async fn watch_stream(
@@ -59,10 +65,15 @@ pub(super) async fn watch_stream(
         client_async(socket_url(addr, "stream"), stream).await.map_err(|err| failed(&err))?;
     let begun = Instant::now();
     let mut watched = Watched::default();
+    let mut ended: Option<Instant> = None;
     loop {
         let message = tokio::select! {
             message = socket.next() => message,
-            _ = ends.wait_for(|&ends| ends) => return Ok(watched),
+            _ = ends.wait_for(|&ends| ends), if ended.is_none() => {
+                watched.behind_s = watched.behind_s();
+                ended = Some(Instant::now());
+                continue;
+            }
         };
         match message {
             Some(Ok(Message::Binary(bytes))) => {
@@ -73,13 +84,24 @@ pub(super) async fn watch_stream(
             Some(Err(err)) => return Err(failed(&err)),
             None => return Err(failed(&"the server closed the stream")),
         }
-        if pace == Pace::Slow {
-            tokio::time::sleep(SLOW).await;
+        match ended {
+            // What a message says it lost is what was lost before it was sent: the newest one knows all of it.
+            Some(at) if watched.behind_s() < CAUGHT_UP_S || at.elapsed() > MOST_CATCHING_UP => {
+                return Ok(watched);
+            }
+            None if pace == Pace::Slow => tokio::time::sleep(SLOW).await,
+            _ => {}
         }
     }
 }
 
 impl Watched {
+    /// How much older than the fastest the newest message is, s.
+    fn behind_s(&self) -> f64 {
+        let fastest = self.delays_s.iter().copied().fold(f64::INFINITY, f64::min);
+        self.delays_s.last().map_or(0.0, |newest| newest - fastest)
+    }
+
     fn take_in(&mut self, message: &StreamMessage, now_s: f64) {
         self.dropped = self.dropped.max(message.dropped);
         let Some(stream_message::Message::Live(frame)) = &message.message else { return };
