@@ -300,15 +300,24 @@ impl<'a> Bus<'a> {
     /// Tells operators how the line and its servos are.
     fn tell(&mut self, context: &DeviceContext) {
         let problems: Vec<String> = self.servos.iter().map(Servo::problem).collect();
-        let (mut named, mut num_problems) = (Vec::new(), 0);
+        // What has befallen several servos is said once.
+        let mut befallen: Vec<(&str, Vec<String>)> = Vec::new();
         for (servo, problem) in self.servos.iter().zip(&problems).filter(|(_, problem)| !problem.is_empty()) {
-            num_problems += 1;
-            if named.len() < MOST_PROBLEMS {
-                named.push(format!("{}: {problem}", servo.plan.name()));
+            match befallen.iter_mut().find(|(other, _)| other == problem) {
+                Some((_, names)) => names.push(servo.plan.name()),
+                None => befallen.push((problem, vec![servo.plan.name()])),
             }
         }
-        if num_problems > named.len() {
-            named.push(format!("and {} more servos", num_problems - named.len()));
+        let mut named: Vec<String> = befallen
+            .iter()
+            .take(MOST_PROBLEMS)
+            .map(|(problem, names)| match &names[..] {
+                [first, _, _, ..] => format!("{} servos, {first} the first: {problem}", names.len()),
+                names => format!("{}: {problem}", names.join(" and ")),
+            })
+            .collect();
+        if befallen.len() > named.len() {
+            named.push(format!("and {} more problems", befallen.len() - named.len()));
         }
         if !self.arm_problem.is_empty() {
             named.push(self.arm_problem.clone());

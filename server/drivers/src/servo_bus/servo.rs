@@ -124,7 +124,8 @@ impl Servo {
             Presence::Ready if self.hardware_error != HardwareError(0) => {
                 words::hardware_error(self.hardware_error)
             }
-            Presence::Ready if self.watchdog_tripped => {
+            // Limp, it is in nobody's way: the next arming clears it.
+            Presence::Ready if self.watchdog_tripped && self.torque_on => {
                 "stopped itself because the line was silent for too long: disarm, and arm again".to_owned()
             }
             Presence::Ready => String::new(),
