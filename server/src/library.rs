@@ -75,7 +75,8 @@ impl Library {
             station: session.file.station.clone(),
             takes: takes.len(),
             frames: takes.iter().map(|take| take.frames).sum(),
-            duration_s: takes.iter().map(|take| take.duration_s).sum(),
+            // The sum of no numbers at all is -0.
+            duration_s: takes.iter().fold(0.0, |sum, take| sum + take.duration_s),
             objects,
             recorded: session.file.recorded.clone(),
             error: None,
