@@ -65,7 +65,7 @@ const FIRST_STEPS: usize = 6;
 /// Candidates fitted in a round.
 pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
-pub(crate) const LEAST_SHARE: f64 = 0.001;
+pub(crate) const LEAST_SHARE: f64 = 0.002;
 
 /// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
 /// the moments at which channels switch, with no reading to tell it by: sessions of an emulated station that hide nothing

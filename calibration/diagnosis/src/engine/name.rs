@@ -98,7 +98,7 @@ const SIMILAR_COUNT: usize = 7;
 /// Steps of a fit without one effect, to see what it carries.
 const WEIGHING_STEPS: usize = 2;
 /// Share of the remaining loss that a named effect removes at least beside the others.
-const LEAST_CARRIED: f64 = 0.01;
+const LEAST_CARRIED: f64 = 0.002;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
