@@ -67,8 +67,12 @@ impl EmulatedDevices {
             .map_err(|err| Error::Internal(format!("failed to start the emulated devices: {err}")))?;
         let found = match found.recv() {
             Ok(Ok(found)) => found,
-            Ok(Err(problem)) => return Err(Error::Internal(format!("the emulated devices did not start: {problem}"))),
-            Err(_) => return Err(Error::Internal("the emulated devices ended before they had started".to_owned())),
+            Ok(Err(problem)) => {
+                return Err(Error::Internal(format!("the emulated devices did not start: {problem}")));
+            }
+            Err(_) => {
+                return Err(Error::Internal("the emulated devices ended before they had started".to_owned()));
+            }
         };
         let ports = overrides(&station, &found);
         Ok(Self { station, ports, control, stop, thread: Some(thread), _links: links })
@@ -96,7 +100,10 @@ impl EmulatedDevices {
 
     /// What is wrong, as a file of faults.
     pub(crate) fn faults_toml(&self) -> Result<String, Error> {
-        self.control.faults().to_toml().map_err(|err| Error::Internal(format!("the faults have no text: {err}")))
+        self.control
+            .faults()
+            .to_toml()
+            .map_err(|err| Error::Internal(format!("the faults have no text: {err}")))
     }
 
     /// Says what is wrong from now on.

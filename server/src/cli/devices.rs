@@ -107,9 +107,7 @@ fn document(device: &DeviceCheck) -> Value {
 
 #[cfg(not(unix))]
 fn emulate(_args: &EmulateArgs) -> Outcome {
-    Err(Error::Argument(
-        "emulated devices need pseudo-terminals, which only Unix has".to_owned(),
-    ))
+    Err(Error::Argument("emulated devices need pseudo-terminals, which only Unix has".to_owned()))
 }
 
 #[cfg(unix)]

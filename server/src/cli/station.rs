@@ -23,7 +23,8 @@ impl StationArgs {
     /// Reads the station, if one was named.
     pub(crate) fn open(&self) -> Result<Option<(Station, Ports)>, Error> {
         let Some(path) = &self.station else { return Ok(None) };
-        let shipped = path.to_str().filter(|id| !path.exists() && assets::station_ids().iter().any(|s| s == id));
+        let shipped =
+            path.to_str().filter(|id| !path.exists() && assets::station_ids().iter().any(|s| s == id));
         let station = match shipped {
             Some(id) => assets::station(id)?,
             None => load_station(path)?,
@@ -36,15 +37,18 @@ impl StationArgs {
 /// `DEVICE=WHERE`.
 fn port_of(station: &Station, text: &str) -> Result<(String, PortOverride), Error> {
     let refused = |problem: &str| Error::Argument(format!("--port {text:?}: {problem}"));
-    let (id, place) = text.split_once('=').ok_or_else(|| refused("expected DEVICE=WHERE, as in u2d2=/dev/ttyUSB1"))?;
+    let (id, place) =
+        text.split_once('=').ok_or_else(|| refused("expected DEVICE=WHERE, as in u2d2=/dev/ttyUSB1"))?;
     let Some(device) = station.devices.iter().find(|device| device.id == id) else {
         let known: Vec<&str> = station.devices.iter().map(|device| device.id.as_str()).collect();
         return Err(refused(&format!("the station has no device {id:?}; it has {}", known.join(", "))));
     };
     let port = match &device.kind {
         DeviceKind::Xarm(config) => {
-            let (address, numbers) = place.split_once(':').map_or((place, None), |(ip, rest)| (ip, Some(rest)));
-            let wrong = || refused("expected an address, as in xarm=192.168.1.212 or xarm=127.0.0.1:502/30003");
+            let (address, numbers) =
+                place.split_once(':').map_or((place, None), |(ip, rest)| (ip, Some(rest)));
+            let wrong =
+                || refused("expected an address, as in xarm=192.168.1.212 or xarm=127.0.0.1:502/30003");
             let (command_port, report_port) = match numbers {
                 None => (config.command_port, config.report_port),
                 Some(numbers) => {
