@@ -202,18 +202,14 @@ const LEAST_REPEATED: usize = 4;
 /// For how long each sample of `log` had been repeated to the bit, s; empty without raw readings. `width` is its number of
 /// channels.
 fn repeated_for_s(log: &StreamLog, width: usize) -> Vec<f64> {
-    let samples: Vec<&[f32]> = log.raw.chunks_exact(width.max(1)).collect();
-    let mut repeated_for_s = vec![0.0; samples.len()];
-    let mut first = 0;
-    for run in samples.chunk_by(|a, b| a == b) {
-        if run.len() >= LEAST_REPEATED {
-            for sample in first..first + run.len() {
-                repeated_for_s[sample] = log.times_s[sample] - log.times_s[first];
-            }
-        }
-        first += run.len();
-    }
-    repeated_for_s
+    let samples: Vec<(f64, &[f32])> =
+        log.times_s.iter().copied().zip(log.raw.chunks_exact(width.max(1))).collect();
+    let runs = samples.chunk_by(|(_, one), (_, other)| one == other);
+    runs.flat_map(|run| {
+        let repeated = run.len() >= LEAST_REPEATED;
+        run.iter().map(move |(time_s, _)| if repeated { time_s - run[0].0 } else { 0.0 })
+    })
+    .collect()
 }
 
 /// Standard deviation of a channel's raw readings in the baseline spans, raw units: about their mean, or from one reading

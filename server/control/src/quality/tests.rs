@@ -126,7 +126,7 @@ fn every_fault_is_named_by_itself() {
         (&|take| set_channel(take, 3, |_| (0.0, false)), "pulp reads the same value throughout: dead"),
         (
             &|take| {
-                take.joints.positions.iter_mut().skip(21).step_by(2).for_each(|position| *position += 0.2)
+                take.joints.positions.iter_mut().skip(21).step_by(2).for_each(|position| *position += 0.2);
             },
             "joint \"curl\" was up to 0.200 rad from where it was told to be",
         ),
