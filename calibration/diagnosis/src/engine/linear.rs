@@ -75,6 +75,9 @@ pub(crate) struct Assessment {
     pub(crate) held_out_gains: Vec<f64>,
 }
 
+/// Share of the variance that independent rows of standard weight would give a parameter, below which none is believed.
+const LEAST_SPREAD: f64 = 0.01;
+
 impl<'a, D: Domain> Linear<'a, D> {
     /// Linearises `model` over `takes`; its own parameters and those of its effects become nuisances.
     pub(crate) fn new(domain: &'a D, model: &Model, takes: &[usize]) -> Result<Self, DiagnosisError> {
@@ -356,7 +359,13 @@ impl<'a, D: Domain> Linear<'a, D> {
             })
             .collect();
         Assessment {
-            standard_errors: covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect(),
+            // What explains its rows perfectly leaves no spread to judge by, but no row is measured without error.
+            standard_errors: covariance
+                .diagonal()
+                .iter()
+                .zip(h_inverse.diagonal().iter())
+                .map(|(robust, of_rows)| robust.max(LEAST_SPREAD * of_rows).max(0.0).sqrt())
+                .collect(),
             step,
             held_out_gains,
         }
