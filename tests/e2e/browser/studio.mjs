@@ -26,7 +26,8 @@ const hash = () => page.evaluate(() => location.hash);
 
 await step("the page starts and names its screens", async () => {
   await page.goto(url);
-  for (const screen of ["Hand", "Timelines", "Calibrate", "Sessions"]) {
+  // Record is there once the live station is: until then the rail may still move under a click.
+  for (const screen of ["Hand", "Record", "Timelines", "Calibrate", "Sessions"]) {
     await button(screen).waitFor();
   }
 });
