@@ -54,7 +54,9 @@
 //!
 //! A client gets the live station's frames at 30 Hz at most, and every job's progress when it changes. Each client has
 //! a bounded queue: the oldest live frames are dropped and counted in `dropped`; a newer state of a job replaces an
-//! older one that still waits, and no job's state is dropped otherwise.
+//! older one that still waits, and no job's state is dropped otherwise. A ping follows every message, and few messages may
+//! be without its answer (WebSocket clients answer pings by themselves once they have read so far), so that a client that
+//! reads slowly sees few pictures but no old ones.
 
 pub mod assets;
 pub mod bars;
@@ -68,6 +70,7 @@ mod hub;
 pub mod jobs;
 pub mod library;
 mod live;
+mod pacing;
 mod page;
 mod routes;
 mod runs;

@@ -6,6 +6,7 @@ use std::{
     sync::Arc,
 };
 
+use axum::serve::ListenerExt as _;
 use tokio::{net::TcpListener, sync::watch};
 
 use crate::{
@@ -120,6 +121,12 @@ pub async fn serve(
         stop.await;
         ending.begin_shutdown();
     };
+    // Replies and frames are small, and late if they wait for more to be sent.
+    let listener = listener.tap_io(|connection| {
+        if let Err(err) = connection.set_nodelay(true) {
+            tracing::debug!(%err, "a connection may delay small messages");
+        }
+    });
     let serving = axum::serve(listener, app(state)).with_graceful_shutdown(stop);
     serving.await.map_err(|err| Error::Internal(format!("the server stopped: {err}")))
 }

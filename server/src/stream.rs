@@ -1,6 +1,9 @@
-//! The stream socket: one bounded queue for each client.
+//! The stream socket: one bounded queue for each client, and little on its way to it.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use axum::{
     body::Bytes,
@@ -10,9 +13,10 @@ use axum::{
     },
     response::Response,
 };
+use futures_util::SinkExt as _;
 use prost::Message as _;
 
-use crate::{AppState, hub::Client};
+use crate::{AppState, hub::Client, pacing::Pacing};
 
 /// A client that does not read is not waited for longer than this.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
@@ -39,21 +43,29 @@ pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSock
     })
 }
 
-/// Sends until the client leaves. Nothing is expected from it but the pings and the close that axum answers.
+/// Sends until the client leaves. Nothing is expected from it but the close, and the answers to pings that every WebSocket
+/// client gives by itself.
 async fn converse(socket: &mut WebSocket, client: &Client) {
+    let (mut pacing, begun) = (Pacing::default(), Instant::now());
     loop {
         tokio::select! {
-            message = client.next() => {
-                let bytes = Bytes::from(message.encode_to_vec());
-                if socket.send(Message::Binary(bytes)).await.is_err() {
+            message = client.next(), if pacing.may_send() => {
+                let number = pacing.sent(begun.elapsed()).to_be_bytes();
+                let message = Message::Binary(Bytes::from(message.encode_to_vec()));
+                let ping = Message::Ping(Bytes::copy_from_slice(&number));
+                if socket.feed(message).await.is_err() || socket.send(ping).await.is_err() {
                     return;
                 }
             }
-            received = socket.recv() => {
-                if !matches!(received, Some(Ok(_))) {
-                    return;
+            received = socket.recv() => match received {
+                Some(Ok(Message::Pong(number))) => {
+                    if let Ok(number) = number.as_ref().try_into() {
+                        pacing.answered(u64::from_be_bytes(number), begun.elapsed());
+                    }
                 }
-            }
+                Some(Ok(_)) => {}
+                _ => return,
+            },
         }
     }
 }

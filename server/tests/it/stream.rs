@@ -1,6 +1,9 @@
 //! The stream socket.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use futures_util::StreamExt as _;
 use palpate_server::{AppState, app};
@@ -22,10 +25,14 @@ async fn connect(state: &Arc<AppState>) -> Socket {
 }
 
 async fn next(socket: &mut Socket) -> StreamMessage {
-    let message = timeout(Duration::from_secs(60), socket.next()).await.expect("a message within a minute");
-    match message.unwrap().unwrap() {
-        Message::Binary(bytes) => StreamMessage::decode(bytes).unwrap(),
-        other => panic!("expected a binary message, found {other:?}"),
+    loop {
+        let message =
+            timeout(Duration::from_secs(60), socket.next()).await.expect("a message within a minute");
+        match message.unwrap().unwrap() {
+            Message::Binary(bytes) => return StreamMessage::decode(bytes).unwrap(),
+            Message::Ping(_) => {}
+            other => panic!("expected a binary message, found {other:?}"),
+        }
     }
 }
 
@@ -73,6 +80,58 @@ async fn slow_client_loses_the_oldest_frames_and_hears_how_many() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_reads_slowly_sees_recent_frames_and_one_beside_it_sees_all() {
+    const NUM_FRAMES: u32 = 180;
+    const FRAME: Duration = Duration::from_millis(33);
+    const PAUSE: Duration = Duration::from_millis(500);
+    /// The client's own pause, and what waits in its queue; then a machine that is busy with other tests.
+    const MOST_AGE: Duration = Duration::from_millis(500 + 8 * 33 + 700);
+    let data = Data::empty();
+    let state = data.state();
+    let (mut slow, mut fast) = (connect(&state).await, connect(&state).await);
+    let begun = Instant::now();
+    let frame =
+        || LiveFrame { time_s: begun.elapsed().as_secs_f64(), raw: vec![0.5; 400], ..LiveFrame::default() };
+    state.hub().publish_live(frame());
+    // Whoever joins is there once the first message has arrived.
+    next(&mut slow).await;
+    next(&mut fast).await;
+
+    let slowly = tokio::spawn(async move {
+        let (mut ages, mut last) = (Vec::new(), StreamMessage::default());
+        while begun.elapsed() < NUM_FRAMES * FRAME {
+            tokio::time::sleep(PAUSE).await;
+            last = next(&mut slow).await;
+            let Some(Kind::Live(frame)) = &last.message else { panic!("expected a live frame") };
+            ages.push(begun.elapsed().as_secs_f64() - frame.time_s);
+        }
+        (ages, last)
+    });
+    let at_once = tokio::spawn(async move {
+        let mut times = Vec::new();
+        while times.len() < NUM_FRAMES as usize {
+            let message = next(&mut fast).await;
+            assert_eq!(message.dropped, 0, "a client that reads at once lost frames");
+            let Some(Kind::Live(frame)) = message.message else { panic!("expected a live frame") };
+            times.push(frame.time_s);
+        }
+        times
+    });
+    for _ in 0..NUM_FRAMES {
+        tokio::time::sleep(FRAME).await;
+        state.hub().publish_live(frame());
+    }
+    let times = at_once.await.unwrap();
+    let (ages, last) = slowly.await.unwrap();
+    eprintln!("ages at the slow client, s: {ages:.2?}");
+    assert!(ages.iter().all(|&age| age < MOST_AGE.as_secs_f64()), "{ages:.2?}");
+    // What it did not get, it was told of: of all frames up to its last one, the first of which came before the others.
+    let Some(Kind::Live(frame)) = &last.message else { panic!("expected a live frame") };
+    let until_then = times.iter().filter(|&&time_s| time_s <= frame.time_s).count();
+    assert_eq!(ages.len() + last.dropped as usize, until_then);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn calibration_reports_to_the_stream() {
     let data = Data::with_session();
     let state = data.state();
@@ -107,6 +166,11 @@ async fn late_client_gets_the_newest_frame_and_a_close_at_the_end() {
     let Some(Kind::Live(frame)) = next(&mut socket).await.message else { panic!("expected a live frame") };
     assert_eq!(frame.time_s, 2.0);
     state.begin_shutdown();
-    let message = timeout(Duration::from_secs(10), socket.next()).await.unwrap();
+    let message = loop {
+        match timeout(Duration::from_secs(10), socket.next()).await.unwrap() {
+            Some(Ok(Message::Ping(_))) => {}
+            other => break other,
+        }
+    };
     assert!(matches!(message, Some(Ok(Message::Close(_)))), "{message:?}");
 }
