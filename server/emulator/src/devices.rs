@@ -38,6 +38,7 @@ pub use faults::{Fault, Faults};
 pub use ports::{ArmPortNumbers, ArmPorts, DevicePorts, PortsConfig, PortsError, serve_devices};
 use servo::ServoFaults;
 use servo_bus::ServoBus;
+pub use wire::LineTraffic;
 use wire::Wire;
 
 /// Name of the servos' line, after the adapter that it hangs on.
@@ -322,6 +323,8 @@ impl EmulatedStation {
             }
             snapshot.arm = self.arm.snapshot();
             snapshot.object.clone_from(&self.object);
+            snapshot.traffic.clear();
+            snapshot.traffic.extend(self.wires.iter().map(Wire::traffic));
         });
     }
 

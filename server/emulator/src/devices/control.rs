@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use palpate_robot_model::Station;
 
 use super::faults::Faults;
+use super::wire::LineTraffic;
 use crate::EmulationError;
 use crate::world::Placed;
 
@@ -67,6 +68,8 @@ pub struct StationSnapshot {
     pub arm: ArmSnapshot,
     /// The object in place, if one is.
     pub object: Option<String>,
+    /// What has passed each serial line, in the order of [`EmulatedStation::lines`](super::EmulatedStation::lines).
+    pub traffic: Vec<LineTraffic>,
 }
 
 /// What the arm's box says of itself.

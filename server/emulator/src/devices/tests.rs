@@ -287,6 +287,27 @@ fn damaged_lines_are_damaged_as_often_as_told_and_delays_keep_the_order() {
 }
 
 #[test]
+fn what_passes_a_line_is_counted() {
+    let mut station = station(4);
+    let line = line_idx(&station, "twintac0");
+    let traffic = |station: &EmulatedStation| station.control().snapshot().traffic[line];
+    let lines_of = |bytes: &[u8]| bytes.iter().filter(|&&byte| byte == b'\n').count() as u64;
+    let clean = lines_of(&station.line_output(line, 5 * S_NS));
+    // What is sent takes a moment to arrive.
+    let sent = traffic(&station);
+    assert!((clean..clean + 30).contains(&sent.sent) && clean > 400, "{sent:?} {clean}");
+    assert_eq!((sent.damaged, sent.flipped_bytes), (0, 0));
+    let faults = faults(&station, "[[fault]]\nkind = \"flip\"\ndevice = \"twintac0\"\nshare = 0.01\n");
+    station.set_faults(faults, 5 * S_NS);
+    let bytes = station.line_output(line, 15 * S_NS).len() as f64;
+    let now = traffic(&station);
+    let share = now.flipped_bytes as f64 / bytes;
+    assert!((0.009..0.011).contains(&share), "{now:?} of {bytes} bytes");
+    assert!(now.damaged <= now.flipped_bytes && now.damaged < now.sent - sent.sent, "{now:?}");
+    assert!(now.damaged as f64 > 0.5 * now.flipped_bytes as f64, "{now:?}");
+}
+
+#[test]
 fn wrong_faults_are_refused_with_their_place() {
     let station = station(0);
     for (text, expected) in [

@@ -10,6 +10,17 @@ use super::faults::{Fault, Faults};
 /// Most bytes of garbage in one go.
 const MOST_GARBAGE: u32 = 12;
 
+/// What has passed a serial line since the station started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LineTraffic {
+    /// Answers or lines that the device sent, those that were lost on the way included.
+    pub sent: u64,
+    /// Of those, how many arrived with wrong bits.
+    pub damaged: u64,
+    /// Bytes with a wrong bit, on the servos' line in both directions.
+    pub flipped_bytes: u64,
+}
+
 /// Messages on their way, in order.
 #[derive(Clone, Debug)]
 pub(crate) struct Wire {
@@ -21,6 +32,7 @@ pub(crate) struct Wire {
     lost: f64,
     garbage: f64,
     flip: f64,
+    traffic: LineTraffic,
 }
 
 impl Wire {
@@ -38,7 +50,12 @@ impl Wire {
             lost: 0.0,
             garbage: 0.0,
             flip: 0.0,
+            traffic: LineTraffic::default(),
         }
+    }
+
+    pub(crate) fn traffic(&self) -> LineTraffic {
+        self.traffic
     }
 
     pub(crate) fn device(&self) -> &str {
@@ -65,10 +82,13 @@ impl Wire {
 
     /// Sends one answer or line that would arrive at `due_ns`.
     pub(crate) fn send(&mut self, due_ns: u64, mut bytes: Vec<u8>) {
+        self.traffic.sent += 1;
         if self.happens(self.lost) {
             return;
         }
+        let flipped_before = self.traffic.flipped_bytes;
         self.damage(&mut bytes);
+        self.traffic.damaged += u64::from(self.traffic.flipped_bytes > flipped_before);
         if self.happens(self.garbage) {
             let count = self.rng.random_range(1..=MOST_GARBAGE);
             let garbage: Vec<u8> = (0..count).map(|_| self.rng.random()).collect();
@@ -83,6 +103,7 @@ impl Wire {
         for byte in bytes {
             if self.happens(self.flip) {
                 *byte ^= 1 << self.rng.random_range(0..8);
+                self.traffic.flipped_bytes += 1;
             }
         }
     }
