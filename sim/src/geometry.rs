@@ -26,6 +26,7 @@ pub struct SignedDistance {
 enum Shape {
     Ball { radius: f64 },
     Cylinder { radius: f64, half_height: f64 },
+    Capsule { radius: f64, half_length: f64 },
     Cuboid { half_extents: Vector3<f64> },
     Convex(mesh::Convex),
     Mesh(TriMesh),
@@ -62,6 +63,11 @@ impl SignedDistance {
                 check_sizes("cylinder radius and height", &[radius_m, height_m])?;
                 let half_height = 0.5 * height_m;
                 (Shape::Cylinder { radius: radius_m, half_height }, radius_m.hypot(half_height))
+            }
+            &ObjectShape::Capsule { radius_m, length_m } => {
+                check_sizes("capsule radius and length", &[radius_m, length_m])?;
+                let half_length = 0.5 * length_m;
+                (Shape::Capsule { radius: radius_m, half_length }, radius_m + half_length)
             }
             ObjectShape::Box { size_m } => {
                 check_sizes("box size", size_m)?;
@@ -118,6 +124,7 @@ impl SignedDistance {
         match &self.shape {
             &Shape::Ball { radius } => ball_distance(p, radius),
             &Shape::Cylinder { radius, half_height } => cylinder_distance(p, radius, half_height),
+            &Shape::Capsule { radius, half_length } => capsule_distance(p, radius, half_length),
             Shape::Cuboid { half_extents } => cuboid_distance(p, half_extents),
             Shape::Convex(convex) => convex.distance_below(p, limit_m),
             Shape::Mesh(mesh) => mesh::distance_below(mesh, p, limit_m),
@@ -149,6 +156,9 @@ impl SignedDistance {
             &Shape::Ball { radius } => points.for_each(|(i, p)| visit(i, ball_distance(&p, radius))),
             &Shape::Cylinder { radius, half_height } => {
                 points.for_each(|(i, p)| visit(i, cylinder_distance(&p, radius, half_height)));
+            }
+            &Shape::Capsule { radius, half_length } => {
+                points.for_each(|(i, p)| visit(i, capsule_distance(&p, radius, half_length)));
             }
             Shape::Cuboid { half_extents } => {
                 points.for_each(|(i, p)| visit(i, cuboid_distance(&p, half_extents)));
@@ -185,6 +195,7 @@ impl SignedDistance {
         let shape = match &self.shape {
             &Shape::Ball { radius } => SharedShape::ball(radius),
             &Shape::Cylinder { radius, half_height } => SharedShape::cylinder(half_height, radius),
+            &Shape::Capsule { radius, half_length } => SharedShape::capsule_y(half_length, radius),
             Shape::Cuboid { half_extents: h } => SharedShape::cuboid(h.x, h.y, h.z),
             Shape::Convex(convex) => SharedShape::new(convex.surface().clone()),
             Shape::Mesh(mesh) => SharedShape::new(mesh.clone()),
@@ -195,7 +206,7 @@ impl SignedDistance {
                 return;
             }
         };
-        let along_y = matches!(self.shape, Shape::Cylinder { .. });
+        let along_y = matches!(self.shape, Shape::Cylinder { .. } | Shape::Capsule { .. });
         parts.push((parry_pose(object_from_self, along_y), shape));
     }
 }
@@ -235,6 +246,11 @@ fn cylinder_distance(p: &Point3<f64>, radius: f64, half_height: f64) -> f64 {
     (radial_out * radial_out + axial_out * axial_out).sqrt() + radial.max(axial).min(0.0)
 }
 
+fn capsule_distance(p: &Point3<f64>, radius: f64, half_length: f64) -> f64 {
+    let beyond = (p.z.abs() - half_length).max(0.0);
+    (p.x * p.x + p.y * p.y + beyond * beyond).sqrt() - radius
+}
+
 fn cuboid_distance(p: &Point3<f64>, half_extents: &Vector3<f64>) -> f64 {
     let beyond = p.coords.abs() - half_extents;
     let outside = beyond.map(|v| v.max(0.0)).norm();
@@ -246,10 +262,7 @@ pub(crate) fn link_shape_distance_m(shape: &LinkShape, p: &Point3<f64>) -> f64 {
     match *shape {
         LinkShape::Box { size_m } => cuboid_distance(p, &(Vector3::from(size_m) * 0.5)),
         LinkShape::Cylinder { radius_m, length_m } => cylinder_distance(p, radius_m, 0.5 * length_m),
-        LinkShape::Capsule { radius_m, length_m } => {
-            let beyond = (p.z.abs() - 0.5 * length_m).max(0.0);
-            (p.x * p.x + p.y * p.y + beyond * beyond).sqrt() - radius_m
-        }
+        LinkShape::Capsule { radius_m, length_m } => capsule_distance(p, radius_m, 0.5 * length_m),
         LinkShape::Sphere { radius_m } => ball_distance(p, radius_m),
     }
 }

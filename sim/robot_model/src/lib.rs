@@ -21,7 +21,7 @@ pub use hardware::{
     ServoBusConfig, ServoConfig, WorkspaceBox,
 };
 pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
-pub use object::{ObjectModel, ObjectShape};
+pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
 pub use place::Place;
 pub use pose::PoseConfig;
 pub use robot::{Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};

@@ -1,15 +1,14 @@
 //! Objects that are touched: primitives, convex parts, meshes.
 
+mod convex;
 mod mesh;
+mod read;
+mod revolved;
 
 use nalgebra::{Isometry3, Point3};
 use serde::Deserialize;
-use toml::Spanned;
 
-use crate::{
-    ModelError, PoseConfig,
-    config::{Source, check_id, positive},
-};
+pub use convex::{ConvexPart, ConvexShape};
 
 /// An object and its shape in its own frame.
 #[derive(Clone, Debug)]
@@ -18,8 +17,33 @@ pub struct ObjectModel {
     pub id: String,
     /// Name for people, e.g. `Sphere, r 50 mm`.
     pub label: String,
+    /// Which part of a benchmark it belongs to; `None` for objects that are only touched, never grasped.
+    pub group: Option<ObjectGroup>,
+    /// Mass over volume, kg/m^3, the same everywhere in the object. `None` where nobody said; objects with a group
+    /// have one.
+    pub density_kg_m3: Option<f64>,
     /// Its shape, in the object's frame.
     pub shape: ObjectShape,
+}
+
+/// Whether a policy meets an object before it is scored on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectGroup {
+    /// Experts, encoder and policy are trained on it.
+    Seen,
+    /// Held out of all training.
+    Unseen,
+}
+
+impl ObjectGroup {
+    /// As files and documents have it: `seen` or `unseen`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Seen => "seen",
+            Self::Unseen => "unseen",
+        }
+    }
 }
 
 /// The shape of an object. Signed distances are negative inside.
@@ -36,6 +60,13 @@ pub enum ObjectShape {
         radius_m: f64,
         /// Full height, m.
         height_m: f64,
+    },
+    /// A cylinder along z about the origin with a half ball on either end.
+    Capsule {
+        /// Radius, m.
+        radius_m: f64,
+        /// Length of the straight part, m: the whole is `2 radius_m` longer.
+        length_m: f64,
     },
     /// A box about the origin.
     Box {
@@ -61,38 +92,6 @@ pub enum ObjectShape {
     },
 }
 
-impl ObjectModel {
-    /// Reads an object file. `read_mesh` gives the bytes of a mesh that the file names (OBJ or STL), or why it cannot.
-    ///
-    /// Refused, with the reason: non-positive sizes, an open or empty mesh, a flat convex part, non-finite vertices.
-    ///
-    /// ```
-    /// use palpate_robot_model::{ObjectModel, ObjectShape};
-    ///
-    /// let text = r#"
-    ///     id = "mug"
-    ///     label = "Mug, without its handle"
-    ///     shape = { kind = "cylinder", radius_m = 0.04, height_m = 0.09 }
-    /// "#;
-    /// let mug = ObjectModel::from_toml("mug.toml", text, |path| Err(format!("no {path} here")))?;
-    /// assert!(matches!(mug.shape, ObjectShape::Cylinder { height_m: 0.09, .. }));
-    /// # Ok::<(), palpate_robot_model::ModelError>(())
-    /// ```
-    pub fn from_toml(
-        file: &str,
-        text: &str,
-        mut read_mesh: impl FnMut(&str) -> Result<Vec<u8>, String>,
-    ) -> Result<Self, ModelError> {
-        let source = Source { file, text };
-        let config: ObjectConfig = source.parse()?;
-        check_id("id", &config.id).map_err(|problem| source.error_at("id", problem))?;
-        let span = config.shape.span();
-        let shape = shape(config.shape.into_inner(), &mut read_mesh)
-            .map_err(|problem| source.error(span, format!("object {:?}", config.id), problem))?;
-        Ok(Self { id: config.id, label: config.label, shape })
-    }
-}
-
 impl ObjectShape {
     /// The shape, `factor` times as large about the object's origin.
     #[must_use]
@@ -101,6 +100,9 @@ impl ObjectShape {
             &Self::Sphere { radius_m } => Self::Sphere { radius_m: radius_m * factor },
             &Self::Cylinder { radius_m, height_m } => {
                 Self::Cylinder { radius_m: radius_m * factor, height_m: height_m * factor }
+            }
+            &Self::Capsule { radius_m, length_m } => {
+                Self::Capsule { radius_m: radius_m * factor, length_m: length_m * factor }
             }
             &Self::Box { size_m } => Self::Box { size_m: size_m.map(|edge_m| edge_m * factor) },
             Self::ConvexParts { parts } => Self::ConvexParts {
@@ -119,196 +121,6 @@ impl ObjectShape {
                     })
                     .collect(),
             },
-        }
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ObjectConfig {
-    id: String,
-    label: String,
-    shape: Spanned<ShapeConfig>,
-}
-
-#[derive(Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-enum ShapeConfig {
-    Sphere {
-        radius_m: f64,
-    },
-    Cylinder {
-        radius_m: f64,
-        height_m: f64,
-    },
-    Box {
-        size_m: [f64; 3],
-    },
-    ConvexParts {
-        parts_m: Vec<Vec<[f64; 3]>>,
-    },
-    Mesh {
-        file: String,
-        /// Metres in one unit of the mesh file: 0.001 for the usual STL in millimetres.
-        #[serde(default = "one")]
-        scale: f64,
-    },
-    Compound {
-        parts: Vec<PartConfig>,
-    },
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PartConfig {
-    #[serde(default)]
-    pose: PoseConfig,
-    shape: ShapeConfig,
-}
-
-fn shape(
-    config: ShapeConfig,
-    read_mesh: &mut impl FnMut(&str) -> Result<Vec<u8>, String>,
-) -> Result<ObjectShape, String> {
-    Ok(match config {
-        ShapeConfig::Sphere { radius_m } => ObjectShape::Sphere { radius_m: positive("radius_m", radius_m)? },
-        ShapeConfig::Cylinder { radius_m, height_m } => ObjectShape::Cylinder {
-            radius_m: positive("radius_m", radius_m)?,
-            height_m: positive("height_m", height_m)?,
-        },
-        ShapeConfig::Box { size_m } => {
-            for edge_m in size_m {
-                positive("an edge in size_m", edge_m)?;
-            }
-            ObjectShape::Box { size_m }
-        }
-        ShapeConfig::ConvexParts { parts_m } => {
-            if parts_m.is_empty() {
-                return Err("parts_m is empty, expected at least one part".to_owned());
-            }
-            let mut parts = Vec::with_capacity(parts_m.len());
-            for (part_idx, part) in parts_m.into_iter().enumerate() {
-                let part: Vec<Point3<f64>> = part.into_iter().map(Point3::from).collect();
-                check_convex_part(&part)
-                    .map_err(|problem| format!("part {part_idx} of parts_m {problem}"))?;
-                parts.push(part);
-            }
-            ObjectShape::ConvexParts { parts }
-        }
-        ShapeConfig::Mesh { file, scale } => {
-            let scale = positive("scale", scale)?;
-            let bytes =
-                read_mesh(&file).map_err(|problem| format!("failed to read mesh {file:?}: {problem}"))?;
-            let (vertices, triangles) =
-                mesh::read(&file, &bytes, scale).map_err(|problem| format!("mesh {file:?}: {problem}"))?;
-            ObjectShape::Mesh { vertices, triangles }
-        }
-        ShapeConfig::Compound { parts } => {
-            if parts.is_empty() {
-                return Err("parts is empty, expected at least one part".to_owned());
-            }
-            let mut posed = Vec::with_capacity(parts.len());
-            for (part_idx, part) in parts.into_iter().enumerate() {
-                let in_part = |problem| format!("part {part_idx}: {problem}");
-                posed.push((
-                    part.pose.to_isometry().map_err(in_part)?,
-                    shape(part.shape, read_mesh).map_err(in_part)?,
-                ));
-            }
-            ObjectShape::Compound { parts: posed }
-        }
-    })
-}
-
-/// A convex hull needs an inside: four finite points that do not share a plane.
-fn check_convex_part(points: &[Point3<f64>]) -> Result<(), String> {
-    if let Some(bad) = points.iter().find(|point| !point.coords.iter().all(|v| v.is_finite())) {
-        return Err(format!("has the point {bad:?}, expected finite numbers"));
-    }
-    let Some(first) = points.first() else {
-        return Err("has no points, expected at least four".to_owned());
-    };
-    let offsets = || points.iter().map(|point| point - first);
-    let along = offsets().max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_default();
-    let size_m = along.norm();
-    let across = offsets()
-        .map(|offset| along.cross(&offset))
-        .max_by(|a, b| a.norm().total_cmp(&b.norm()))
-        .unwrap_or_default();
-    let volume_m3 = offsets().map(|offset| across.dot(&offset).abs()).fold(0.0, f64::max);
-    // `across` scales with size^2 and `volume` with size^4, so the comparison does not depend on the unit.
-    if points.len() < 4 || volume_m3 <= 1e-9 * size_m.powi(4) {
-        return Err("is flat, expected at least four points that do not lie in one plane".to_owned());
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn read(shape: &str) -> Result<ObjectModel, ModelError> {
-        let text = format!("id = \"thing\"\nlabel = \"Thing\"\nshape = {shape}\n");
-        ObjectModel::from_toml("thing.toml", &text, |path| match path {
-            "wedge.obj" => Ok(mesh::WEDGE_OBJ.as_bytes().to_vec()),
-            other => Err(format!("no such file {other:?}")),
-        })
-    }
-
-    #[test]
-    fn every_kind_of_shape_is_read() {
-        let sphere = read("{ kind = \"sphere\", radius_m = 0.05 }").unwrap();
-        assert!(matches!(sphere.shape, ObjectShape::Sphere { radius_m: 0.05 }));
-        let block = read("{ kind = \"box\", size_m = [0.1, 0.2, 0.3] }").unwrap();
-        assert!(matches!(block.shape, ObjectShape::Box { size_m: [0.1, 0.2, 0.3] }));
-        let parts =
-            read("{ kind = \"convex_parts\", parts_m = [[[0,0,0], [1,0,0], [0,1,0], [0,0,1]]] }").unwrap();
-        assert!(matches!(parts.shape, ObjectShape::ConvexParts { parts } if parts[0].len() == 4));
-        let mesh = read("{ kind = \"mesh\", file = \"wedge.obj\", scale = 0.001 }").unwrap();
-        let ObjectShape::Mesh { vertices, triangles } = mesh.shape else { panic!("a mesh") };
-        assert_eq!((vertices.len(), triangles.len()), (6, 8));
-        let compound = read(
-            "{ kind = \"compound\", parts = [{ shape = { kind = \"sphere\", radius_m = 1 } }, \
-             { pose = { position_m = [0, 0, 1] }, shape = { kind = \"cylinder\", radius_m = 1, height_m = 2 } }] }",
-        )
-        .unwrap();
-        let ObjectShape::Compound { parts } = compound.shape else { panic!("a compound") };
-        assert_eq!(parts[1].0.translation.z, 1.0);
-    }
-
-    #[test]
-    fn faults_name_line_and_object() {
-        for (shape, expected) in [
-            ("{ kind = \"sphere\", radius_m = 0.0 }", "radius_m is 0"),
-            ("{ kind = \"sphere\", radius_m = nan }", "radius_m is NaN"),
-            ("{ kind = \"cylinder\", radius_m = 0.1, height_m = -0.1 }", "height_m is -0.1"),
-            ("{ kind = \"box\", size_m = [0.1, 0.0, 0.1] }", "an edge in size_m is 0"),
-            ("{ kind = \"torus\", radius_m = 1.0 }", "unknown variant `torus`"),
-            ("{ kind = \"sphere\", radius_m = 1.0, height_m = 1.0 }", "unknown field `height_m`"),
-            ("{ kind = \"convex_parts\", parts_m = [] }", "at least one part"),
-            (
-                "{ kind = \"convex_parts\", parts_m = [[[0,0,0], [1,0,0], [0,1,0], [1,1,0]]] }",
-                "part 0 of parts_m is flat",
-            ),
-            (
-                "{ kind = \"convex_parts\", parts_m = [[[0,0,0], [1,0,0], [0,1,0], [0,0,nan]]] }",
-                "expected finite",
-            ),
-            ("{ kind = \"mesh\", file = \"other.stl\" }", "failed to read mesh \"other.stl\": no such file"),
-            ("{ kind = \"mesh\", file = \"wedge.obj\", scale = 0 }", "scale is 0"),
-            ("{ kind = \"compound\", parts = [] }", "at least one part"),
-            (
-                "{ kind = \"compound\", parts = [{ shape = { kind = \"sphere\", radius_m = -1 } }] }",
-                "part 0: radius_m is -1",
-            ),
-        ] {
-            let error = read(shape).expect_err(shape).to_string();
-            assert!(error.contains(expected), "{shape}: {error}");
-            assert!(error.starts_with("thing.toml: line 3"), "{shape}: {error}");
         }
     }
 }

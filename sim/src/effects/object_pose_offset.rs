@@ -75,7 +75,7 @@ impl EffectKind for ObjectPoseOffset {
 fn turns(shape: &ObjectShape) -> usize {
     match shape {
         ObjectShape::Sphere { .. } => 0,
-        ObjectShape::Cylinder { .. } => 2,
+        ObjectShape::Cylinder { .. } | ObjectShape::Capsule { .. } => 2,
         ObjectShape::Box { .. }
         | ObjectShape::ConvexParts { .. }
         | ObjectShape::Mesh { .. }

@@ -17,6 +17,10 @@ fn cylinder() -> ObjectShape {
     ObjectShape::Cylinder { radius_m: 0.025, height_m: 0.1 }
 }
 
+fn capsule() -> ObjectShape {
+    ObjectShape::Capsule { radius_m: 0.02, length_m: 0.06 }
+}
+
 const BOX_SIZE_M: [f64; 3] = [0.04, 0.06, 0.1];
 
 fn cuboid() -> ObjectShape {
@@ -110,6 +114,7 @@ fn any_shape() -> impl Strategy<Value = ObjectShape> {
     prop::sample::select(vec![
         sphere(0.05),
         cylinder(),
+        capsule(),
         cuboid(),
         box_mesh(),
         box_soup(),
@@ -133,13 +138,14 @@ proptest! {
 
     #[test]
     fn closed_forms_are_parrys_distances(p in point(0.12)) {
-        use parry3d_f64::shape::{Ball, Cuboid, Cylinder};
+        use parry3d_f64::shape::{Ball, Capsule, Cuboid, Cylinder};
         let v = parry_vector(&p);
         let turned = parry3d_f64::math::Vector::new(p.x, p.z, -p.y);
         let h = Vector::new(0.5 * BOX_SIZE_M[0], 0.5 * BOX_SIZE_M[1], 0.5 * BOX_SIZE_M[2]);
         let parrys = [
             (sphere(0.05), Ball::new(0.05).distance_to_local_point(v, false)),
             (cylinder(), Cylinder::new(0.05, 0.025).distance_to_local_point(turned, false)),
+            (capsule(), Capsule::new_y(0.03, 0.02).distance_to_local_point(turned, false)),
             (cuboid(), Cuboid::new(h).distance_to_local_point(v, false)),
         ];
         for (shape, expected) in parrys {

@@ -3,6 +3,7 @@
 mod bad_input;
 mod hardware;
 mod kinematics;
+mod objects;
 mod stations;
 
 use std::path::PathBuf;

@@ -481,6 +481,9 @@ fn object_mesh(shape: &ObjectShape) -> Mesh {
         ObjectShape::Cylinder { radius_m, height_m } => {
             Mesh::cylinder(*radius_m as f32, *height_m as f32, 0.0005, WHITE)
         }
+        ObjectShape::Capsule { radius_m, length_m } => {
+            Mesh::capsule(*radius_m as f32, *length_m as f32, 48, WHITE)
+        }
         ObjectShape::Box { size_m } => Mesh::rounded_box(size_m.map(|edge_m| edge_m as f32), 0.0005, WHITE),
         ObjectShape::ConvexParts { parts } => {
             let mut mesh = Mesh::default();
