@@ -35,6 +35,7 @@ mod viscoelastic_release;
 
 use std::collections::BTreeMap;
 
+pub(crate) use chain::moved;
 pub use chain::{Chain, Contact, Geometry, Hold, Kinematics, Load, Sensed, Switching, TakeScene, Transport};
 use palpate_robot_model::{Place, Station};
 use serde::{Deserialize, Serialize};

@@ -111,7 +111,7 @@ pub fn contact_trace(
 ) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
     let num_dofs = robot.num_dofs();
-    let probes: Vec<Probe> = layout.patches.iter().map(|patch| Probe::new(layout, patch)).collect();
+    let probes = probes(layout);
     let object_from_base = base_from_object.inverse();
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
@@ -128,7 +128,45 @@ pub fn contact_trace(
         }
         felt
     });
-    Ok(ContactTrace { num_frames, patches: join(&probes, num_frames, chunks) })
+    let mut trace = ContactTrace::empty(&probes, num_frames);
+    chunks.into_iter().for_each(|chunk| trace.append(chunk));
+    Ok(trace)
+}
+
+/// Adds one frame to `trace`, in which the robot stands at `positions` beside several `bodies`, each with its pose in the
+/// base. The nearest body counts: what a node presses into is the one that it is deepest in.
+///
+/// `positions` and poses must be finite; with one body the bits are those of [`contact_trace`].
+pub(crate) fn feel_frame<'a>(
+    robot: &Robot,
+    probes: &[Probe],
+    bodies: impl Iterator<Item = (&'a SignedDistance, Isometry3<f64>)>,
+    positions: &[f64],
+    trace: &mut ContactTrace,
+) {
+    let mut root_from_link = Vec::new();
+    robot.forward_kinematics(positions, &mut root_from_link);
+    let mut nearest: Option<Vec<ChunkTrace>> = None;
+    for (body, base_from_body) in bodies {
+        let body_from_base = base_from_body.inverse();
+        let feel = |probe: &Probe| {
+            let mut felt = probe.empty_chunk(1);
+            probe.feel(body, &(body_from_base * root_from_link[probe.link]), &mut felt);
+            felt
+        };
+        let felt: Vec<ChunkTrace> = probes.iter().map(feel).collect();
+        match &mut nearest {
+            Some(nearest) => nearest.iter_mut().zip(felt).for_each(|(one, other)| one.keep_nearer(other)),
+            None => nearest = Some(felt),
+        }
+    }
+    trace.num_frames += 1;
+    trace.append(nearest.unwrap_or_else(|| probes.iter().map(Probe::untouched).collect()));
+}
+
+/// The patches of `layout`, prepared.
+pub(crate) fn probes(layout: &TactileLayout) -> Vec<Probe> {
+    layout.patches.iter().map(|patch| Probe::new(layout, patch)).collect()
 }
 
 /// Frames per unit of parallel work: some hundred microseconds, and many more units than cores.
@@ -138,7 +176,11 @@ const CHUNK_FRAMES: usize = 32;
 const ROUNDING_M: f64 = 1e-9;
 
 /// The number of frames, or what is wrong with the inputs.
-fn check(robot: &Robot, base_from_object: &Isometry3<f64>, positions: &[f64]) -> Result<usize, ReplayError> {
+pub(crate) fn check(
+    robot: &Robot,
+    base_from_object: &Isometry3<f64>,
+    positions: &[f64],
+) -> Result<usize, ReplayError> {
     let num_dofs = robot.num_dofs();
     if !geometry::is_finite(base_from_object) {
         let t = base_from_object.translation.vector;
@@ -158,7 +200,8 @@ fn check(robot: &Robot, base_from_object: &Isometry3<f64>, positions: &[f64]) ->
 }
 
 /// A patch prepared for many frames.
-struct Probe {
+#[derive(Clone, Debug)]
+pub(crate) struct Probe {
     link: usize,
     kind: SensorKind,
     stiffness_pa_per_m: f64,
@@ -204,6 +247,14 @@ impl Probe {
         }
     }
 
+    /// One frame with nothing near.
+    fn untouched(&self) -> ChunkTrace {
+        match self.kind {
+            SensorKind::Proximity => ChunkTrace::Proximity { min_distance_m: vec![f64::INFINITY] },
+            SensorKind::Pressure => ChunkTrace::Pressure { counts: vec![0], entries: Vec::new() },
+        }
+    }
+
     /// Adds one frame to `felt`.
     ///
     /// Signed distance changes no faster than the point moves, so the distance of the bounding ball's centre less its
@@ -243,34 +294,59 @@ impl Probe {
     }
 }
 
-/// Puts the chunks of every patch together, in order.
-fn join(probes: &[Probe], num_frames: usize, chunks: Vec<Vec<ChunkTrace>>) -> Vec<PatchTrace> {
-    let mut patches: Vec<PatchTrace> = probes
-        .iter()
-        .map(|probe| match probe.kind {
+impl ChunkTrace {
+    /// Of two traces of the same single frame, the nearer: what a node presses into is the body that it is deepest in.
+    fn keep_nearer(&mut self, other: Self) {
+        match (self, other) {
+            (Self::Proximity { min_distance_m }, Self::Proximity { min_distance_m: others }) => {
+                min_distance_m.iter_mut().zip(others).for_each(|(one, other)| *one = one.min(other));
+            }
+            (Self::Pressure { counts, entries }, Self::Pressure { entries: others, .. }) => {
+                entries.extend(others);
+                // The deeper entry of a node comes first and stays.
+                entries.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+                entries.dedup_by_key(|(node, _)| *node);
+                *counts = vec![entries.len() as u32];
+            }
+            _ => unreachable!("a patch has one kind"),
+        }
+    }
+}
+
+impl ContactTrace {
+    /// Of no frames yet, with room for `num_frames`; `num_frames` is what it will hold.
+    pub(crate) fn empty(probes: &[Probe], num_frames: usize) -> Self {
+        let empty = |probe: &Probe| match probe.kind {
             SensorKind::Proximity => PatchTrace::Proximity { min_distance_m: Vec::with_capacity(num_frames) },
             SensorKind::Pressure => {
                 let mut offsets = Vec::with_capacity(num_frames + 1);
                 offsets.push(0);
                 PatchTrace::Pressure { offsets, entries: Vec::new() }
             }
-        })
-        .collect();
-    for (patch, felt) in chunks.into_iter().flat_map(|chunk| chunk.into_iter().enumerate()) {
-        match (&mut patches[patch], felt) {
-            (PatchTrace::Proximity { min_distance_m: all }, ChunkTrace::Proximity { min_distance_m }) => {
-                all.extend(min_distance_m);
-            }
-            (PatchTrace::Pressure { offsets, entries: all }, ChunkTrace::Pressure { counts, entries }) => {
-                for count in counts {
-                    offsets.push(offsets.last().copied().unwrap_or(0) + count);
+        };
+        Self { num_frames, patches: probes.iter().map(empty).collect() }
+    }
+
+    /// Puts the frames of a chunk behind those that are there.
+    fn append(&mut self, chunk: Vec<ChunkTrace>) {
+        for (patch, felt) in self.patches.iter_mut().zip(chunk) {
+            match (patch, felt) {
+                (PatchTrace::Proximity { min_distance_m: all }, ChunkTrace::Proximity { min_distance_m }) => {
+                    all.extend(min_distance_m);
                 }
-                all.extend(entries);
+                (
+                    PatchTrace::Pressure { offsets, entries: all },
+                    ChunkTrace::Pressure { counts, entries },
+                ) => {
+                    for count in counts {
+                        offsets.push(offsets.last().copied().unwrap_or(0) + count);
+                    }
+                    all.extend(entries);
+                }
+                _ => unreachable!("a chunk has the kinds of its probes"),
             }
-            _ => unreachable!("a chunk has the kinds of its probes"),
         }
     }
-    patches
 }
 
 /// A joint path that cannot be replayed.
@@ -298,6 +374,16 @@ pub enum ReplayError {
         joint: String,
         /// What was there.
         value: f64,
+    },
+    /// Frames must follow each other.
+    #[error(
+        "failed to feel the frame at {time_s} s: the frame before it was at {before_s} s, expected a later time"
+    )]
+    TimeNotIncreasing {
+        /// Time of the frame, s.
+        time_s: f64,
+        /// Time of the one before, s.
+        before_s: f64,
     },
     /// The object has no inside, or is degenerate.
     #[error("failed to replay: the object cannot be touched: {0}")]

@@ -4,7 +4,7 @@ mod read;
 
 use std::collections::BTreeMap;
 
-use palpate_robot_model::{Place, SensorKind, Station};
+use palpate_robot_model::{Place, SensorKind, Station, TactileLayout};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{self, Chain, Effect, Sensed, TakeScene};
@@ -169,9 +169,7 @@ impl SensorModel {
     /// refused.
     pub fn sense(&self, scene: &TakeScene<'_>) -> Result<Sensed, ReplayError> {
         self.check_for(scene.station).map_err(|err| ReplayError::Model(err.to_string()))?;
-        let chain =
-            Chain { theta: self.theta, response: &self.response, effects: &self.effects, soft_widths: &[] };
-        chain.sense(scene)
+        self.chain().sense(scene)
     }
 
     /// [`tactile::readings`], with the effects of the model where it has any. `contact` is the trace of the scene as it
@@ -183,7 +181,19 @@ impl SensorModel {
         if self.is_plain() {
             return Ok(tactile::readings(layout, contact, self));
         }
-        let Sensed { num_frames, num_channels, load: mut raw, activation } = self.sense(scene)?;
+        let sensed = self.sense(scene)?;
+        Ok(self.readings_of(layout, sensed.num_channels, sensed.load, &sensed.activation))
+    }
+
+    /// What loads and activations (frame-major) are as readings.
+    pub(crate) fn readings_of(
+        &self,
+        layout: &TactileLayout,
+        num_channels: usize,
+        loads: Vec<f64>,
+        activation: &[f64],
+    ) -> Readings {
+        let mut raw = loads;
         let reach_m = self.response.reach_m(&self.theta);
         for frame in raw.chunks_exact_mut(num_channels.max(1)) {
             for (channel, raw) in layout.channels.iter().zip(frame) {
@@ -193,7 +203,12 @@ impl SensorModel {
             }
         }
         let active = activation.iter().map(|&activation| activation > 0.5).collect();
-        Ok(Readings { num_frames, num_channels, raw, active })
+        Readings { num_frames: raw.len() / num_channels.max(1), num_channels, raw, active }
+    }
+
+    /// Its sensing chain, switching hard.
+    pub(crate) fn chain(&self) -> Chain<'_> {
+        Chain { theta: self.theta, response: &self.response, effects: &self.effects, soft_widths: &[] }
     }
 }
 

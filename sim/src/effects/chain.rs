@@ -151,13 +151,7 @@ impl Chain<'_> {
 
     /// The costly first part: where everything is, and what touches. It depends on the kinematic effects only.
     pub fn geometry(&self, scene: &TakeScene<'_>) -> Result<Geometry, ReplayError> {
-        let mut kinematics = Kinematics {
-            positions: scene.positions.to_vec(),
-            base_from_object: *scene.base_from_object,
-            object_scale: 1.0,
-            patch_offsets: vec![Isometry3::identity(); scene.station.layout.patches.len()],
-        };
-        self.each(|kind, effect| kind.kinematics(effect, scene, &mut kinematics));
+        let kinematics = self.kinematics(scene);
         let layout = moved(&scene.station.layout, &kinematics.patch_offsets);
         let shape = scene.object.shape.scaled(kinematics.object_scale);
         let distance = SignedDistance::new(&shape).map_err(ReplayError::Object)?;
@@ -169,6 +163,18 @@ impl Chain<'_> {
             &kinematics.positions,
         )?;
         Ok(Geometry { trace, layout, positions: kinematics.positions })
+    }
+
+    /// Where joints, object and patches really are.
+    pub(crate) fn kinematics(&self, scene: &TakeScene<'_>) -> Kinematics {
+        let mut kinematics = Kinematics {
+            positions: scene.positions.to_vec(),
+            base_from_object: *scene.base_from_object,
+            object_scale: 1.0,
+            patch_offsets: vec![Isometry3::identity(); scene.station.layout.patches.len()],
+        };
+        self.each(|kind, effect| kind.kinematics(effect, scene, &mut kinematics));
+        kinematics
     }
 
     /// The rest of the chain.
@@ -262,13 +268,13 @@ impl Chain<'_> {
 /// What touches what, given where everything really is.
 #[derive(Clone, Debug)]
 pub struct Geometry {
-    trace: ContactTrace,
-    layout: TactileLayout,
-    positions: Vec<f64>,
+    pub(crate) trace: ContactTrace,
+    pub(crate) layout: TactileLayout,
+    pub(crate) positions: Vec<f64>,
 }
 
 /// `layout` with the nodes and taxels of its patches moved.
-fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> TactileLayout {
+pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> TactileLayout {
     let mut layout = layout.clone();
     for (patch, offset) in layout.patches.iter_mut().zip(offsets) {
         if *offset == Isometry3::identity() {

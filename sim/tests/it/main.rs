@@ -1,6 +1,7 @@
 //! Laws of replay and tactile model on a small made-up probe.
 
 mod effects;
+mod live;
 mod probe;
 mod replay;
 mod tactile;

@@ -2,4 +2,4 @@
 
 mod laws;
 mod recover;
-mod scene;
+pub(crate) mod scene;

@@ -1,0 +1,170 @@
+//! Touch frame by frame is what a replay gives.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, Vector3};
+use palpate_robot_model::{ObjectShape, SensorKind, Station};
+use palpate_sim::effects::{Effect, TACTILE};
+use palpate_sim::geometry::SignedDistance;
+use palpate_sim::live::{LiveScene, LiveTouch};
+use palpate_sim::replay::{ReplayError, contact_trace};
+use palpate_sim::tactile::{self, Readings};
+use palpate_sim::{SensorModel, Theta};
+
+use crate::effects::scene::{INDEX, PALM, THETA, Take, station, take};
+
+fn live_readings(station: &Station, take: &Take, model: &SensorModel) -> Vec<Readings> {
+    let scene = LiveScene::new(Arc::new(station.clone()), &take.object, model, &[]).expect("a scene");
+    let mut touch = LiveTouch::new(Arc::new(scene));
+    let frames = take.times_s.iter().zip(take.clean.chunks_exact(station.robot.num_dofs()));
+    frames
+        .map(|(&time_s, positions)| touch.feel(time_s, positions, &take.base_from_object).expect("a frame"))
+        .collect()
+}
+
+fn replayed(station: &Station, take: &Take, model: &SensorModel, num_frames: usize) -> Readings {
+    let positions = &take.clean[..num_frames * station.robot.num_dofs()];
+    let mut scene = take.scene(station, positions);
+    scene.frame_times_s = &take.times_s[..num_frames];
+    let distance = SignedDistance::new(&take.object.shape).expect("a shape");
+    let trace = contact_trace(&station.robot, &station.layout, &distance, &take.base_from_object, positions)
+        .expect("a path");
+    model.readings(&scene, &trace).expect("readings")
+}
+
+fn assert_same(live: &Readings, replayed: &Readings, frame: usize, what: &str) {
+    assert_eq!(live.active, replayed.active_frame(frame), "{what}, frame {frame}");
+    let bits = |raw: &[f64]| raw.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&live.raw), bits(replayed.raw_frame(frame)), "{what}, frame {frame}");
+}
+
+#[test]
+fn a_plain_model_reads_what_it_reads_in_a_replay_to_the_bit() {
+    let station = station("xarm6_leap.toml");
+    let model = SensorModel::plain("plain", THETA);
+    for plan in [&INDEX, &PALM] {
+        let take = take(&station, plan, 2, 7);
+        let all = replayed(&station, &take, &model, take.times_s.len());
+        assert!(all.active.iter().any(|on| *on), "the take touches");
+        for (frame, live) in live_readings(&station, &take, &model).iter().enumerate() {
+            assert_same(live, &all, frame, plan.patch);
+        }
+    }
+}
+
+#[test]
+fn every_effect_acts_as_in_a_replay_to_the_bit() {
+    let station = station("xarm6_leap.toml");
+    let take = take(&station, &INDEX, 1, 7);
+    let last = take.times_s.len();
+    let looks_ahead = ["rate_dependence", "motion_artifact"];
+    for kind in TACTILE {
+        let place = kind.places(&station).into_iter().next().expect("a place");
+        let parameters = kind.parameters(&place, &station);
+        let dosed = |p: &palpate_sim::effects::Parameter| (p.name.clone(), p.neutral + p.dose);
+        let effect = Effect {
+            id: kind.id().to_owned(),
+            place,
+            parameters: parameters.iter().map(dosed).collect(),
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        };
+        let model = SensorModel { effects: vec![effect], ..SensorModel::plain("dosed", THETA) };
+        let live = live_readings(&station, &take, &model);
+        for num_frames in [1, last / 3, last / 2, last] {
+            let so_far = replayed(&station, &take, &model, num_frames);
+            assert_same(&live[num_frames - 1], &so_far, num_frames - 1, kind.id());
+        }
+        if !looks_ahead.contains(&kind.id()) {
+            let all = replayed(&station, &take, &model, last);
+            for (frame, live) in live.iter().enumerate() {
+                assert_same(live, &all, frame, kind.id());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_moving_object_is_felt_where_it_is() {
+    let station = station("xarm6_leap.toml");
+    let model = SensorModel::plain("plain", THETA);
+    let take = take(&station, &INDEX, 1, 7);
+    let scene = LiveScene::new(Arc::new(station.clone()), &take.object, &model, &[]).expect("a scene");
+    let mut touch = LiveTouch::new(Arc::new(scene));
+    let distance = SignedDistance::new(&take.object.shape).expect("a shape");
+    let mut any_active = false;
+    for (frame, positions) in take.clean.chunks_exact(station.robot.num_dofs()).enumerate() {
+        let slide = Translation3::from(Vector3::x() * 0.002 * (frame as f64 * 0.3).sin());
+        let pose = slide * take.base_from_object;
+        let live = touch.feel(take.times_s[frame], positions, &pose).expect("a frame");
+        let trace =
+            contact_trace(&station.robot, &station.layout, &distance, &pose, positions).expect("a frame");
+        assert_same(&live, &tactile::readings(&station.layout, &trace, &model), 0, "moving");
+        any_active |= live.active.iter().any(|on| *on);
+    }
+    assert!(any_active);
+}
+
+#[test]
+fn what_stands_still_is_felt_beside_the_object_and_the_nearer_counts() {
+    let station = Arc::new(station("xarm6_leap.toml"));
+    // A proximity threshold far out, so that distances are seen, and a soft touch.
+    let theta = Theta { lambda_con_m: 0.04, alpha_per_m: 250.0, lambda_pre_pa: 1.0 };
+    let model = SensorModel::plain("plain", theta);
+    let take = take(&station, &INDEX, 1, 7);
+    let positions = &take.clean[..station.robot.num_dofs()];
+    let mut link_poses = Vec::new();
+    station.robot.forward_kinematics(positions, &mut link_poses);
+    let tip = station.layout.patches.iter().find(|patch| patch.id == "index_tip").expect("a patch");
+    let far = Isometry3::translation(0.0, 0.0, -5.0);
+    // A block around the tip: every node is inside of it.
+    let block = (link_poses[tip.link], ObjectShape::Box { size_m: [0.2; 3] });
+    let ball = (link_poses[tip.link], ObjectShape::Sphere { radius_m: 0.15 });
+    let feel = |object: &Isometry3<f64>, fixed: &[(Isometry3<f64>, ObjectShape)]| {
+        let scene = LiveScene::new(Arc::clone(&station), &take.object, &model, fixed).expect("a scene");
+        LiveTouch::new(Arc::new(scene)).feel(0.0, positions, object).expect("a frame")
+    };
+    let alone = feel(&take.base_from_object, &[]);
+    let nothing = feel(&far, &[]);
+    assert!(nothing.active.iter().all(|on| !on));
+    assert_eq!(feel(&take.base_from_object, &[(far, block.1.clone())]), alone, "what is far changes nothing");
+    let (in_block, in_ball) =
+        (feel(&far, std::slice::from_ref(&block)), feel(&far, std::slice::from_ref(&ball)));
+    assert!(in_block.active[tip.channels.start]);
+    let in_both = feel(&far, &[block, ball]);
+    for (idx, channel) in station.layout.channels.iter().enumerate() {
+        let (one, other, both) = (in_block.raw[idx], in_ball.raw[idx], in_both.raw[idx]);
+        match station.layout.streams[channel.stream].kind {
+            SensorKind::Proximity => assert_eq!(both, one.min(other), "{}", channel.id),
+            SensorKind::Pressure => {
+                assert!(both >= one.max(other), "{}: {both} of {one} and {other}", channel.id)
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_that_cannot_be_felt_are_refused() {
+    let station = station("xarm6_leap.toml");
+    let object = station.objects["sphere_50mm"].clone();
+    let num_dofs = station.robot.num_dofs();
+    let model = SensorModel::plain("plain", THETA);
+    let scene = LiveScene::new(Arc::new(station), &object, &model, &[]).expect("a scene");
+    let mut touch = LiveTouch::new(Arc::new(scene));
+    let (home, pose) = (vec![0.0; num_dofs], Isometry3::identity());
+    touch.feel(1.0, &home, &pose).expect("a frame");
+    assert!(matches!(touch.feel(1.0, &home, &pose), Err(ReplayError::TimeNotIncreasing { .. })));
+    assert!(matches!(touch.feel(f64::NAN, &home, &pose), Err(ReplayError::TimeNotIncreasing { .. })));
+    assert!(matches!(
+        touch.feel(2.0, &[home.clone(), home.clone()].concat(), &pose),
+        Err(ReplayError::RaggedPath { .. })
+    ));
+    assert!(matches!(touch.feel(2.0, &[], &pose), Err(ReplayError::RaggedPath { .. })));
+    let nan = vec![f64::NAN; num_dofs];
+    assert!(matches!(touch.feel(2.0, &nan, &pose), Err(ReplayError::NonFinitePosition { .. })));
+    let lost = Isometry3::translation(f64::NAN, 0.0, 0.0);
+    assert!(matches!(touch.feel(2.0, &home, &lost), Err(ReplayError::NonFiniteObjectPose { .. })));
+    touch.restart();
+    touch.feel(0.0, &home, &pose).expect("time starts again");
+}
