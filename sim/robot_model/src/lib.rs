@@ -24,5 +24,5 @@ pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout}
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
 pub use place::Place;
 pub use pose::PoseConfig;
-pub use robot::{Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
+pub use robot::{Inertial, Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
 pub use station::{Station, StationFiles, StreamConfig};

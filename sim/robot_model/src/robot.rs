@@ -2,7 +2,7 @@
 
 mod urdf;
 
-use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::ModelError;
 
@@ -28,6 +28,19 @@ pub struct Link {
     pub visuals: Vec<LinkGeometry>,
     /// Collision shapes, in the link's frame.
     pub collisions: Vec<LinkGeometry>,
+    /// Its mass; `None` for a link without one, such as a mere frame.
+    pub inertial: Option<Inertial>,
+}
+
+/// Mass of a link and how it is distributed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Inertial {
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Centre of mass in the link's frame, m.
+    pub com_in_link: Point3<f64>,
+    /// Inertia about the centre of mass along the axes of the link's frame, kg m^2.
+    pub inertia_in_link: Matrix3<f64>,
 }
 
 /// A shape fixed to a link.
@@ -124,7 +137,7 @@ impl Robot {
     ///
     /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one
     /// root, duplicate names, mimic joints and joints with several degrees of freedom, meshes, non-finite numbers,
-    /// sizes that are not positive, crossed limits, a zero axis, unknown or missing names in `dof_names`.
+    /// sizes that are not positive, masses that are not positive and inertias that no body can have, crossed limits, a zero axis, unknown or missing names in `dof_names`.
     pub fn from_urdf(file: &str, text: &str, dof_names: &[String]) -> Result<Self, ModelError> {
         urdf::read(file, text, dof_names)
     }

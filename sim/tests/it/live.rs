@@ -138,7 +138,7 @@ fn what_stands_still_is_felt_beside_the_object_and_the_nearer_counts() {
         match station.layout.streams[channel.stream].kind {
             SensorKind::Proximity => assert_eq!(both, one.min(other), "{}", channel.id),
             SensorKind::Pressure => {
-                assert!(both >= one.max(other), "{}: {both} of {one} and {other}", channel.id)
+                assert!(both >= one.max(other), "{}: {both} of {one} and {other}", channel.id);
             }
         }
     }

@@ -2,11 +2,11 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{Geometry, JointType, Material};
 
 use crate::ModelError;
-use crate::robot::{Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
+use crate::robot::{Inertial, Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
 
 /// See [`Robot::from_urdf`].
 pub(super) fn read(file: &str, text: &str, dof_names: &[String]) -> Result<Robot, ModelError> {
@@ -185,7 +185,8 @@ impl Reader<'_> {
             .iter()
             .map(|collision| self.geometry(link, &collision.origin, &collision.geometry, None))
             .collect::<Result<_, _>>()?;
-        Ok(Link { name: link.name.clone(), visuals, collisions })
+        let inertial = inertial(&link.inertial).map_err(|problem| self.at_link(&link.name, problem))?;
+        Ok(Link { name: link.name.clone(), visuals, collisions, inertial })
     }
 
     fn geometry(
@@ -348,6 +349,31 @@ fn isometry(pose: &urdf_rs::Pose) -> Result<Isometry3<f64>, String> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw)))
 }
 
+/// `None` where the URDF gives no mass, which urdf-rs reads as zeros.
+fn inertial(inertial: &urdf_rs::Inertial) -> Result<Option<Inertial>, String> {
+    let mass_kg = inertial.mass.value;
+    let &urdf_rs::Inertia { ixx, ixy, ixz, iyy, iyz, izz } = &inertial.inertia;
+    if mass_kg == 0.0 && [ixx, ixy, ixz, iyy, iyz, izz] == [0.0; 6] {
+        return Ok(None);
+    }
+    if !(mass_kg.is_finite() && mass_kg > 0.0) {
+        return Err(format!("mass {mass_kg} must be finite and positive, in kg"));
+    }
+    let link_from_inertial = isometry(&inertial.origin)?;
+    let inertia = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
+    if !inertia.iter().all(|v| v.is_finite()) || inertia.cholesky().is_none() {
+        return Err(format!(
+            "inertia ixx {ixx}, ixy {ixy}, ixz {ixz}, iyy {iyy}, iyz {iyz}, izz {izz} must be positive about every axis"
+        ));
+    }
+    let turn = link_from_inertial.rotation.to_rotation_matrix().into_inner();
+    Ok(Some(Inertial {
+        mass_kg,
+        com_in_link: Point3::from(link_from_inertial.translation.vector),
+        inertia_in_link: turn * inertia * turn.transpose(),
+    }))
+}
+
 /// Limits of a revolute or prismatic joint; `None` where the URDF gives none, which urdf-rs reads as all zeros, or as
 /// infinities from URDF 1.2 on.
 fn limits(limit: &urdf_rs::JointLimit) -> Result<Option<JointLimits>, String> {
@@ -386,7 +412,12 @@ mod tests {
           <visual><geometry><sphere radius="0.01"/></geometry><material name="steel"/></visual>
           <collision><origin xyz="0 0 0.02"/><geometry><capsule radius="0.01" length="0.04"/></geometry></collision>
         </link>
-        <link name="carriage"/>
+        <link name="carriage">
+          <inertial>
+            <origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+            <inertia ixx="1" ixy="0.1" ixz="0" iyy="2" iyz="0" izz="3"/>
+          </inertial>
+        </link>
         <link name="base"><visual><geometry><box size="0.1 0.2 0.3"/></geometry></visual></link>
         <link name="mast"><collision><geometry><cylinder radius="0.02" length="0.5"/></geometry></collision></link>
         <joint name="turn" type="revolute">
@@ -453,6 +484,18 @@ mod tests {
     }
 
     #[test]
+    fn masses_are_read_in_the_links_axes() {
+        let robot = bench();
+        let of = |name: &str| robot.links[robot.link_index(name).expect("link")].inertial.clone();
+        assert_eq!(of("base"), None);
+        let carriage = of("carriage").expect("a mass");
+        assert_eq!((carriage.mass_kg, carriage.com_in_link.z), (2.0, 0.1));
+        // A quarter turn about z swaps x and y.
+        let expected = Matrix3::new(2.0, -0.1, 0.0, -0.1, 1.0, 0.0, 0.0, 0.0, 3.0);
+        assert!((carriage.inertia_in_link - expected).norm() < 1e-12, "{}", carriage.inertia_in_link);
+    }
+
+    #[test]
     fn missing_link_is_named() {
         let message = refusal(r#"<parent link="carriage"/>"#, r#"<parent link="carrage"/>"#);
         assert_eq!(
@@ -499,7 +542,7 @@ mod tests {
 
     #[test]
     fn two_roots_are_named() {
-        let message = refusal(r#"<link name="carriage"/>"#, r#"<link name="carriage"/><link name="stray"/>"#);
+        let message = refusal(r#"<link name="base">"#, r#"<link name="stray"/><link name="base">"#);
         assert!(
             message.contains("[\"base\", \"stray\"]") || message.contains("[\"stray\", \"base\"]"),
             "{message}"
@@ -554,6 +597,9 @@ mod tests {
             (r#"size="0.1 0.2 0.3""#, r#"size="0.1 0 0.3""#, "link \"base\": box size"),
             (r#"lower="-1""#, r#"lower="7""#, "joint \"turn\": lower limit 7 is above upper limit 2"),
             (r#"upper="2""#, r#"upper="NaN""#, "joint \"turn\": limits"),
+            (r#"<mass value="2"/>"#, r#"<mass value="-2"/>"#, "link \"carriage\": mass -2 must be finite"),
+            (r#"ixx="1""#, r#"ixx="-1""#, "link \"carriage\": inertia ixx -1"),
+            (r#"ixy="0.1""#, r#"ixy="5""#, "must be positive about every axis"),
             (r#"velocity="3""#, r#"velocity="-3""#, "joint \"turn\": velocity limit -3"),
         ];
         for (from, to, expected) in cases {
