@@ -313,13 +313,16 @@ impl EmulatedStation {
             snapshot.positions.clone_from(&self.positions);
             snapshot.velocities.resize(self.positions.len(), 0.0);
             snapshot.torque_on.resize(self.positions.len(), false);
+            snapshot.goals.resize(self.positions.len(), None);
             for (&dof, servo) in self.hand_dofs.iter().zip(self.bus.servos()) {
                 snapshot.velocities[dof] = servo.rad_per_sec();
                 snapshot.torque_on[dof] = servo.torque_is_on();
+                snapshot.goals[dof] = servo.goal_rad();
             }
             for (joint, &dof) in self.station.carrier_dofs.iter().enumerate() {
                 snapshot.velocities[dof] = self.arm.rad_per_sec()[joint];
                 snapshot.torque_on[dof] = self.arm.is_driven(joint);
+                snapshot.goals[dof] = self.arm.goal_rad(joint);
             }
             snapshot.arm = self.arm.snapshot();
             snapshot.object.clone_from(&self.object);

@@ -235,6 +235,11 @@ impl ArmBox {
         self.enable_bits & self.brake_bits & (1 << joint) != 0
     }
 
+    /// Where the joint is told to be in servo mode, rad; `None` in other modes and before the first target.
+    pub(crate) fn goal_rad(&self, joint: usize) -> Option<f64> {
+        Some(self.target_rad.as_ref()?[joint])
+    }
+
     /// What the box says of itself.
     pub(crate) fn snapshot(&self) -> ArmSnapshot {
         ArmSnapshot { mode: self.mode, state: self.state(), error: self.error, warning: self.warning }

@@ -64,6 +64,8 @@ pub struct StationSnapshot {
     pub velocities: Vec<f64>,
     /// Whether each joint is driven: torque on for a servo, enabled with its brake released for a joint of the arm.
     pub torque_on: Vec<bool>,
+    /// Where each joint is told to be, rad; `None` while it is told nothing.
+    pub goals: Vec<Option<f64>>,
     /// The arm's box.
     pub arm: ArmSnapshot,
     /// The object in place, if one is.
@@ -103,9 +105,21 @@ pub struct LoggedStep {
     pub positions: Vec<f64>,
     /// Their velocities, rad/s.
     pub velocities: Vec<f64>,
+    /// Where they are told to be, rad; `None` for a joint that is told nothing.
+    pub goals: Vec<Option<f64>>,
 }
 
 impl MotionLog {
+    /// When a joint was told for the last time to be elsewhere than before, ns since the station started; `None` if none
+    /// ever was. That it is told nothing any more is no change.
+    pub fn last_goal_ns(&self) -> Option<u64> {
+        let elsewhere = |pair: &&[LoggedStep]| {
+            let goals = pair[0].goals.iter().zip(&pair[1].goals);
+            goals.filter_map(|(before, now)| Some((*before)? != (*now)?)).any(|changed| changed)
+        };
+        self.steps.windows(2).rev().find(elsewhere).map(|pair| pair[1].device_ns)
+    }
+
     /// Since when no joint has been faster than `most_rad_per_s`, ns since the station started; `None` if one still is.
     pub fn still_since_ns(&self, most_rad_per_s: f64) -> Option<u64> {
         let moves =
@@ -327,6 +341,7 @@ impl Shared {
                 device_ns: snapshot.device_ns,
                 positions: snapshot.positions.clone(),
                 velocities: snapshot.velocities.clone(),
+                goals: snapshot.goals.clone(),
             });
         }
     }

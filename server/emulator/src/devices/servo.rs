@@ -107,6 +107,13 @@ impl Servo {
         self.table.torque_is_on() && self.is_awake()
     }
 
+    /// Angle of the joint that the motor is told to go to, rad; `None` without torque.
+    pub(crate) fn goal_rad(&self) -> Option<f64> {
+        let in_register = self.table.physical(&registers::GOAL_POSITION);
+        let counted = self.sign() * (in_register - self.table.physical(&registers::HOMING_OFFSET));
+        self.torque_is_on().then_some(counted + self.cleared_rad - PI)
+    }
+
     /// What pushes the joint from outside in the next step, N m, and the inertia that this adds, kg m2.
     pub(crate) fn set_outside(&mut self, torque_nm: f64, inertia_kg_m2: f64) {
         (self.motor.outside_nm, self.motor.outside_kg_m2) = (torque_nm, inertia_kg_m2);

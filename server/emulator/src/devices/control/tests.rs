@@ -179,6 +179,12 @@ fn the_motion_log_has_every_step_in_device_time_and_is_bounded() {
         assert!((moved - pair[1].velocities[joint] * 1e-3).abs() < 1e-9, "{moved}");
     }
     assert_eq!(log.still_since_ns(1e-6), None, "on the way");
+    // Told at 50 ms, which the first logged step is the first to know.
+    assert_eq!(log.last_goal_ns(), None);
+    let (first, tick_rad) = (&log.steps[0], std::f64::consts::TAU / 4096.0);
+    let goal = first.goals[joint].expect("torque is on");
+    assert!((goal - (2500.0 - 2048.0) * tick_rad).abs() < 1e-9, "{goal}");
+    assert_eq!(first.goals.iter().flatten().count(), 1, "the others are told nothing");
     // The host holds the joint where it is.
     write(&mut station, 1, 116, &2300_u32.to_le_bytes(), 150 * MS_NS);
     station.advance(2 * S_NS);
@@ -186,6 +192,12 @@ fn the_motion_log_has_every_step_in_device_time_and_is_bounded() {
     assert_eq!((log.steps.len(), log.num_dropped), (1000, 850), "the newest second");
     let still_ns = log.still_since_ns(1e-3).expect("arrived");
     assert!(still_ns < 2 * S_NS, "{still_ns}");
+    assert_eq!(log.last_goal_ns(), None, "told before the newest second");
+    control.log_motion(1000);
+    write(&mut station, 1, 116, &2400_u32.to_le_bytes(), 2 * S_NS + 100 * MS_NS);
+    station.advance(2 * S_NS + 500 * MS_NS);
+    let told_ns = control.take_motion_log().last_goal_ns();
+    assert_eq!(told_ns, Some(2 * S_NS + 101 * MS_NS));
     control.log_motion(0);
     station.advance(3 * S_NS);
     assert_eq!(control.take_motion_log(), MotionLog::default());
