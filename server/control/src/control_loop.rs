@@ -126,7 +126,9 @@ impl ControlLoop {
                 let answer = self.request(connection, &request);
                 let _ = reply.send(answer);
             }
-            Message::ConnectionLost(connection) => self.desk.lost(connection),
+            Message::ConnectionLost(connection) => {
+                self.desk.lost(self.clock.now_ns(), &mut self.supervisor, connection);
+            }
             Message::Recording(reply) => {
                 let _ = reply.send(self.guided.document());
             }

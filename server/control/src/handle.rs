@@ -84,7 +84,7 @@ impl Handle {
     }
 
     /// A connection has gone. Its lease is not given back by that, but nobody keeps it alive any more: a robot that it
-    /// moved holds, and is disarmed soon after.
+    /// moved holds at once, and is disarmed soon after.
     pub fn connection_lost(&self, connection: u64) {
         // A loop that has ended has let go of the robot already.
         let _ = self.messages.send(Message::ConnectionLost(connection));

@@ -172,9 +172,11 @@ impl Desk {
         }
     }
 
-    /// The connection has gone, and what it held with it.
-    pub(crate) fn lost(&mut self, connection: u64) {
-        self.connections.remove(&connection);
+    /// The connection has gone. What it moved holds at once: nobody can keep that going any more.
+    pub(crate) fn lost(&mut self, now_ns: u64, supervisor: &mut Supervisor, connection: u64) {
+        if let Some(lease) = self.connections.remove(&connection).and_then(|known| known.lease) {
+            supervisor.operator_gone(now_ns, lease);
+        }
     }
 }
 

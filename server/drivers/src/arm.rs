@@ -41,11 +41,13 @@ pub(crate) struct ArmSetup {
     pub(crate) joints: Vec<String>,
     /// How fast they may go.
     pub(crate) limits: Limits,
+    /// How long it holds once setpoints have dried up, ns.
+    pub(crate) hold_ns: u64,
 }
 
 /// Drives the arm until the context says stop.
 pub(crate) fn run(context: &DeviceContext, setup: &ArmSetup) {
-    let mut session = Session::new(setup.joints.clone(), setup.limits.clone());
+    let mut session = Session::new(setup.joints.clone(), setup.limits.clone(), setup.hold_ns);
     context.health.set_motors(setup.joints.iter().cloned());
     context.keep_connected(
         |context| Connection::open(&context.id, setup.commands, setup.reports, &context.clock),

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 
 use palpate_robot_model::{ArmConfig, BoardConfig, DeviceConfig, DeviceKind, SafetyConfig, Station};
-use palpate_safety::Setpoint;
+use palpate_safety::{Setpoint, disarm_begins_s};
 
 use crate::arm::{self, ArmSetup, Limits};
 use crate::boards::{self, BoardSetup};
@@ -145,9 +145,7 @@ fn spawn(
     match &config.kind {
         DeviceKind::Dynamixel(bus) => {
             let path = serial_path(config, &bus.port, port)?;
-            // A setpoint is valid for the one time and torque goes off after the other.
-            let hold_s = (safety.disarm_after_s - safety.command_ttl_s).max(0.0);
-            servo_bus::spawn(context, bus, path, (hold_s * 1e9) as u64)
+            servo_bus::spawn(context, bus, path, hold_ns(safety))
         }
         DeviceKind::Xarm(arm) => {
             let setup = arm_setup(config, arm, port, safety)?;
@@ -158,6 +156,12 @@ fn spawn(
             context.spawn(move |context| boards::run(&context, &setup))
         }
     }
+}
+
+/// How long joints hold once setpoints have dried up, ns: a setpoint is valid for the one time, and joints let go after
+/// the other.
+fn hold_ns(safety: &SafetyConfig) -> u64 {
+    ((disarm_begins_s(safety) - safety.command_ttl_s).max(0.0) * 1e9) as u64
 }
 
 fn serial_path(
@@ -197,6 +201,7 @@ fn arm_setup(
             rad_per_sec: limits(|joint| joint.velocity),
             rad_per_sec2: limits(|joint| joint.acceleration),
         },
+        hold_ns: hold_ns(safety),
     })
 }
 

@@ -17,4 +17,6 @@ pub use audit::{AuditEntry, Outcome};
 pub use lease::Lease;
 pub use measured::{DeviceFault, JointReading, Measured};
 pub use refusal::Refusal;
-pub use supervisor::{OUTSIDE_TOLERANCE_M, OUTSIDE_TOLERANCE_RAD, Phase, Setpoint, Status, Supervisor};
+pub use supervisor::{
+    OUTSIDE_TOLERANCE_M, OUTSIDE_TOLERANCE_RAD, Phase, Setpoint, Status, Supervisor, disarm_begins_s,
+};

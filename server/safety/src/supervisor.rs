@@ -4,7 +4,7 @@ mod checks;
 mod setpoint;
 mod status;
 
-use palpate_robot_model::Station;
+use palpate_robot_model::{SafetyConfig, Station};
 use std::sync::Arc;
 
 pub use checks::{OUTSIDE_TOLERANCE_M, OUTSIDE_TOLERANCE_RAD};
@@ -22,6 +22,12 @@ use crate::{
 
 /// Motors may take this long to report that they hold, ns: an arm lets its brakes go one after the other.
 const ARMING_NS: u64 = 5_000_000_000;
+/// Motors may take this long to report that they have let go before they are armed again, ns: an arm stops first, and
+/// switches off once it stands still.
+const LETTING_GO_NS: u64 = 2_000_000_000;
+/// Disarming begins this long before `disarm_after_s` is over, ns: until torque is off a turn of the loop, a cycle of the
+/// bus and the arm's own steps of stopping and switching off go by.
+const DISARM_AHEAD_NS: u64 = 100_000_000;
 /// Who the audit log names for what nobody asked for.
 const STATION: &str = "station";
 
@@ -50,6 +56,8 @@ pub struct Supervisor {
     now_ns: u64,
     desk: LeaseDesk,
     heartbeat_ns: u64,
+    /// The operator's connection was closed since their last sign of life.
+    operator_gone: bool,
     /// Number of the newest targets of this lease.
     sequence: u64,
     state: State,
@@ -64,6 +72,8 @@ pub struct Supervisor {
     joints: Vec<Joint>,
     telemetry: Telemetry,
     last_tick_ns: Option<u64>,
+    /// Since when setpoints have had no torque; `None` while they have.
+    limp_since_ns: Option<u64>,
     /// Whether the audit log knows that joints were moved since they were armed.
     moved: bool,
     audit: Audit,
@@ -73,7 +83,8 @@ pub struct Supervisor {
 #[derive(Clone, Copy, Debug)]
 struct Times {
     heartbeat_ttl: u64,
-    disarm_after: u64,
+    /// Disarming begins after this much silence.
+    disarm_begins: u64,
     command_ttl: u64,
     telemetry_ttl: u64,
     ease_in: u64,
@@ -82,6 +93,8 @@ struct Times {
 #[derive(Clone, Debug)]
 enum State {
     Disarmed,
+    /// Motors still let go from before.
+    LettingGo,
     /// Torque comes up; `since_ns` for the time it may take.
     Arming {
         since_ns: u64,
@@ -122,9 +135,10 @@ struct Joint {
     motion: Motion,
     target: Option<f64>,
     carrier: bool,
-    /// Torque was seen since this time, or is still waited for.
+    /// Readings from then on tell whether its motor holds.
     torque_asked_ns: u64,
-    torque_seen: bool,
+    /// Its motor has shown that it holds, and must not let go.
+    holds: bool,
 }
 
 impl Supervisor {
@@ -137,12 +151,12 @@ impl Supervisor {
             target: None,
             carrier: station.carrier_dofs.contains(&dof),
             torque_asked_ns: 0,
-            torque_seen: false,
+            holds: false,
         };
         Self {
             times: Times {
                 heartbeat_ttl: nanoseconds(config.heartbeat_ttl_s),
-                disarm_after: nanoseconds(config.disarm_after_s),
+                disarm_begins: nanoseconds(disarm_begins_s(config)),
                 command_ttl: nanoseconds(config.command_ttl_s),
                 telemetry_ttl: nanoseconds(config.telemetry_ttl_s),
                 ease_in: nanoseconds(config.ease_in_s),
@@ -151,6 +165,7 @@ impl Supervisor {
             now_ns: 0,
             desk: LeaseDesk::new(nanoseconds(config.lease_ttl_s)),
             heartbeat_ns: 0,
+            operator_gone: false,
             sequence: 0,
             state: State::Disarmed,
             hold: None,
@@ -161,6 +176,7 @@ impl Supervisor {
             joints: (0..num_dofs).map(joint).collect(),
             telemetry: Telemetry::new(num_dofs),
             last_tick_ns: None,
+            limp_since_ns: Some(0),
             moved: false,
             audit: Audit::default(),
             station: Arc::new(station.clone()),
@@ -176,7 +192,8 @@ impl Supervisor {
         let acquired = self.desk.acquire(self.now_ns, operator, take_over);
         self.log(&who, what, acquired.as_ref().err());
         let (lease, before) = acquired?;
-        (self.heartbeat_ns, self.sequence) = (self.now_ns, 0);
+        self.sign_of_life();
+        self.sequence = 0;
         if let Some(before) = before {
             self.begin_disarm(
                 &who,
@@ -203,16 +220,27 @@ impl Supervisor {
             .check(self.now_ns, lease)
             .map(|holder| holder.renewed_ns = now_ns.max(holder.renewed_ns));
         if held.is_ok() {
-            self.heartbeat_ns = self.now_ns;
+            self.sign_of_life();
         }
         held
     }
 
-    /// Torque on, where the joints are now. Old targets are gone, and speeds rise from zero. Armed already, it stays so.
+    /// The operator's connection was closed: joints brake and hold at once, rather than when heartbeats are missed. The
+    /// lease and the time until torque goes off count from the last sign of life, as ever.
+    pub fn operator_gone(&mut self, now_ns: u64, lease: Lease) {
+        self.settle(now_ns);
+        if self.desk.check(self.now_ns, lease).is_ok() {
+            self.operator_gone = true;
+            self.settle(now_ns);
+        }
+    }
+
+    /// Torque on, where the joints are now, as soon as motors that still let go have done so. Old targets are gone, and
+    /// speeds rise from zero. Armed already, it stays so.
     pub fn arm(&mut self, now_ns: u64, lease: Lease) -> Result<(), Refusal> {
         let who = self.holder_of(now_ns, lease, "arm")?;
         let ready = match &self.state {
-            State::Armed { .. } | State::Arming { .. } => return Ok(()),
+            State::Armed { .. } | State::Arming { .. } | State::LettingGo => return Ok(()),
             State::Stopped { who, .. } => Err(Refusal::Stopped { who: who.clone() }),
             State::Disarming => {
                 Err(Refusal::NotArmed { phase: "just being disarmed", todo: "wait a moment, then arm" })
@@ -224,20 +252,14 @@ impl Supervisor {
         };
         self.log(&who, "arm", ready.as_ref().err());
         ready?;
-        for (joint, telemetry) in self.joints.iter_mut().zip(&self.telemetry.joints) {
-            if let Some(reading) = telemetry.reading {
-                joint.motion = Motion { position: reading.position, velocity: 0.0 };
-            }
-            joint.target = None;
-            (joint.torque_asked_ns, joint.torque_seen) = (self.now_ns, false);
-        }
         // To ask for torque is a sign of life.
-        self.heartbeat_ns = self.now_ns;
-        self.last_tick_ns = Some(self.now_ns);
-        self.state = State::Arming { since_ns: self.now_ns };
+        self.sign_of_life();
         (self.hold, self.lead, self.hands, self.moved) = (None, Lead::Off, false, false);
         self.lead_notice.clear();
         self.disarmed_because.clear();
+        self.joints.iter_mut().for_each(|joint| joint.holds = false);
+        self.state = State::LettingGo;
+        self.settle(now_ns);
         Ok(())
     }
 
@@ -352,7 +374,10 @@ impl Supervisor {
                 self.state = State::Disarmed;
             }
         }
-        if !self.energised() {
+        if self.energised() {
+            self.limp_since_ns = None;
+        } else {
+            self.limp_since_ns.get_or_insert(self.now_ns);
             self.follow_readings();
         }
         Setpoint::new(
@@ -378,6 +403,11 @@ impl Supervisor {
         matches!(self.state, State::Arming { .. } | State::Armed { .. } | State::Disarming)
     }
 
+    /// Whether the operator wants joints to hold or move.
+    fn wanted(&self) -> bool {
+        matches!(self.state, State::LettingGo | State::Arming { .. } | State::Armed { .. })
+    }
+
     /// Lets happen what has become due by `now_ns`. Time never runs back: an earlier one counts as the latest there was.
     fn settle(&mut self, now_ns: u64) {
         self.now_ns = self.now_ns.max(now_ns);
@@ -389,14 +419,13 @@ impl Supervisor {
                 format!("the lease of {:?} ran out; take control again", holder.operator),
             );
         }
-        if !matches!(self.state, State::Arming { .. } | State::Armed { .. }) {
+        if !self.wanted() {
             return;
         }
         if let Some(problem) = self.must_disarm() {
             self.begin_disarm(STATION, problem);
             return;
         }
-        self.note_torque();
         match self.must_hold() {
             Some(hold) => self.begin_hold(hold),
             None if !matches!(self.hold, Some(Hold::Workspace(_))) => self.hold = None,
@@ -405,20 +434,50 @@ impl Supervisor {
         if self.lead == Lead::Ending && self.hold.is_none() {
             self.try_to_end_lead();
         }
-        if matches!(self.state, State::Arming { .. }) && self.joints.iter().all(|joint| joint.torque_seen) {
+        if matches!(self.state, State::LettingGo) && !self.still_lets_go() {
+            // Limp joints may have gone anywhere meanwhile.
+            match self.not_ready(now_ns) {
+                Some(problem) => _ = self.begin_disarm(STATION, problem),
+                None => self.ask_for_torque(),
+            }
+        }
+        if matches!(self.state, State::Arming { .. })
+            && (0..self.joints.len()).all(|dof| self.joints[dof].holds || self.shows_torque(dof))
+        {
+            self.joints.iter_mut().for_each(|joint| joint.holds = true);
             self.state = State::Armed { since_ns: now_ns };
         }
     }
 
-    /// Joints that report torque since they were asked for it.
-    fn note_torque(&mut self) {
-        for (joint, telemetry) in self.joints.iter_mut().zip(&self.telemetry.joints) {
-            if let Some(reading) =
-                telemetry.reading.filter(|reading| reading.received_ns > joint.torque_asked_ns)
-            {
-                joint.torque_seen |= reading.torque_on != Some(false);
-            }
+    fn sign_of_life(&mut self) {
+        (self.heartbeat_ns, self.operator_gone) = (self.now_ns, false);
+    }
+
+    /// Whether a motor has not yet reported that it let go since torque went off. What it reports until then is of the
+    /// time before, and would look like a motor that holds and then lets go. One that never lets go, as an arm that
+    /// another program has switched on, is not waited for.
+    fn still_lets_go(&self) -> bool {
+        let Some(since_ns) = self.limp_since_ns else { return true };
+        let mut readings = self.telemetry.joints.iter().filter_map(|joint| joint.reading);
+        self.now_ns.saturating_sub(since_ns) < LETTING_GO_NS
+            && readings.any(|reading| reading.received_ns <= since_ns || reading.torque_on == Some(true))
+    }
+
+    /// Torque comes up where the joints are now.
+    fn ask_for_torque(&mut self) {
+        self.follow_readings();
+        for joint in &mut self.joints {
+            (joint.target, joint.torque_asked_ns) = (None, self.now_ns);
         }
+        self.last_tick_ns = Some(self.now_ns);
+        self.state = State::Arming { since_ns: self.now_ns };
+    }
+
+    /// Whether its motor holds the joint, by a reading taken since it was asked to.
+    fn shows_torque(&self, dof: usize) -> bool {
+        let asked_ns = self.joints[dof].torque_asked_ns;
+        let reading = self.telemetry.joints[dof].reading.filter(|reading| reading.received_ns > asked_ns);
+        reading.is_some_and(|reading| reading.torque_on != Some(false))
     }
 
     fn begin_hold(&mut self, hold: Hold) {
@@ -445,7 +504,7 @@ impl Supervisor {
 
     /// Brakes, then torque off; whether there was any.
     fn begin_disarm(&mut self, who: &str, because: String) -> bool {
-        if !matches!(self.state, State::Arming { .. } | State::Armed { .. }) {
+        if !self.wanted() {
             return false;
         }
         let what = if because.is_empty() { "disarm".to_owned() } else { format!("disarm: {because}") };
@@ -453,7 +512,8 @@ impl Supervisor {
         for joint in &mut self.joints {
             joint.target = None;
         }
-        (self.state, self.hold, self.lead) = (State::Disarming, None, Lead::Off);
+        self.state = if self.energised() { State::Disarming } else { State::Disarmed };
+        (self.hold, self.lead) = (None, Lead::Off);
         self.lead_notice.clear();
         self.disarmed_because = because;
         true
@@ -508,7 +568,7 @@ impl Supervisor {
         self.lead_notice.clear();
         let now_ns = self.now_ns;
         for joint in self.joints.iter_mut().filter(|joint| joint.carrier) {
-            (joint.torque_asked_ns, joint.torque_seen) = (now_ns, false);
+            (joint.torque_asked_ns, joint.holds) = (now_ns, false);
         }
         self.state = State::Arming { since_ns: now_ns };
     }
@@ -587,6 +647,13 @@ impl Hold {
             Self::Telemetry(problem) | Self::Workspace(problem) => problem,
         }
     }
+}
+
+/// Silence of operators, readings or setpoints after which disarming begins, s, so that torque is off by
+/// `disarm_after_s`. Joints hold before, whatever the times of the station are.
+pub fn disarm_begins_s(config: &SafetyConfig) -> f64 {
+    let ahead_s = config.disarm_after_s - DISARM_AHEAD_NS as f64 * 1e-9;
+    ahead_s.max(config.heartbeat_ttl_s).max(config.telemetry_ttl_s).max(config.command_ttl_s)
 }
 
 fn nanoseconds(seconds: f64) -> u64 {

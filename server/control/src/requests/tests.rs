@@ -219,7 +219,10 @@ fn tare_and_faults_are_left_to_the_loop() {
 #[test]
 fn a_connection_that_is_lost_gives_nothing_back_and_keeps_nothing_alive() {
     let (mut scene, lease) = Scene::armed();
-    scene.desk.lost(1);
+    scene.desk.lost(scene.now_ns, &mut scene.supervisor, 2);
+    assert_eq!(scene.phase(), Phase::Armed, "that one moves nothing");
+    scene.desk.lost(scene.now_ns, &mut scene.supervisor, 1);
+    assert_eq!(scene.phase(), Phase::Holding);
     assert_eq!(scene.supervisor.status(scene.now_ns).lease, Some(Lease(lease)));
     // Whoever comes back under the same number starts anew.
     scene.sequences.clear();

@@ -9,7 +9,6 @@ fn unplug(device: &str) -> String {
 }
 
 #[test]
-#[ignore = "waits without end for a device to come back since servos that tripped may be armed again; run it by name"]
 fn every_device_may_be_unplugged_and_comes_back() {
     let bench = Bench::new();
     let mut operator = Operator::watcher(&bench, 1);

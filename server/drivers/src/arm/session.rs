@@ -27,8 +27,6 @@ const ENABLE_ANSWER_NS: u64 = 5_000_000_000;
 const SILENT_NS: u64 = 1_000_000_000;
 /// Nothing is commanded on reports that are older than this, ns.
 const BLIND_NS: u64 = 250_000_000;
-/// Nobody commands any more: then the arm is stopped for good, ns after the last order expired.
-const ABANDONED_NS: u64 = 1_000_000_000;
 /// A stop is said again this often until the reports show it, ns.
 const STOP_AGAIN_NS: u64 = 100_000_000;
 /// From then on a stop without effect is a fault, ns.
@@ -87,7 +85,7 @@ pub(super) enum Phase {
     /// The operator's hands move it.
     LeadThrough,
     /// Told to stop until the reports show it and the joints are still.
-    Stopping { since_ns: u64, sent_ns: Option<u64>, still_since_ns: Option<u64> },
+    Stopping { since_ns: u64, sent_ns: Option<u64> },
     /// Motors are being switched off.
     Disabling,
 }
@@ -127,7 +125,8 @@ struct Seen {
     state: u8,
     mode: u8,
     joints_rad: Vec<f64>,
-    is_still: bool,
+    /// Since which report the joints have been still.
+    still_since_ns: Option<u64>,
 }
 
 /// A conversation with one box, over as many connections as it takes.
@@ -137,6 +136,8 @@ pub(crate) struct Session {
     joints: Vec<String>,
     follower: Follower,
     limits: Limits,
+    /// Nobody commands any more: then the arm is stopped for good, ns after the last order expired.
+    hold_ns: u64,
     decoder: FrameDecoder,
     output: Vec<u8>,
     asked: VecDeque<Asked>,
@@ -170,12 +171,13 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    /// A session with an arm of these joints.
-    pub(crate) fn new(joints: Vec<String>, limits: Limits) -> Self {
+    /// A session with an arm of these joints, which holds for `hold_ns` once orders have dried up.
+    pub(crate) fn new(joints: Vec<String>, limits: Limits, hold_ns: u64) -> Self {
         Self {
             joints,
             follower: Follower::new(limits.clone()),
             limits,
+            hold_ns,
             decoder: FrameDecoder::default(),
             output: Vec::new(),
             asked: VecDeque::new(),
@@ -247,7 +249,10 @@ impl Session {
             None => {}
         }
         let moved_by_others = self.phase == Phase::Idle
-            && self.seen.as_ref().is_some_and(|seen| seen.state == state::MOVING && !seen.is_still);
+            && self
+                .seen
+                .as_ref()
+                .is_some_and(|seen| seen.state == state::MOVING && seen.still_since_ns.is_none());
         let problem = if !self.note.is_empty() {
             self.note.clone()
         } else if self.warning != 0 {
@@ -260,9 +265,10 @@ impl Session {
         (Link::Ready, problem)
     }
 
-    /// Whether the motors hold the joints, as far as answers and reports tell.
+    /// Whether the motors hold the joints, as far as answers and reports tell. Those that were told to switch off hold
+    /// until they have said that they are off.
     pub(crate) fn torque_on(&self) -> bool {
-        self.enabled
+        self.enabled || matches!(self.phase, Phase::Stopping { .. } | Phase::Disabling)
     }
 
     /// Model, serial numbers and firmware, as far as they are known.
@@ -291,12 +297,14 @@ impl Session {
     /// Takes a report that came at `received_ns`; the joints move at up to `fastest_rad_per_sec`.
     pub(crate) fn report(&mut self, received_ns: u64, report: &Report, fastest_rad_per_sec: f64) {
         let num_joints = self.joints.len().min(NUM_JOINT_SLOTS);
+        let is_still = fastest_rad_per_sec.abs() < STILL_RAD_PER_SEC;
+        let still_since_ns = self.seen.as_ref().and_then(|seen| seen.still_since_ns).or(Some(received_ns));
         self.seen = Some(Seen {
             at_ns: received_ns,
             state: report.state,
             mode: report.mode,
             joints_rad: report.joint_rad[..num_joints].to_vec(),
-            is_still: fastest_rad_per_sec.abs() < STILL_RAD_PER_SEC,
+            still_since_ns: still_since_ns.filter(|_| is_still),
         });
         if let Some(safety) = &report.safety {
             self.safety(received_ns, safety);
@@ -353,7 +361,7 @@ impl Session {
         self.clear_if_asked(now_ns);
         let wants = valid.filter(|order| order.torque && !self.needs_disarm && self.fault.is_none());
         let abandoned =
-            self.ordered_ns.is_none_or(|ordered_ns| now_ns.saturating_sub(ordered_ns) > ABANDONED_NS);
+            self.ordered_ns.is_none_or(|ordered_ns| now_ns.saturating_sub(ordered_ns) > self.hold_ns);
         let limp = order.is_none_or(|order| !order.torque) || abandoned || self.needs_disarm;
         match self.phase {
             Phase::Hello => {}
@@ -385,9 +393,7 @@ impl Session {
                     self.engage(now_ns, Step::Mode, order);
                 }
             }
-            Phase::Stopping { since_ns, sent_ns, still_since_ns } => {
-                self.keep_stopping(now_ns, since_ns, sent_ns, still_since_ns);
-            }
+            Phase::Stopping { since_ns, sent_ns } => self.keep_stopping(now_ns, since_ns, sent_ns),
             Phase::Disabling => {}
         }
         // Answers to targets say by their flags when there is something to look at.
@@ -551,17 +557,11 @@ impl Session {
     }
 
     fn stop(&mut self, now_ns: u64) {
-        self.phase = Phase::Stopping { since_ns: now_ns, sent_ns: None, still_since_ns: None };
-        self.keep_stopping(now_ns, now_ns, None, None);
+        self.phase = Phase::Stopping { since_ns: now_ns, sent_ns: None };
+        self.keep_stopping(now_ns, now_ns, None);
     }
 
-    fn keep_stopping(
-        &mut self,
-        now_ns: u64,
-        since_ns: u64,
-        mut sent_ns: Option<u64>,
-        mut still_since_ns: Option<u64>,
-    ) {
+    fn keep_stopping(&mut self, now_ns: u64, since_ns: u64, mut sent_ns: Option<u64>) {
         let seen = self.seen.as_ref();
         let shown = seen.is_some_and(|seen| {
             sent_ns.is_some_and(|_| seen.at_ns > since_ns)
@@ -577,15 +577,15 @@ impl Session {
                 self.fault = Some(Fault::Passing(problem.to_owned()));
             }
         }
-        let is_still = shown && seen_is_still(self.seen.as_ref());
-        still_since_ns = if is_still { still_since_ns.or(Some(now_ns)) } else { None };
-        let is_over = still_since_ns.is_some_and(|still_ns| now_ns.saturating_sub(still_ns) >= STILL_NS)
-            || (shown && now_ns.saturating_sub(since_ns) >= STILL_AT_LAST_NS);
+        // An arm that held before it was stopped has been still since then.
+        let still_since_ns = self.seen.as_ref().and_then(|seen| seen.still_since_ns);
+        let is_still = still_since_ns.is_some_and(|still_ns| now_ns.saturating_sub(still_ns) >= STILL_NS);
+        let is_over = shown && (is_still || now_ns.saturating_sub(since_ns) >= STILL_AT_LAST_NS);
         self.phase = if is_over {
             self.ask(now_ns, &Command::MotionEnable { joint: 8, on: 0 });
             Phase::Disabling
         } else {
-            Phase::Stopping { since_ns, sent_ns, still_since_ns }
+            Phase::Stopping { since_ns, sent_ns }
         };
     }
 
@@ -614,7 +614,3 @@ impl Session {
 
 /// Register of targets in servo mode.
 const SERVO_JOINTS: u8 = 0x1D;
-
-fn seen_is_still(seen: Option<&Seen>) -> bool {
-    seen.is_some_and(|seen| seen.is_still)
-}

@@ -16,6 +16,7 @@ fn driven(emulated: &Emulated, report_port: u16) -> Driven {
         dofs: Arc::from([0, 1, 2, 3, 4, 5]),
         joints: (1..=6).map(|number| format!("joint{number}")).collect(),
         limits: Limits { rad_per_sec: vec![0.6; 6], rad_per_sec2: vec![5.0; 6] },
+        hold_ns: 250_000_000,
     };
     Driven::start("xarm", move |context| run(context, &setup))
 }

@@ -74,7 +74,7 @@ impl Supervisor {
             return Some(problem);
         }
         let silent_ns = self.now_ns - self.heartbeat_ns;
-        if silent_ns >= self.times.disarm_after {
+        if silent_ns >= self.times.disarm_begins {
             let silent_s = silent_ns as f64 * 1e-9;
             return Some(format!("nothing was heard of the operator for {silent_s:.2} s; arm again"));
         }
@@ -89,7 +89,7 @@ impl Supervisor {
                 return Some(format!("the device of joint {name:?} is gone; plug it in again, then arm"));
             };
             let age_ns = self.now_ns.saturating_sub(reading.received_ns);
-            if age_ns >= self.times.disarm_after {
+            if age_ns >= self.times.disarm_begins {
                 let age_s = age_ns as f64 * 1e-9;
                 return Some(format!(
                     "joint {name:?} was last read {age_s:.2} s ago; check its device, then arm"
@@ -97,13 +97,14 @@ impl Supervisor {
             }
             let led = joint.carrier && self.lead != Lead::Off;
             let newer = reading.received_ns > joint.torque_asked_ns;
-            if joint.torque_seen && !led && newer && reading.torque_on == Some(false) {
+            if joint.holds && !led && newer && reading.torque_on == Some(false) {
                 return Some(format!(
                     "the motor of joint {name:?} let go; see what its device says, then arm again"
                 ));
             }
             if let State::Arming { since_ns } = self.state
-                && !joint.torque_seen
+                && !joint.holds
+                && !self.shows_torque(dof)
                 && self.now_ns - since_ns >= ARMING_NS
             {
                 return Some(format!(
@@ -116,7 +117,7 @@ impl Supervisor {
 
     /// Why joints have to stand still, with torque.
     pub(super) fn must_hold(&self) -> Option<Hold> {
-        if self.now_ns - self.heartbeat_ns >= self.times.heartbeat_ttl {
+        if self.operator_gone || self.now_ns - self.heartbeat_ns >= self.times.heartbeat_ttl {
             return Some(Hold::Heartbeat);
         }
         let late = |joint: &crate::measured::JointTelemetry| {
@@ -129,7 +130,7 @@ impl Supervisor {
 
     pub(super) fn check_targets(&self, sequence: u64, targets: &[(usize, f64)]) -> Result<(), Refusal> {
         self.following()?;
-        if matches!(self.state, State::Arming { .. }) {
+        if matches!(self.state, State::LettingGo | State::Arming { .. }) {
             return Err(Refusal::NotArmed { phase: "still being armed", todo: "wait until the motors hold" });
         }
         if sequence <= self.sequence {
@@ -168,7 +169,7 @@ impl Supervisor {
                     todo: "wait a moment, then arm",
                 });
             }
-            State::Arming { .. } | State::Armed { .. } => {}
+            State::LettingGo | State::Arming { .. } | State::Armed { .. } => {}
         }
         match &self.hold {
             Some(hold @ (Hold::Heartbeat | Hold::Telemetry(_))) => {
@@ -180,7 +181,7 @@ impl Supervisor {
 
     pub(super) fn may_lead(&self) -> Result<(), Refusal> {
         self.following()?;
-        if matches!(self.state, State::Arming { .. }) {
+        if matches!(self.state, State::LettingGo | State::Arming { .. }) {
             return Err(Refusal::NotArmed { phase: "still being armed", todo: "wait until the motors hold" });
         }
         let mut carriers = self.joints.iter().filter(|joint| joint.carrier).peekable();

@@ -46,8 +46,8 @@ impl Supervisor {
         let holder = self.desk.holder(now_ns);
         let phase = match &self.state {
             State::Disarmed => Phase::Disarmed,
-            State::Arming { .. } | State::Armed { .. } if self.hold.is_some() => Phase::Holding,
-            State::Arming { .. } => Phase::Arming,
+            _ if self.wanted() && self.hold.is_some() => Phase::Holding,
+            State::LettingGo | State::Arming { .. } => Phase::Arming,
             State::Armed { .. } => Phase::Armed,
             State::Disarming => Phase::Disarming,
             State::Stopped { .. } => Phase::Stopped,
@@ -82,7 +82,7 @@ impl Supervisor {
                 let reasons = [self.disarmed_because.clone(), problem.unwrap_or_default()];
                 reasons.into_iter().filter(|reason| !reason.is_empty()).collect::<Vec<_>>().join("; ")
             }
-            State::Arming { .. } | State::Armed { .. } => match &self.hold {
+            State::LettingGo | State::Arming { .. } | State::Armed { .. } => match &self.hold {
                 Some(hold) => hold.reason().to_owned(),
                 None => self.lead_notice.clone(),
             },

@@ -13,6 +13,8 @@ const MS: u64 = 1_000_000;
 const SETPOINT_MS: u64 = 10;
 /// They are valid for this long.
 const VALID_MS: u64 = 150;
+/// And the joints are held for so long after that.
+const HOLD_MS: u64 = 600;
 const RAD_PER_SEC: f64 = 0.6;
 
 /// What gives the setpoints: time since the bench was set up, ms, to an order.
@@ -44,7 +46,7 @@ fn bench() -> Bench {
     let client = station.connect();
     let mut bench = Bench {
         station,
-        session: Session::new(joints(), limits),
+        session: Session::new(joints(), limits, HOLD_MS * MS),
         client,
         reports: ReportDecoder::new(ReportKind::Real),
         velocities: VelocityEstimate::new(6),
@@ -266,8 +268,11 @@ fn an_arm_that_nobody_commands_any_more_is_stopped_and_waits_to_be_armed_anew() 
     bench.follow(wave);
     bench.run_ms(300);
     bench.no_more_orders();
-    bench.run_until(2500, "idle", |bench| bench.session.phase == Phase::Idle);
-    assert!(!bench.session.torque_on());
+    bench.run_ms(VALID_MS + HOLD_MS - 5);
+    assert!(bench.session.phase == Phase::Servo && bench.session.torque_on());
+    // It has been still for long enough: what is left is to stop it and to switch it off.
+    bench.run_ms(60);
+    assert!(bench.session.phase == Phase::Idle && !bench.session.torque_on());
     assert!(bench.session.link().1.contains("arm it again"), "{:?}", bench.session.link());
     let idle_ms = bench.now_ms();
     bench.stand();
@@ -290,7 +295,9 @@ fn a_stop_in_full_motion_stands_still_within_a_tenth_of_a_second_and_ends_switch
     bench.run_ms(500);
     let stop_ms = bench.now_ms();
     bench.disarm();
-    bench.run_ms(1000);
+    bench.run_ms(50);
+    assert!(bench.session.torque_on(), "motors that are being switched off may still hold");
+    bench.run_ms(950);
     assert!(bench.is_still_since(stop_ms + 100));
     assert!(bench.session.phase == Phase::Idle && !bench.session.torque_on());
     assert_eq!(bench.session.seen.as_ref().map(|seen| seen.state), Some(4));
