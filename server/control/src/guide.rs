@@ -107,6 +107,8 @@ pub(crate) struct Guide {
     problem: String,
     /// What the recorder has been asked and has not answered.
     pending: Option<Pending>,
+    /// The session is left once what is still being written or checked is done.
+    leaving: bool,
     /// The take that was set aside last, and its step.
     undo: Option<(usize, Recorded)>,
     /// Whether the fixture of the step under way is trusted.
@@ -218,6 +220,7 @@ impl Guide {
             phase: Phase::Done,
             problem: report.join("; "),
             pending: None,
+            leaving: false,
             undo,
             fixture_trusted: false,
             covered,
@@ -239,7 +242,11 @@ impl Guide {
             return Err("the session was left; begin one, or go on with this one".to_owned());
         }
         let during_take = matches!(action, RecordingAction::Note { .. } | RecordingAction::Cancel);
-        if self.pending.is_some() && !during_take {
+        let leave = matches!(action, RecordingAction::Leave);
+        if (self.pending == Some(Pending::Leave) || self.leaving) && !leave {
+            return Err("the session is being left".to_owned());
+        }
+        if self.pending.is_some() && !during_take && !leave {
             return Err("the last decision is still being written; try again in a moment".to_owned());
         }
         let effects = match action {
@@ -411,12 +418,24 @@ impl Guide {
     }
 
     fn leave(&mut self) -> Result<Vec<Effect>, String> {
-        self.refuse_while_busy()?;
+        if self.moves() {
+            return Err(self.hint());
+        }
+        self.leaving = self.pending != Some(Pending::Leave);
+        Ok(self.leave_when_done())
+    }
+
+    /// Leaves the session if that is wanted and nothing is being written or checked any more.
+    fn leave_when_done(&mut self) -> Vec<Effect> {
+        if !self.leaving || self.pending.is_some() || self.phase == Phase::Checking {
+            return Vec::new();
+        }
+        self.leaving = false;
         self.pending = Some(Pending::Leave);
-        Ok(vec![
+        vec![
             Effect::Audit(format!("session {} is left", self.session)),
             Effect::Record(RecorderCommand::EndSession),
-        ])
+        ]
     }
 
     /// The step under way if the guide is in `phase`.
@@ -472,7 +491,11 @@ impl Guide {
     /// Makes `step` the one under way.
     fn enter(&mut self, step: usize) {
         self.current = Some(step);
-        self.phase = if self.steps[step].is_some() { Phase::Review } else { Phase::PlaceObject };
+        self.phase = match &self.steps[step] {
+            Some(Recorded { verdict: None, .. }) => Phase::Checking,
+            Some(_) => Phase::Review,
+            None => Phase::PlaceObject,
+        };
     }
 
     /// Goes to the first step from `from` on that is not accepted, over the end if need be.

@@ -104,6 +104,12 @@ impl Guide {
     /// The recorder says what it has done.
     pub(crate) fn recorder(&mut self, event: RecorderEvent) -> Vec<Effect> {
         self.revision += 1;
+        let mut effects = self.recorded(event);
+        effects.extend(self.leave_when_done());
+        effects
+    }
+
+    fn recorded(&mut self, event: RecorderEvent) -> Vec<Effect> {
         match event {
             RecorderEvent::TakeStarted { take } => {
                 let recorded = Recorded { take, accepted: false, readable: None, verdict: None };
@@ -171,14 +177,19 @@ impl Guide {
             }
             RecorderEvent::Restored { take } => {
                 self.pending = None;
-                if let Some((step, recorded)) = self.undo.take_if(|(_, recorded)| recorded.take == take) {
-                    self.steps[step] = Some(Recorded { accepted: false, ..recorded });
-                    self.enter(step);
-                }
-                Vec::new()
+                let Some((step, recorded)) = self.undo.take_if(|(_, recorded)| recorded.take == take) else {
+                    return Vec::new();
+                };
+                let unchecked = recorded.verdict.is_none();
+                self.steps[step] = Some(Recorded { accepted: false, ..recorded });
+                self.enter(step);
+                let planned = self.plan.steps[step].touches.clone();
+                let check = Effect::Record(RecorderCommand::Check { take, planned });
+                if unchecked { vec![check] } else { Vec::new() }
             }
             RecorderEvent::Failed { problem } => {
-                self.pending = None;
+                // Whoever wanted to leave should see this first.
+                (self.pending, self.leaving) = (None, false);
                 self.problem = problem;
                 Vec::new()
             }

@@ -587,6 +587,65 @@ fn a_failed_decision_leaves_the_take_where_it_is() {
 }
 
 #[test]
+fn leaving_waits_for_what_is_still_being_written_or_checked() {
+    // Straight after a decision.
+    let mut bench = Bench::new();
+    bench.take();
+    bench.act(RecordingAction::Accept).unwrap();
+    bench.act(RecordingAction::Leave).unwrap();
+    bench.act(RecordingAction::Leave).unwrap();
+    assert!(bench.act(RecordingAction::Undo).unwrap_err().contains("being left"));
+    assert!(!bench.answers.contains(&RecorderEvent::SessionEnded), "{:?}", bench.answers);
+    bench.answer();
+    assert_eq!(bench.answers, [RecorderEvent::SessionEnded]);
+    assert_eq!(bench.states()[0], StepState::Accepted);
+    bench.answer();
+    assert!(bench.guide.finished());
+
+    // Straight after a motion.
+    let mut bench = Bench::new();
+    bench.run();
+    bench.act(RecordingAction::Cancel).unwrap();
+    bench.act(RecordingAction::Leave).unwrap();
+    bench.answer();
+    bench.answer();
+    assert!(bench.guide.finished() && bench.states()[0] == StepState::Review);
+
+    // What went wrong is shown instead.
+    let mut bench = Bench::new();
+    bench.take();
+    bench.act(RecordingAction::Accept).unwrap();
+    bench.act(RecordingAction::Leave).unwrap();
+    bench.put("take-01", Place::Review);
+    bench.answers = vec![RecorderEvent::Failed { problem: "disk full".to_owned() }];
+    bench.answer();
+    assert!(!bench.guide.finished() && bench.session().problem == "disk full");
+    bench.act(RecordingAction::Accept).unwrap();
+}
+
+#[test]
+fn a_take_that_was_never_checked_is_when_it_is_taken_back() {
+    let discarded = RecordedTake {
+        file: "take-01.mcap".to_owned(),
+        step: 0,
+        state: TakeState::Discarded,
+        broken_off: String::new(),
+        readable: None,
+        set_aside: 1,
+        notes: Vec::new(),
+        verdict: None,
+    };
+    let (guide, _) = Guide::new(plan(), "monday", &recording(vec![discarded]), &[]);
+    let mut bench = Bench::around(guide);
+    bench.takes.insert("take-01".to_owned(), (0, Place::Discarded));
+    bench.act(RecordingAction::Undo).unwrap();
+    bench.answer();
+    assert_eq!(bench.phase(), RecordingPhase::Checking);
+    bench.answer();
+    assert_eq!(bench.phase(), RecordingPhase::Review);
+}
+
+#[test]
 fn a_take_that_cannot_be_read_is_not_accepted() {
     let mut bench = Bench::new();
     bench.run();
@@ -629,15 +688,16 @@ fn a_session_goes_on_where_it_stood() {
         bench.takes.insert(take.to_owned(), (step, place));
     }
     let session = bench.session();
-    assert_eq!((session.current, session.phase), (Some(1), RecordingPhase::Review));
+    assert_eq!((session.current, session.phase), (Some(1), RecordingPhase::Checking));
     assert_eq!(
         (session.operator.as_str(), session.problem.as_str()),
         ("somebody", "take-03 was being recorded")
     );
-    assert_eq!((session.untouched.len(), session.can_undo), (2, true));
-    assert!(bench.act(RecordingAction::Accept).unwrap_err().contains("still being checked"));
+    assert_eq!((session.untouched.len(), session.can_undo), (2, false));
+    assert!(bench.act(RecordingAction::Accept).unwrap_err().contains("being checked"));
     bench.carry_out(effects);
     bench.answer();
+    assert!(bench.phase() == RecordingPhase::Review && bench.session().can_undo);
     bench.act(RecordingAction::Accept).unwrap();
     bench.answer();
     bench.act(RecordingAction::Undo).unwrap();
