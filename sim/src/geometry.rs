@@ -267,7 +267,7 @@ pub(crate) fn link_shape_distance_m(shape: &LinkShape, p: &Point3<f64>) -> f64 {
     }
 }
 
-fn parry_vector(p: &Point3<f64>) -> Vector {
+pub(crate) fn parry_vector(p: &Point3<f64>) -> Vector {
     Vector::new(p.x, p.y, p.z)
 }
 

@@ -6,6 +6,7 @@
 //! the same bits.
 
 pub mod actuator;
+pub mod body;
 pub mod effects;
 pub mod geometry;
 pub mod job;

@@ -2,6 +2,7 @@
 
 mod effects;
 mod live;
+mod objects;
 mod probe;
 mod replay;
 mod tactile;
