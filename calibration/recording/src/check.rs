@@ -3,6 +3,7 @@
 use std::fs;
 
 use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity, StreamCheck, TakeCheck};
+use palpate_wire::wording::counted;
 
 use crate::{RecordingError, Session, SpanKind, Take, decode::decode, session::station_difference};
 
@@ -116,8 +117,9 @@ impl Judge for CheckReport {
         }
         if stream.gaps > 0 {
             let message = format!(
-                "{} gaps, the longest {:.3} s; samples were lost, so check cable and load",
-                stream.gaps, stream.longest_gap_s
+                "{}, the longest {:.3} s; samples were lost, so check cable and load",
+                counted(stream.gaps as u64, "gap"),
+                stream.longest_gap_s
             );
             self.add(Severity::Warning, place, message);
         }

@@ -2,7 +2,7 @@
 
 use palpate_recording::{JointLog, Span, SpanKind, StreamLog, Take};
 use palpate_robot_model::{JointKind, StreamConfig};
-use palpate_wire::api::TakeVerdict;
+use palpate_wire::{api::TakeVerdict, wording::counted};
 
 /// Relative difference from a nominal rate that is no cause for doubt.
 const RATE_TOLERANCE: f64 = 0.1;
@@ -223,8 +223,8 @@ fn judge_rate(name: &str, times_s: &[f64], nominal_hz: f64, problems: &mut Vec<S
     let duration_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
     if longest_s > LONGEST_GAP_S || gaps().sum::<f64>() > MOST_GAPS_SHARE * duration_s {
         problems.push(format!(
-            "{name}: {} gaps, the longest {longest_s:.2} s; samples were lost, so check cable and load",
-            gaps().count()
+            "{name}: {}, the longest {longest_s:.2} s; samples were lost, so check cable and load",
+            counted(gaps().count() as u64, "gap")
         ));
     }
 }

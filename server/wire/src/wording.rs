@@ -94,6 +94,11 @@ pub fn percent(share: f64) -> String {
     if share.is_finite() { format!("{:.0} %", share * 100.0) } else { "\u{2013}".to_owned() }
 }
 
+/// So many things, in the singular or the plural with an s: `1 gap`, `2 gaps`.
+pub fn counted(count: u64, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+}
+
 /// A probability as people read it.
 pub fn p_value(p_value: f64) -> String {
     if p_value < 0.001 { "p < 0.001".to_owned() } else { format!("p = {p_value:.3}") }
@@ -215,6 +220,11 @@ mod tests {
             notes: Vec::new(),
             seconds: 1.0,
         }
+    }
+
+    #[test]
+    fn one_thing_is_singular() {
+        assert_eq!([0, 1, 2].map(|count| counted(count, "gap")), ["0 gaps", "1 gap", "2 gaps"]);
     }
 
     #[test]

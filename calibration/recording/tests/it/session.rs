@@ -189,7 +189,7 @@ fn a_check_reports_what_cannot_be_read_and_goes_on() {
         "Error take-02, /tactile/film: no messages",
         "Error take-03, /tactile/gel: message 11: its time 0.08 s does not come after 0.09 s",
         "Warning take-04, film: 33.3 Hz, nominal is 40.0 Hz",
-        "Warning take-04, film: 1 gaps, the longest 0.525 s",
+        "Warning take-04, film: 1 gap, the longest 0.525 s",
         "Warning take-05: no baseline span",
         "Info take-06: not accepted",
         "Error take-06, file: failed to read",

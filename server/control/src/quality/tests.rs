@@ -98,7 +98,7 @@ fn every_fault_is_named_by_itself() {
     type Change<'a> = &'a dyn Fn(&mut Take);
     let cases: Vec<(Change<'_>, &str)> = vec![
         (&|take| thin(take, 0, |sample| sample % 2 == 1), "gel: 50.0 Hz, nominal is 100.0 Hz"),
-        (&|take| thin(take, 1, |sample| (128..139).contains(&sample)), "film: 1 gaps, the longest 0.30 s"),
+        (&|take| thin(take, 1, |sample| (128..139).contains(&sample)), "film: 1 gap, the longest 0.30 s"),
         (&|take| take.streams[0].device_times_s[70] = 0.1, "gel: the device's clock went back 1 times"),
         (&|take| take.spans.clear(), "there is no baseline"),
         (
@@ -152,7 +152,7 @@ fn joints_may_be_faster_than_promised_and_their_gaps_are_found_all_the_same() {
     };
     assert!(judged(|take| fast(take, &|_| false)).good);
     let verdict = judged(|take| fast(take, &|time_s| (1.5..1.85).contains(&time_s)));
-    assert!(verdict.problems[0].starts_with("joints: 1 gaps, the longest 0.36 s"), "{verdict:#?}");
+    assert!(verdict.problems[0].starts_with("joints: 1 gap, the longest 0.36 s"), "{verdict:#?}");
     let verdict = judged(|take| {
         take.joints.times_s.iter_mut().for_each(|time_s| *time_s *= 2.0);
         take.commands = take.joints.clone();
