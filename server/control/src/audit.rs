@@ -12,6 +12,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use palpate_wire::wording::counted;
 use serde::{Deserialize, Serialize};
 
 /// Lines that may wait for the disk. A station writes a few a minute; who fills this is out of order.
@@ -59,8 +60,18 @@ impl AuditLog {
 
     /// Notes that `who` did `what` at the station's time `at_ns`. Never waits.
     pub(crate) fn note(&mut self, at_ns: u64, who: &str, what: &str) {
-        let time = rfc3339_utc(self.began + Duration::from_nanos(at_ns));
         tracing::info!(who, what, "audit");
+        self.append(at_ns, who, what);
+    }
+
+    /// Notes trouble at the station's time `at_ns`. Never waits.
+    pub(crate) fn warn(&mut self, at_ns: u64, who: &str, what: &str) {
+        tracing::warn!(who, what, "audit");
+        self.append(at_ns, who, what);
+    }
+
+    fn append(&mut self, at_ns: u64, who: &str, what: &str) {
+        let time = rfc3339_utc(self.began + Duration::from_nanos(at_ns));
         let line = AuditLine { time, who: who.to_owned(), what: what.to_owned() };
         if let Some(Err(TrySendError::Full(_) | TrySendError::Disconnected(_))) =
             self.lines.as_ref().map(|lines| lines.try_send(line))
@@ -75,7 +86,9 @@ impl AuditLog {
         match (problem.is_empty(), self.num_lost) {
             (false, _) => problem,
             (true, 0) => String::new(),
-            (true, lost) => format!("the audit log lost {lost} lines, because the disk is too slow"),
+            (true, lost) => {
+                format!("the audit log lost {}, because the disk is too slow", counted(lost, "line"))
+            }
         }
     }
 }

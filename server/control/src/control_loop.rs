@@ -12,7 +12,10 @@ use std::{
 use palpate_drivers::{DeviceEvent, Devices, HostClock};
 use palpate_robot_model::Station;
 use palpate_safety::Supervisor;
-use palpate_wire::proto::{ControlReply, ControlRequest, LiveFrame};
+use palpate_wire::{
+    proto::{ControlReply, ControlRequest, LiveFrame},
+    wording::counted,
+};
 
 use crate::{
     audit::AuditLog,
@@ -200,8 +203,12 @@ impl ControlLoop {
                 let StreamSample { stream, host_ns, device_ns, raw, active } = &sample;
                 self.guided.recorder.tactile(*stream, *host_ns, *device_ns, raw, active);
             }
-            Some(Sensed::Link { device, text }) => {
-                self.audit.note(self.clock.now_ns(), STATION, &format!("{device} {text}"));
+            Some(Sensed::Link { device, text, trouble }) => {
+                let (now_ns, what) = (self.clock.now_ns(), format!("{device} {text}"));
+                match trouble {
+                    true => self.audit.warn(now_ns, STATION, &what),
+                    false => self.audit.note(now_ns, STATION, &what),
+                }
             }
             None => {}
         }
@@ -210,7 +217,7 @@ impl ControlLoop {
     fn finish_tare(&mut self, now_ns: u64) {
         let Some(outcome) = self.senses.streams.finish_tare(now_ns) else { return };
         let who = std::mem::take(&mut self.tare_for);
-        let mut what = format!("took the zero of {} tactile boards", outcome.num_boards);
+        let mut what = format!("took the zero of {}", counted(outcome.num_boards as u64, "tactile board"));
         for problem in &outcome.problems {
             what.push_str("; ");
             what.push_str(problem);

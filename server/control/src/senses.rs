@@ -35,6 +35,8 @@ struct DeviceLink {
     dofs: Vec<usize>,
     link: Link,
     problem: String,
+    /// What was said of it last.
+    told: String,
 }
 
 /// What came of an event.
@@ -44,8 +46,8 @@ pub(crate) enum Sensed {
     Joints(JointFrame),
     /// A sample of a stream.
     Tactile(StreamSample),
-    /// A device is found, lost or faulty; in words for the audit log.
-    Link { device: String, text: String },
+    /// A device is found, lost or faulty; in words for the audit log, and whether that is trouble.
+    Link { device: String, text: String, trouble: bool },
 }
 
 impl Senses {
@@ -68,6 +70,7 @@ impl Senses {
             dofs: device.dofs(),
             link: Link::Connecting,
             problem: String::new(),
+            told: String::new(),
         });
         Self {
             streams: Streams::new(station, &boards, REFERENCE_NS),
@@ -119,7 +122,6 @@ impl Senses {
             }
             DeviceEvent::Link { device, link, problem, .. } => {
                 let known = self.links.get_mut(*device)?;
-                let changed = known.link != *link || known.problem != *problem;
                 known.link = *link;
                 known.problem.clone_from(problem);
                 // A board that is missing is no reason not to move; a motor is.
@@ -136,7 +138,11 @@ impl Senses {
                     // Said again and again while it is looked for.
                     Link::Connecting => return None,
                 };
-                changed.then(|| Sensed::Link { device: known.id.clone(), text })
+                let trouble = *link != Link::Ready;
+                // One that is ready may be slow, now more and now less so: that is for pages alone.
+                let is_news = text != known.told;
+                known.told.clone_from(&text);
+                is_news.then(|| Sensed::Link { device: known.id.clone(), text, trouble })
             }
         }
     }
@@ -170,5 +176,38 @@ impl DeviceLink {
             (_, problem) => problem,
         }
         .to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn what_is_no_news_of_a_device_is_not_said_again() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/stations");
+        let read = |path: &str| std::fs::read(dir.join(path)).map_err(|err| err.to_string());
+        let station = Station::read("xarm6_leap.toml", read).expect("the shipped station reads");
+        let mut senses = Senses::new(&station);
+        let mut said = |link, problem: &str| {
+            let event = DeviceEvent::Link { device: 0, at_ns: 0, link, problem: problem.to_owned() };
+            match senses.event(&event) {
+                Some(Sensed::Link { text, trouble, .. }) => Some((text, trouble)),
+                _ => None,
+            }
+        };
+        let ready = Some(("is ready".to_owned(), false));
+        assert_eq!(said(Link::Connecting, ""), None);
+        assert_eq!(said(Link::Ready, ""), ready);
+        assert_eq!(said(Link::Ready, "answers take 6.1 ms"), None);
+        assert_eq!(said(Link::Ready, "answers take 6.3 ms"), None);
+        assert_eq!(said(Link::Lost, "silent"), Some(("is lost: silent".to_owned(), true)));
+        assert_eq!(said(Link::Lost, "silent"), None);
+        assert_eq!(said(Link::Connecting, ""), None);
+        assert_eq!(said(Link::Lost, "silent"), None);
+        assert_eq!(said(Link::Lost, "no such port"), Some(("is lost: no such port".to_owned(), true)));
+        assert_eq!(said(Link::Ready, ""), ready);
     }
 }

@@ -42,10 +42,8 @@ impl DeviceContext {
     pub(crate) fn link(&self, link: Link, problem: impl Into<String>) {
         let (at_ns, problem) = (self.clock.now_ns(), problem.into());
         if self.health.set_link(at_ns, link, &problem) {
-            match link {
-                Link::Lost | Link::Fault => tracing::warn!(device = %self.id, ?link, %problem),
-                Link::Connecting | Link::Ready => tracing::info!(device = %self.id, ?link, %problem),
-            }
+            // Whoever gets the event tells the operator.
+            tracing::debug!(device = %self.id, ?link, %problem);
             self.send(DeviceEvent::Link { device: self.index, at_ns, link, problem });
         }
     }
