@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use palpate_robot_model::Station;
+use palpate_robot_model::{DeviceConfig, DeviceKind, Station};
 
 use crate::clock::Stop;
 use crate::devices::{Devices, Ports};
@@ -17,12 +17,16 @@ const FIND: Duration = Duration::from_secs(6);
 /// And are watched for this long.
 const WATCH: Duration = Duration::from_secs(3);
 const STEP: Duration = Duration::from_millis(100);
+/// Fewer samples than this share of those expected are too few.
+const SLOW_SHARE: f64 = 0.9;
 
 /// What was found of one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceCheck {
-    /// Whether it can be reached and nothing is wrong with it.
+    /// Whether it can be reached and has no fault.
     pub ok: bool,
+    /// What to know of one that works: it is slower than it should be, or something slows it down.
+    pub warnings: Vec<String>,
     /// How it was at the end: link, problem with advice, rates, motors with identity, temperature and voltage.
     pub health: DeviceHealth,
 }
@@ -40,11 +44,34 @@ pub fn probe(station: &Arc<Station>, ports: &Ports) -> Result<Vec<DeviceCheck>, 
     }
     pause.wait(WATCH);
     drop(received);
-    let check = |health: DeviceHealth| DeviceCheck {
-        ok: health.link == Link::Ready && health.problem.is_empty(),
-        health,
-    };
-    Ok(devices.health().into_iter().map(check).collect())
+    let health = devices.health().into_iter().zip(&station.devices);
+    Ok(health.map(|(health, config)| check(health, nominal_rate_hz(station, config))).collect())
+}
+
+fn check(mut health: DeviceHealth, nominal_rate_hz: Option<f64>) -> DeviceCheck {
+    let ok = health.link == Link::Ready;
+    let mut warnings = Vec::new();
+    if ok {
+        warnings.extend(std::mem::take(&mut health.problem).lines().map(str::to_owned));
+        warnings.extend(nominal_rate_hz.and_then(|nominal_hz| slow(health.rate_hz, nominal_hz)));
+    }
+    DeviceCheck { ok, warnings, health }
+}
+
+/// That so many samples a second are too few, if they are.
+fn slow(rate_hz: f64, nominal_hz: f64) -> Option<String> {
+    (rate_hz < SLOW_SHARE * nominal_hz).then(|| {
+        format!("{rate_hz:.0} samples/s, expected {nominal_hz:.0}: the line is slow, or the computer is busy")
+    })
+}
+
+/// Samples a second that the station's files promise; `None` where they promise none.
+fn nominal_rate_hz(station: &Station, device: &DeviceConfig) -> Option<f64> {
+    match &device.kind {
+        DeviceKind::Dynamixel(bus) => Some(bus.rate_hz),
+        DeviceKind::Lines(board) => Some(station.layout.streams.get(board.stream_idx)?.rate_hz),
+        DeviceKind::Xarm(_) => None,
+    }
 }
 
 impl fmt::Display for DeviceCheck {
@@ -60,10 +87,13 @@ impl fmt::Display for DeviceCheck {
         for line in health.problem.lines() {
             writeln!(f, "    {line}")?;
         }
+        for warning in &self.warnings {
+            writeln!(f, "    warning: {warning}")?;
+        }
         if health.link.is_connected() {
             writeln!(
                 f,
-                "    {:.0} samples/s (worst second {:.0}), {} gaps, {} bad frames",
+                "    {:.0} samples/s (worst second {:.0}), missed: {}, bad frames: {}",
                 health.rate_hz, health.rate_worst_hz, health.gaps, health.bad_frames
             )?;
         }
@@ -78,5 +108,31 @@ impl fmt::Display for DeviceCheck {
             writeln!(f)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_that_works_slowly_is_warned_of_and_one_that_is_lost_is_not_ok() {
+        let device = |link, rate_hz, problem: &str| DeviceHealth {
+            link,
+            rate_hz,
+            problem: problem.to_owned(),
+            ..DeviceHealth::default()
+        };
+        let found = check(device(Link::Ready, 63.0, "answers take 8.0 ms"), Some(100.0));
+        assert!(found.ok && found.health.problem.is_empty(), "{found:?}");
+        let text = found.to_string();
+        assert!(text.contains("warning: answers take 8.0 ms"), "{text}");
+        assert!(text.contains("warning: 63 samples/s, expected 100: "), "{text}");
+        let found = check(device(Link::Ready, 95.0, ""), Some(100.0));
+        assert!(found.ok && found.warnings.is_empty(), "{found:?}");
+        for link in [Link::Lost, Link::Fault, Link::Connecting] {
+            let found = check(device(link, 0.0, "no such port"), Some(100.0));
+            assert!(!found.ok && found.warnings.is_empty() && found.health.problem == "no such port");
+        }
     }
 }

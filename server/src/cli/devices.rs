@@ -58,7 +58,7 @@ pub(super) fn run(command: &DevicesCommand) -> Outcome {
     }
 }
 
-/// Exit code 1 if any device is missing or has something wrong.
+/// Exit code 1 if any device is missing or has a fault; one that is slow is warned of.
 fn check(args: &CheckArgs) -> Outcome {
     let Some((station, ports)) = args.station.open()? else {
         return Err(Error::Argument("--station says which devices to look for".to_owned()));
@@ -100,6 +100,7 @@ fn document(device: &DeviceCheck) -> Value {
         .collect();
     json!({
         "id": health.id, "kind": health.kind, "ok": device.ok, "link": link, "problem": health.problem,
+        "warnings": device.warnings,
         "rate_hz": health.rate_hz, "rate_worst_hz": health.rate_worst_hz, "gaps": health.gaps,
         "bad_frames": health.bad_frames, "clock_skew_ppm": health.clock_skew_ppm, "motors": motors,
     })

@@ -24,14 +24,8 @@ fn device<'a>(document: &'a Value, id: &str) -> &'a Value {
 fn devices_that_are_there_are_told_and_so_is_what_is_missing() {
     let Some(tools) = Tools::find() else { return };
     let bench = Bench::start().unwrap();
-    // Where the machine has much else to do, answers are late, and that is told too.
-    let (mut found, mut code) = check(&tools, &bench);
-    for _ in 0..10 {
-        if code == Some(0) {
-            break;
-        }
-        (found, code) = check(&tools, &bench);
-    }
+    // Where the machine has much else to do, answers are late: that is warned of.
+    let (found, code) = check(&tools, &bench);
     assert_eq!((&found["ok"], code), (&Value::Bool(true), Some(0)), "{found}");
     let station = bench.control.station();
     let devices = found["devices"].as_array().unwrap();
