@@ -1,85 +1,114 @@
-//! The box that the tactile skin may move in.
+//! The box that the robot may move in.
 
-use palpate_robot_model::{Station, SurfaceNode, WorkspaceBox};
+use nalgebra::{Isometry3, Point3};
+use palpate_robot_model::{LinkGeometry, LinkShape, Station, WorkspaceBox};
 
-/// A point that gets this much further out by rounding has not moved, m.
+/// What gets this much further out by rounding has not moved, m.
 const ROUNDING_M: f64 = 1e-9;
 
-/// Watches the skin: for each patch, the corners of the box around its surface nodes, in the frame of its link.
+/// Watches every collision shape of the links, and for each patch of skin the box around its surface nodes.
 ///
-/// Where all corners are within the workspace, so are the nodes: both boxes are convex.
+/// A shape is within the workspace where its lowest and highest coordinates are.
 #[derive(Clone, Debug)]
 pub(crate) struct Workspace {
     bounds: WorkspaceBox,
-    /// Index of the patch and of its link.
-    corners: Vec<(usize, usize, SurfaceNode)>,
+    bodies: Vec<Body>,
 }
 
-/// How far a point is outside, with the point.
+/// Something that stays within the workspace.
+#[derive(Clone, Debug)]
+struct Body {
+    part: Part,
+    /// Index of the link that it is fixed to.
+    link: usize,
+    geometry: LinkGeometry,
+}
+
+/// What a body belongs to, by index.
+#[derive(Clone, Copy, Debug)]
+enum Part {
+    Link(usize),
+    Patch(usize),
+}
+
+/// How far each body is outside on each side, with its lowest and highest coordinates.
 #[derive(Clone, Debug)]
 pub(crate) struct Outside {
-    depths_m: Vec<f64>,
-    positions: Vec<[f64; 3]>,
+    reaches: Vec<[Point3<f64>; 2]>,
 }
 
 impl Workspace {
     pub(crate) fn of(station: &Station) -> Option<Self> {
         let bounds = station.safety.workspace?;
-        let mut corners = Vec::new();
-        for (patch_idx, patch) in station.layout.patches.iter().enumerate() {
-            let Some(&node) = patch.nodes.first() else { continue };
-            let (mut min, mut max) = (node.pos_in_link, node.pos_in_link);
-            for node in &patch.nodes {
-                min = min.inf(&node.pos_in_link);
-                max = max.sup(&node.pos_in_link);
-            }
-            for corner in 0..8_usize {
-                let mut at = node;
-                for axis in 0..3 {
-                    at.pos_in_link[axis] = if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
-                }
-                corners.push((patch_idx, patch.link, at));
-            }
-        }
-        Some(Self { bounds, corners })
+        let links = station.robot.links.iter().enumerate().flat_map(|(link, shapes)| {
+            let body = move |geometry: &LinkGeometry| Body {
+                part: Part::Link(link),
+                link,
+                geometry: geometry.clone(),
+            };
+            shapes.collisions.iter().map(body)
+        });
+        let patches = station.layout.patches.iter().enumerate().filter_map(|(patch_idx, patch)| {
+            let first = patch.nodes.first()?.pos_in_link;
+            let around = |[min, max]: [Point3<f64>; 2], pos: Point3<f64>| [min.inf(&pos), max.sup(&pos)];
+            let [min, max] = patch.nodes.iter().map(|node| node.pos_in_link).fold([first; 2], around);
+            let centre = nalgebra::center(&min, &max);
+            let geometry = LinkGeometry {
+                link_from_shape: Isometry3::translation(centre.x, centre.y, centre.z),
+                shape: LinkShape::Box { size_m: (max - min).into() },
+                rgba: None,
+            };
+            Some(Body { part: Part::Patch(patch_idx), link: patch.link, geometry })
+        });
+        Some(Self { bounds, bodies: links.chain(patches).collect() })
     }
 
-    /// How far each corner is outside with the joints at `positions`.
+    /// Where each body is with the joints at `positions`.
     pub(crate) fn outside(&self, station: &Station, positions: &[f64]) -> Outside {
         let mut root_from_link = Vec::new();
         station.robot.forward_kinematics(positions, &mut root_from_link);
-        let (mut depths_m, mut found) =
-            (Vec::with_capacity(self.corners.len()), Vec::with_capacity(self.corners.len()));
-        for (_, link, corner) in &self.corners {
-            let at = root_from_link[*link] * corner.pos_in_link;
-            let beyond =
-                |axis: usize| (self.bounds.min_m[axis] - at[axis]).max(at[axis] - self.bounds.max_m[axis]);
-            depths_m.push((0..3).map(beyond).fold(0.0, f64::max));
-            found.push([at.x, at.y, at.z]);
-        }
-        Outside { depths_m, positions: found }
+        let reaches = self.bodies.iter().map(|body| body.geometry.bounds(&root_from_link[body.link]));
+        Outside { reaches: reaches.collect() }
     }
 
-    /// Why the skin may not go from `now` to `next`: a point that would be outside, and further so than it is.
+    /// Why the robot may not go from `now` to `next`: a body that would be outside, and on that side further so than it
+    /// is.
     pub(crate) fn objection(&self, station: &Station, now: &Outside, next: &Outside) -> Option<String> {
-        let worse = |i: &usize| next.depths_m[*i] > now.depths_m[*i] + ROUNDING_M;
-        let worst = (0..self.corners.len())
-            .filter(worse)
-            .max_by(|a, b| next.depths_m[*a].total_cmp(&next.depths_m[*b]))?;
-        let patch = &station.layout.patches[self.corners[worst].0];
-        let at = next.positions[worst];
-        let axis =
-            (0..3).find(|&axis| at[axis] < self.bounds.min_m[axis] || at[axis] > self.bounds.max_m[axis])?;
-        let (side, limit) = if at[axis] < self.bounds.min_m[axis] {
-            ("below", self.bounds.min_m[axis])
-        } else {
-            ("above", self.bounds.max_m[axis])
+        let bodies = self.bodies.iter().zip(now.reaches.iter().zip(&next.reaches));
+        let worse = bodies.flat_map(|(body, (now, next))| {
+            let sides = (0..3).flat_map(|axis| [(axis, Side::Below), (axis, Side::Above)]);
+            sides.filter_map(move |(axis, side)| {
+                let depth_m = self.depth_m(next, axis, side);
+                let is_worse = depth_m > self.depth_m(now, axis, side).max(0.0) + ROUNDING_M;
+                is_worse.then_some((depth_m, body.part, axis, side, next))
+            })
+        });
+        let (_, part, axis, side, reach) = worse.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let what = match part {
+            Part::Link(link) => format!("link {:?}", station.robot.links[link].name),
+            Part::Patch(patch) => format!("patch {:?}", station.layout.patches[patch].id),
+        };
+        let (at_m, side, limit_m) = match side {
+            Side::Below => (reach[0][axis], "below", self.bounds.min_m[axis]),
+            Side::Above => (reach[1][axis], "above", self.bounds.max_m[axis]),
         };
         Some(format!(
-            "patch {:?} would leave the workspace: {} = {:.3} m is {side} {limit:.3} m; move it another way",
-            patch.id,
+            "{what} would leave the workspace: {} = {at_m:.3} m is {side} {limit_m:.3} m; move it another way",
             ["x", "y", "z"][axis],
-            at[axis]
         ))
     }
+
+    /// How far what reaches from `reach[0]` to `reach[1]` is outside, m; negative inside.
+    fn depth_m(&self, reach: &[Point3<f64>; 2], axis: usize, side: Side) -> f64 {
+        match side {
+            Side::Below => self.bounds.min_m[axis] - reach[0][axis],
+            Side::Above => reach[1][axis] - self.bounds.max_m[axis],
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Side {
+    Below,
+    Above,
 }

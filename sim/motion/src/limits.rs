@@ -9,7 +9,7 @@ use crate::{PlanError, TakeMotion};
 
 /// Fraction of a limit that planned motions use: what follows them has something left to catch up with.
 const USED_FRACTION: f64 = 0.9;
-/// How often along a motion the skin is looked for outside the workspace, s: it moves by millimetres in between.
+/// How often along a motion skin and links are looked for outside the workspace, s: they move by millimetres in between.
 const WORKSPACE_PERIOD_S: f64 = 0.02;
 
 /// Limits of every degree of freedom, in the station's order.
@@ -97,26 +97,37 @@ impl MotionLimits {
     }
 }
 
-/// Why `motion` leaves the station's workspace, if it does: which patch, where and when.
+/// Why `motion` leaves the station's workspace, if it does: which patch or link, where and when.
 pub(crate) fn outside(station: &Station, motion: &TakeMotion) -> Option<String> {
     let WorkspaceBox { min_m, max_m } = station.safety.workspace?;
     let mut positions = motion.start().to_vec();
     let mut frames = Vec::new();
     let steps = (motion.duration_s() / WORKSPACE_PERIOD_S).ceil() as usize;
+    let is_out = |pos: &Point3<f64>| (0..3).any(|axis| !(min_m[axis]..=max_m[axis]).contains(&pos[axis]));
+    // What never moves, as the foot of an arm, has its place.
+    let mut standing = Vec::new();
+    station.robot.forward_kinematics(motion.start(), &mut standing);
     (0..=steps).find_map(|step| {
         let time_s = step as f64 * WORKSPACE_PERIOD_S;
         motion.at(time_s, &mut positions);
         station.robot.forward_kinematics(&positions, &mut frames);
-        station.layout.patches.iter().find_map(|patch| {
-            let nodes = patch.nodes.iter().map(|node| frames[patch.link] * node.pos_in_link);
-            let out = |pos: &Point3<f64>| (0..3).any(|axis| !(min_m[axis]..=max_m[axis]).contains(&pos[axis]));
-            nodes.into_iter().find(out).map(|pos| {
-                format!(
-                    "{:?} would be at [{:.3}, {:.3}, {:.3}] m after {time_s:.1} s, outside safety.workspace of the \
-                     station: move the object, or widen the workspace",
-                    patch.id, pos.x, pos.y, pos.z
-                )
+        let patches = station.layout.patches.iter().find_map(|patch| {
+            let mut nodes = patch.nodes.iter().map(|node| frames[patch.link] * node.pos_in_link);
+            Some((patch.id.as_str(), nodes.find(is_out)?))
+        });
+        let links = || {
+            let moved = station.robot.links.iter().enumerate().filter(|(link, _)| frames[*link] != standing[*link]);
+            moved.into_iter().find_map(|(link, shapes)| {
+                let mut corners = shapes.collisions.iter().flat_map(|shape| shape.bounds(&frames[link]));
+                Some((shapes.name.as_str(), corners.find(is_out)?))
             })
+        };
+        patches.or_else(links).map(|(what, pos)| {
+            format!(
+                "{what:?} would be at [{:.3}, {:.3}, {:.3}] m after {time_s:.1} s, outside safety.workspace of the \
+                 station: move the object, or widen the workspace",
+                pos.x, pos.y, pos.z
+            )
         })
     })
 }

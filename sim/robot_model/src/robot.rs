@@ -54,6 +54,32 @@ pub struct LinkGeometry {
     pub rgba: Option<[f32; 4]>,
 }
 
+impl LinkGeometry {
+    /// Lowest and highest coordinates, m, of the shape in the frame that `frame_from_link` leads to. Exact, not those of a
+    /// box around it.
+    pub fn bounds(&self, frame_from_link: &Isometry3<f64>) -> [Point3<f64>; 2] {
+        let frame_from_shape = frame_from_link * self.link_from_shape;
+        let axes = frame_from_shape.rotation.to_rotation_matrix();
+        // How far the shape reaches from its centre along each axis of the frame; of a cylinder, the rim does.
+        let reach = Vector3::from_fn(|axis, _| {
+            let along = axes.matrix().row(axis);
+            let along_z = along[2].abs();
+            match self.shape {
+                LinkShape::Box { size_m } => {
+                    0.5 * along.iter().zip(size_m).map(|(along, size_m)| along.abs() * size_m).sum::<f64>()
+                }
+                LinkShape::Cylinder { radius_m, length_m } => {
+                    0.5 * length_m * along_z + radius_m * along[0].hypot(along[1])
+                }
+                LinkShape::Capsule { radius_m, length_m } => 0.5 * length_m * along_z + radius_m,
+                LinkShape::Sphere { radius_m } => radius_m,
+            }
+        });
+        let centre = Point3::from(frame_from_shape.translation.vector);
+        [centre - reach, centre + reach]
+    }
+}
+
 /// Primitive shapes of a link. Meshes are not supported: our robots are drawn from primitives.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LinkShape {
@@ -333,5 +359,67 @@ mod tests {
         robot.forward_kinematics(&positions(&chain), &mut root_from_link);
         assert_eq!(root_from_link, first);
         assert_eq!(root_from_link.as_ptr(), storage);
+    }
+
+    /// Points on the surface of a shape, among them those that reach furthest along any direction, to within a degree.
+    fn surface(shape: &LinkShape) -> Vec<Point3<f64>> {
+        let turn = |step: i32| f64::from(step).to_radians();
+        let circle = |radius_m: f64, z: f64| {
+            (0..360).map(move |step| Point3::new(radius_m * turn(step).cos(), radius_m * turn(step).sin(), z))
+        };
+        let ball = |radius_m: f64, from_z: f64| {
+            (-90..=90).flat_map(move |step| {
+                circle(
+                    radius_m * turn(step).cos(),
+                    from_z * f64::from(step.signum()) + radius_m * turn(step).sin(),
+                )
+            })
+        };
+        match *shape {
+            LinkShape::Box { size_m } => (0..8)
+                .map(|corner: u32| {
+                    Point3::from(Vector3::from_fn(|axis, _| {
+                        size_m[axis] * (f64::from(corner >> axis & 1) - 0.5)
+                    }))
+                })
+                .collect(),
+            LinkShape::Cylinder { radius_m, length_m } => {
+                [-0.5, 0.5].into_iter().flat_map(|end| circle(radius_m, end * length_m)).collect()
+            }
+            LinkShape::Capsule { radius_m, length_m } => ball(radius_m, 0.5 * length_m).collect(),
+            LinkShape::Sphere { radius_m } => ball(radius_m, 0.0).collect(),
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
+
+        #[test]
+        fn bounds_hold_the_whole_shape_and_nothing_more(
+            kind in 0_usize..4,
+            size in prop::array::uniform3(0.01..0.3),
+            poses in prop::array::uniform2(prop::array::uniform6(-3.0..3.0)),
+        ) {
+            let [pose, link] = poses.map(|p| {
+                Isometry3::new(Vector3::new(p[0], p[1], p[2]), Vector3::new(p[3], p[4], p[5]))
+            });
+            let [radius_m, length_m, _] = size;
+            let shape = match kind {
+                0 => LinkShape::Box { size_m: size },
+                1 => LinkShape::Cylinder { radius_m, length_m },
+                2 => LinkShape::Capsule { radius_m, length_m },
+                _ => LinkShape::Sphere { radius_m },
+            };
+            let points: Vec<Point3<f64>> = surface(&shape).iter().map(|at| link * pose * at).collect();
+            let geometry = LinkGeometry { link_from_shape: pose, shape, rgba: None };
+            let [low, high] = geometry.bounds(&link);
+            for axis in 0..3 {
+                let found = points.iter().map(|at| at[axis]);
+                let (least, most) = (found.clone().fold(f64::MAX, f64::min), found.fold(f64::MIN, f64::max));
+                // A degree of a circle of 0.3 m is 0.05 mm of its radius.
+                prop_assert!((0.0..1e-4).contains(&(least - low[axis] + 1e-12)), "{least} {}", low[axis]);
+                prop_assert!((0.0..1e-4).contains(&(high[axis] - most + 1e-12)), "{most} {}", high[axis]);
+            }
+        }
     }
 }

@@ -65,10 +65,20 @@ node_spacing_m = 0.002
 /// The station of these tests, with `from` replaced by `to` in its file.
 pub(crate) fn station_with(from: &str, to: &str) -> Station {
     assert!(STATION.contains(from), "the station has no {from:?}");
+    read(&STATION.replacen(from, to, 1), URDF)
+}
+
+/// The station of these tests, with `shape` around the origin of the link "lower".
+pub(crate) fn station_with_lower(shape: &str) -> Station {
+    let shape = format!("<link name=\"lower\"><collision><geometry>{shape}</geometry></collision></link>");
+    read(STATION, &URDF.replacen("<link name=\"lower\"/>", &shape, 1))
+}
+
+fn read(station: &str, urdf: &str) -> Station {
     Station::read("bench.toml", |path| {
         let text = match path {
-            "bench.toml" => STATION.replacen(from, to, 1),
-            "robot.urdf" => URDF.to_owned(),
+            "bench.toml" => station.to_owned(),
+            "robot.urdf" => urdf.to_owned(),
             "layout.toml" => LAYOUT.to_owned(),
             "nominal.toml" => String::new(),
             _ => return Err("no such file".to_owned()),

@@ -2,7 +2,7 @@
 
 use palpate_safety::{Lease, Phase, Refusal, Supervisor, disarm_begins_s};
 
-use crate::bench::{ARM, Bench, FINGER, MS, RAIL, station, station_with};
+use crate::bench::{ARM, Bench, FINGER, MS, RAIL, station, station_with, station_with_lower};
 
 #[test]
 fn one_operator_at_a_time_and_numbers_that_only_count_up() {
@@ -328,6 +328,29 @@ fn the_skin_stays_within_the_workspace_and_finds_back() {
     let setpoint = bench.run(4_000, Some(lease));
     assert!((setpoint.positions()[ARM] - 0.2).abs() < 1e-6, "{setpoint:?}");
     assert_eq!(bench.phase(), Phase::Armed);
+}
+
+#[test]
+fn the_links_stay_within_the_workspace_too() {
+    // The finger's joint is 0.3 m out, with a ball of 0.2 m around it: with the arm at 0.8 rad, the ball would be at
+    // z = 0.5 - 0.3 sin 0.8 - 0.2 = 0.085; the pad, with the finger turned up, is far from there.
+    let station = station_with_lower("<sphere radius=\"0.2\"/>");
+    let mut bench = Bench::new(&station, [0.0, -0.5, 0.0]);
+    let lease = bench.supervisor.acquire(bench.now_ns, "Ada", false).unwrap();
+    bench.supervisor.arm(bench.now_ns, lease).unwrap();
+    bench.run(1_100, Some(lease));
+    bench.aim(lease, &[(ARM, 0.8)]).unwrap();
+    let setpoint = bench.run(4_000, Some(lease));
+    assert_eq!(bench.phase(), Phase::Holding);
+    assert!(
+        bench.reason().starts_with("link \"lower\" would leave the workspace: z = 0."),
+        "{}",
+        bench.reason()
+    );
+    let low_m = 0.5 - 0.3 * setpoint.positions()[ARM].sin() - 0.2;
+    assert!((0.1..0.11).contains(&low_m), "{low_m} m");
+    bench.aim(lease, &[(ARM, 0.2)]).unwrap();
+    assert!((bench.run(4_000, Some(lease)).positions()[ARM] - 0.2).abs() < 1e-6);
 }
 
 #[test]
