@@ -32,7 +32,7 @@ const STOP_AGAIN_NS: u64 = 100_000_000;
 /// From then on a stop without effect is a fault, ns.
 const STOP_FAILED_NS: u64 = 3_000_000_000;
 /// A stopped arm that is still for this long is switched off, ns; one that is not, after the second time.
-const STILL_NS: u64 = 100_000_000;
+const STILL_NS: u64 = 50_000_000;
 const STILL_AT_LAST_NS: u64 = 1_000_000_000;
 /// Joints slower than this are still, rad/s.
 const STILL_RAD_PER_SEC: f64 = 0.02;
