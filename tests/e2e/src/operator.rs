@@ -27,8 +27,8 @@ const HEARTBEAT: Duration = Duration::from_millis(25);
 /// Whatever is waited for comes long before this, unless it never does.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-fn open(studio: &Studio, path: &str) -> anyhow::Result<Socket> {
-    let url = format!("{}/api/v1/{path}", studio.url.replacen("http", "ws", 1));
+fn open(studio_url: &str, path: &str) -> anyhow::Result<Socket> {
+    let url = format!("{}/api/v1/{path}", studio_url.replacen("http", "ws", 1));
     let (socket, _) = connect(&url).with_context(|| format!("failed to connect to {url}"))?;
     Ok(socket)
 }
@@ -75,7 +75,12 @@ impl Connection {
 impl Operator {
     /// Opens the page, so to speak.
     pub fn connect(studio: &Studio) -> anyhow::Result<Self> {
-        let connection = Connection { socket: Some(open(studio, "control")?), sequence: 0, lease: 0 };
+        Self::connect_to(&studio.url)
+    }
+
+    /// Opens the page of the studio at `url`.
+    pub fn connect_to(url: &str) -> anyhow::Result<Self> {
+        let connection = Connection { socket: Some(open(url, "control")?), sequence: 0, lease: 0 };
         Ok(Self {
             connection: Arc::new(Mutex::new(connection)),
             alive: Arc::new(AtomicBool::new(false)),
@@ -192,7 +197,12 @@ struct Newest {
 impl Watcher {
     /// Opens the stream.
     pub fn connect(studio: &Studio) -> anyhow::Result<Self> {
-        let mut socket = open(studio, "stream")?;
+        Self::connect_to(&studio.url)
+    }
+
+    /// Opens the stream of the studio at `url`.
+    pub fn connect_to(url: &str) -> anyhow::Result<Self> {
+        let mut socket = open(url, "stream")?;
         let newest = Arc::<Mutex<Newest>>::default();
         let shared = Arc::downgrade(&newest);
         thread::spawn(move || {
