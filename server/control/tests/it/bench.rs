@@ -283,9 +283,28 @@ impl Operator {
         }));
     }
 
+    /// Asks for torque until it is there. On a machine that is too busy to read joints or to hear of the operator in time
+    /// the station refuses, or disarms again; for other reasons it must not.
     pub(crate) fn arm(&self, bench: &Bench) {
-        self.accepted(Request::Arm(Arm {}));
-        bench.wait_for_phase(Phase::Armed);
+        let begun = Instant::now();
+        loop {
+            let reply = self.ask(Request::Arm(Arm {}));
+            let problem = if reply.accepted {
+                let state = bench.wait_for("armed or not", |state| {
+                    matches!(state.phase(), Phase::Armed | Phase::Disarmed | Phase::Stopped)
+                });
+                if state.phase() == Phase::Armed {
+                    return;
+                }
+                state.reason
+            } else {
+                reply.problem
+            };
+            let busy = ["was last read", "nothing is known", "nothing was heard", "stood still"];
+            let is_busy = problem.is_empty() || busy.iter().any(|text| problem.contains(text));
+            assert!(is_busy && begun.elapsed() < PATIENCE, "not armed: {problem}");
+            thread::sleep(Duration::from_millis(50));
+        }
     }
 
     /// The page is gone, at this moment of the emulated station's time.
