@@ -17,6 +17,8 @@ const LONGEST_PAUSE_NS: f64 = 50e6;
 const MEAN_OVER: f64 = 64.0;
 /// A sample later than this many usual intervals is a gap.
 const LATE_INTERVALS: f64 = 3.0;
+/// No board is faster than this, ns; samples that a busy computer reads all together only seem to be.
+const SHORTEST_INTERVAL_NS: f64 = 100_000.0;
 
 /// One sample of all of a board's channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,7 +83,7 @@ impl Interval {
 
     /// Once enough are known.
     fn mean_ns(&self) -> Option<f64> {
-        (self.count >= 16.0).then_some(self.mean_ns)
+        (self.count >= 16.0).then_some(self.mean_ns.max(SHORTEST_INTERVAL_NS))
     }
 }
 

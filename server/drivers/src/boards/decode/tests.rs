@@ -205,3 +205,14 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn samples_that_are_read_all_together_at_first_make_no_endless_gaps() {
+    let mut decoder = BoardDecoder::new(2, 1);
+    let lines = b"10 20\n".repeat(40);
+    assert!(decoder.feed(1_000_000_000, &lines).len() > 30);
+    for beat in 1..4_u64 {
+        decoder.feed(1_000_000_000 + beat * 50_000_000, &lines);
+    }
+    assert!(decoder.num_gaps() <= 3 * 500, "{}", decoder.num_gaps());
+}
