@@ -290,6 +290,12 @@ impl Operator {
         loop {
             let reply = self.ask(Request::Arm(Arm {}));
             let problem = if reply.accepted {
+                // The second frame from now on was made after the reply.
+                let seen = bench.num_frames() + 1;
+                while bench.num_frames() <= seen {
+                    assert!(begun.elapsed() < PATIENCE, "no more frames");
+                    thread::sleep(Duration::from_millis(2));
+                }
                 let state = bench.wait_for("armed or not", |state| {
                     matches!(state.phase(), Phase::Armed | Phase::Disarmed | Phase::Stopped)
                 });
@@ -300,7 +306,7 @@ impl Operator {
             } else {
                 reply.problem
             };
-            let busy = ["was last read", "nothing is known", "nothing was heard", "stood still"];
+            let busy = ["was last read", "nothing is known", "nothing was heard", "stood still", "answer"];
             let is_busy = problem.is_empty() || busy.iter().any(|text| problem.contains(text));
             assert!(is_busy && begun.elapsed() < PATIENCE, "not armed: {problem}");
             thread::sleep(Duration::from_millis(50));
