@@ -1,10 +1,11 @@
 //! Set-up, build, run, test: what the README and CI call.
 //!
 //! Every command installs what it needs first (the wasm target or Debian's toolchain with the standard library's source,
-//! Chromium, Node and Python packages) and says plainly what is missing where it cannot.
+//! Chromium, Node, Python packages and MuJoCo's library) and says plainly what is missing where it cannot.
 
 mod browser;
 mod build;
+mod mujoco;
 mod page;
 mod paths;
 mod python;
@@ -36,6 +37,8 @@ enum Command {
     Test(test::TestArgs),
     /// What CI runs: formatting, lints, every test, the release build
     Check,
+    /// Fetch MuJoCo's library and print its folder
+    Mujoco,
     /// Take the README's screenshot from a running studio
     Screenshot {
         /// Address of the studio, as it printed it
@@ -54,6 +57,7 @@ fn main() -> anyhow::Result<()> {
         Command::BuildUi => wasm::build_page().map(|dir| println!("built {}", dir.display())),
         Command::Test(args) => test::run(&args),
         Command::Check => test::check(),
+        Command::Mujoco => mujoco::link_dir().map(|dir| println!("{}", dir.display())),
         Command::Screenshot { url, out } => browser::screenshots(&url, &out),
     }
 }

@@ -2,7 +2,10 @@
 
 use clap::Args;
 
-use crate::{browser, build, paths, python, shell};
+use crate::{browser, build, mujoco, paths, python, shell};
+
+/// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
+pub(crate) const PROPTEST_SEED: &str = "20261121";
 
 #[derive(Args)]
 pub(crate) struct TestArgs {
@@ -26,12 +29,13 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         .env("PALPATE_BROWSER_TESTS", browser_tests)
         .env("PALPATE_ARTIFACTS", &artifacts)
         .env("PALPATE_XTASK", std::env::current_exe()?)
-        // Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
-        .env("PROPTEST_RNG_SEED", "20261121");
+        .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
     if let Some(filter) = &args.filter {
         cargo.args(["--", filter]);
     }
-    shell::run(&mut cargo)?;
+    let workspace = shell::run(&mut cargo);
+    let grasping = mujoco::test(args.filter.as_deref());
+    workspace.and(grasping)?;
     eprintln!("screenshots and reports: {}", artifacts.display());
     Ok(())
 }
@@ -48,6 +52,7 @@ pub(crate) fn check() -> anyhow::Result<()> {
         "--deny",
         "warnings",
     ]))?;
+    mujoco::lint()?;
     run(&TestArgs { filter: None })?;
     build::release().map(|_| ())
 }

@@ -15,6 +15,7 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_recording", 2),
     ("palpate_sim", 2),
     ("palpate_calibration", 3),
+    ("palpate_grasp", 3),
     ("palpate_motion", 3),
     ("palpate_emulator", 4),
     ("palpate_diagnosis", 5),
@@ -23,6 +24,7 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_control", 6),
     ("palpate_server", 7),
     ("palpate_ui", 7),
+    ("palpate_train", 4),
     ("e2e", 8),
     // Tools use no crate of ours and no crate of ours uses them: they must build when nothing else does.
     ("tidy", 0),
@@ -130,6 +132,13 @@ fn pure_crates_reach_no_run_time() {
     }
     for name in ["palpate_recording", "palpate_calibration", "palpate_emulator"] {
         assert_reaches_none(&metadata, name, &["tokio", "axum", "egui", "wgpu"]);
+    }
+}
+
+#[test]
+fn plain_builds_need_no_physics_library() {
+    for name in ["palpate_grasp", "palpate_train"] {
+        assert_reaches_none(&metadata(&host()), name, &["mujoco-rs"]);
     }
 }
 

@@ -1,0 +1,65 @@
+//! The `palpate-train` command: grasping in simulation. It scores scripts and measures the grasp world's speed.
+
+mod bench;
+mod files;
+mod script;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "palpate-train", about = "Grasping in simulation", version)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run trials of a script that feels nothing, and score them
+    Script(script::ScriptArgs),
+    /// Measure the grasp world beside MuJoCo's own `rollout`
+    Bench(bench::BenchArgs),
+}
+
+/// What is grasped with what, and felt how.
+#[derive(clap::Args)]
+pub(crate) struct SceneArgs {
+    /// Station file
+    #[arg(long, default_value = "assets/stations/xarm6_leap.toml")]
+    station: PathBuf,
+    /// Grasp world of its robot
+    #[arg(long, default_value = "assets/grasp/xarm6_leap.toml")]
+    world: PathBuf,
+    /// Sensor model [default: the station's nominal model]
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Script: key positions over time
+    #[arg(long, default_value = "assets/grasp/scripts/xarm6_leap_cube.toml")]
+    script: PathBuf,
+    /// Object: a file, or a name in `assets/objects`
+    #[arg(long, default_value = "cube")]
+    object: String,
+    /// Threads [default: all cores]
+    #[arg(long)]
+    threads: Option<usize>,
+    /// One JSON document on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+fn main() -> ExitCode {
+    let done = match Args::parse().command {
+        Command::Script(args) => script::run(&args),
+        Command::Bench(args) => bench::run(&args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(err) => {
+            eprintln!("palpate-train: {err:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Scores a script.
+
+use std::collections::BTreeMap;
+
+use palpate_grasp::trial::{self, Score};
+use serde::Serialize;
+
+use crate::{SceneArgs, files};
+
+#[derive(clap::Args)]
+pub(crate) struct ScriptArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Number of trials
+    #[arg(long, default_value_t = 50)]
+    trials: u64,
+    /// Seed of starts and randomised physics
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Serialize)]
+struct ScriptReport {
+    objects: BTreeMap<String, Score>,
+}
+
+pub(crate) fn run(args: &ScriptArgs) -> anyhow::Result<()> {
+    let (scene, script) = files::open(&args.scene)?;
+    let score = Score::of(&trial::run_all(&scene, &script, args.seed, args.trials)?);
+    let object = scene.object();
+    if args.scene.json {
+        let report = ScriptReport { objects: [(object.id.clone(), score)].into() };
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    let [low, high] = score.interval_95;
+    println!(
+        "{}: {} of {} lifted and held (95 % interval {low:.2} to {high:.2}); {} empty, {} slipped, {} stopped",
+        object.label, score.successes, score.trials, score.empty_grasp, score.slip, score.emergency_stop
+    );
+    Ok(())
+}

@@ -1,0 +1,259 @@
+//! An environment for policies: targets in, joints and touch out, at the control rate.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use palpate_robot_model::{ObjectModel, ObjectShape, Station};
+use palpate_sim::SensorModel;
+use palpate_sim::body::{MassProperties, RestPose, Solid};
+use palpate_sim::live::{LiveScene, LiveTouch};
+use palpate_sim::tactile::Readings;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::scene::{links_of_hand, mjcf};
+use crate::{GraspConfig, GraspError, Randomisation, World};
+
+/// A robot, an object and a sensor model: what environments share.
+#[derive(Debug)]
+pub struct GraspScene {
+    station: Arc<Station>,
+    config: GraspConfig,
+    object: ObjectModel,
+    mass: MassProperties,
+    rest_poses: Vec<RestPose>,
+    live: Arc<LiveScene>,
+    start: Vec<f64>,
+    /// By degree of freedom, whether it is one of the hand's.
+    in_hand: Vec<bool>,
+}
+
+impl GraspScene {
+    /// Prepares `object` to be grasped by the station's robot, felt as `model` says. The table is felt too.
+    ///
+    /// Refuses objects without a density, without convex parts or without a stable pose, and a model that does not fit
+    /// the station.
+    pub fn new(
+        station: Arc<Station>,
+        config: GraspConfig,
+        object: &ObjectModel,
+        model: &SensorModel,
+    ) -> Result<Self, GraspError> {
+        let mass = MassProperties::of(object).map_err(GraspError::Scene)?;
+        let rest_poses =
+            Solid::new(&object.shape).and_then(|solid| solid.rest_poses()).map_err(GraspError::Scene)?;
+        let table = &config.table;
+        let center_m =
+            Translation3::new(table.center_m[0], table.center_m[1], table.top_m - 0.5 * table.size_m[2]);
+        let fixed = [(Isometry3::from(center_m), ObjectShape::Box { size_m: table.size_m })];
+        let live = Arc::new(LiveScene::new(Arc::clone(&station), object, model, &fixed)?);
+        let start = config.start_positions(&station.robot);
+        let link_in_hand = links_of_hand(&station.robot, &config);
+        let in_hand = station.robot.dofs().map(|joint| link_in_hand[joint.child_link]).collect();
+        Ok(Self { object: object.clone(), mass, rest_poses, live, start, in_hand, station, config })
+    }
+
+    /// Its station.
+    pub fn station(&self) -> &Arc<Station> {
+        &self.station
+    }
+
+    /// Its file.
+    pub fn config(&self) -> &GraspConfig {
+        &self.config
+    }
+
+    /// The object.
+    pub fn object(&self) -> &ObjectModel {
+        &self.object
+    }
+
+    /// Mass, centre of mass and inertia of the object.
+    pub fn mass(&self) -> &MassProperties {
+        &self.mass
+    }
+
+    /// The text that MuJoCo loads.
+    pub fn mjcf(&self, randomisation: &Randomisation) -> Result<String, GraspError> {
+        mjcf(&self.station.robot, &self.config, &self.object, &self.mass, randomisation)
+    }
+
+    /// Length of [`GraspEnv::observe`].
+    pub fn num_observations(&self) -> usize {
+        2 * self.start.len() + self.station.layout.num_channels()
+    }
+}
+
+/// How an episode begins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Start {
+    /// The world's parameters.
+    pub randomisation: Randomisation,
+    /// Positions of every degree of freedom.
+    pub positions: Vec<f64>,
+    /// The object on the table.
+    pub base_from_object: Isometry3<f64>,
+}
+
+impl Start {
+    /// The nominal world: start positions as they are, the object in its likeliest stable pose in the middle.
+    pub fn nominal(scene: &GraspScene) -> Self {
+        Self {
+            randomisation: Randomisation::none(),
+            positions: scene.start.clone(),
+            base_from_object: on_table(scene, 0.0, [0.0, 0.0], 0.0),
+        }
+    }
+
+    /// As the task has it (paper, appendix "Evaluation Protocol" and table "Domain Randomization Parameters"): the object
+    /// within the region, on any stable side, turned anyhow; noise on the hand's joints; randomised physics.
+    pub fn draw(scene: &GraspScene, rng: &mut ChaCha8Rng) -> Self {
+        let task = &scene.config.task;
+        let randomisation = Randomisation::draw(&scene.config.randomisation, rng);
+        let mut around = |reach: f64| reach * (2.0 * rng.random::<f64>() - 1.0);
+        let offset_m = [around(task.half_width_m), around(task.half_width_m)];
+        let positions = scene
+            .station
+            .robot
+            .dofs()
+            .zip(&scene.start)
+            .zip(&scene.in_hand)
+            .map(|((joint, &start), &in_hand)| {
+                let noisy = if in_hand { start + around(task.start_noise_rad) } else { start };
+                joint.limits.map_or(noisy, |limits| noisy.clamp(limits.lower, limits.upper))
+            })
+            .collect();
+        let (side, yaw_rad) = (rng.random::<f64>(), std::f64::consts::TAU * rng.random::<f64>());
+        Self { randomisation, positions, base_from_object: on_table(scene, side, offset_m, yaw_rad) }
+    }
+}
+
+/// The object on the stable side that `side` (0 to 1) falls on, `offset_m` from the middle of the region.
+fn on_table(scene: &GraspScene, side: f64, offset_m: [f64; 2], yaw_rad: f64) -> Isometry3<f64> {
+    let center_m = scene.config.task.center_m;
+    let at_m = [center_m[0] + offset_m[0], center_m[1] + offset_m[1]];
+    let up = Translation3::new(0.0, 0.0, scene.config.table.top_m);
+    // Every solid has a stable pose: the lowest that its centre of mass can be.
+    let rest = RestPose::pick(&scene.rest_poses, side).map(|pose| pose.at(at_m, yaw_rad));
+    up * rest.unwrap_or_else(|| {
+        let upright = UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), yaw_rad);
+        Isometry3::from_parts(Translation3::new(at_m[0], at_m[1], 0.0), upright)
+    })
+}
+
+/// One environment. Its random numbers are its own: what it does depends on its seed and the targets it gets, on nothing
+/// else.
+#[derive(Debug)]
+pub struct GraspEnv {
+    scene: Arc<GraspScene>,
+    world: World,
+    /// What the world was made with.
+    randomisation: Randomisation,
+    touch: LiveTouch,
+    rng: ChaCha8Rng,
+    num_steps: u64,
+    positions: Vec<f64>,
+    targets: Vec<f64>,
+    readings: Readings,
+}
+
+impl GraspEnv {
+    /// Environment number `env_idx` of those that share `seed`, at the nominal start.
+    pub fn new(scene: Arc<GraspScene>, seed: u64, env_idx: u64) -> Result<Self, GraspError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(env_idx);
+        let start = Start::nominal(&scene);
+        let world = World::new(&scene.mjcf(&start.randomisation)?, &scene.station.robot, &scene.config)?;
+        let mut touch = LiveTouch::new(Arc::clone(&scene.live));
+        let readings = touch.feel(0.0, &start.positions, &start.base_from_object)?;
+        let mut env = Self {
+            world,
+            randomisation: start.randomisation.clone(),
+            touch,
+            rng,
+            num_steps: 0,
+            positions: start.positions.clone(),
+            targets: start.positions.clone(),
+            readings,
+            scene,
+        };
+        env.begin(&start)?;
+        Ok(env)
+    }
+
+    /// Begins a new episode with a drawn start, which it returns.
+    pub fn reset(&mut self) -> Result<Start, GraspError> {
+        let start = Start::draw(&self.scene, &mut self.rng);
+        self.begin(&start)?;
+        Ok(start)
+    }
+
+    /// Begins a new episode at `start`.
+    pub fn begin(&mut self, start: &Start) -> Result<(), GraspError> {
+        let scene = &self.scene;
+        if self.randomisation != start.randomisation {
+            let text = scene.mjcf(&start.randomisation)?;
+            self.world = World::new(&text, &scene.station.robot, &scene.config)?;
+            self.randomisation = start.randomisation.clone();
+        }
+        self.world.reset(&start.positions, &start.base_from_object);
+        self.touch.restart();
+        self.num_steps = 0;
+        self.positions.copy_from_slice(&start.positions);
+        self.targets.copy_from_slice(&start.positions);
+        self.readings = self.touch.feel(0.0, &self.positions, &self.world.base_from_object())?;
+        Ok(())
+    }
+
+    /// One control step towards `targets`, one per degree of freedom, rad or m.
+    ///
+    /// # Panics
+    /// If `targets` has the wrong length: a caller's bug.
+    pub fn step(&mut self, targets: &[f64]) -> Result<(), GraspError> {
+        self.targets.copy_from_slice(targets);
+        self.world.set_targets(targets);
+        self.world.step()?;
+        self.num_steps += 1;
+        self.world.positions_into(&mut self.positions);
+        let time_s = self.num_steps as f64 / self.scene.config.control_rate_hz;
+        self.readings = self.touch.feel(time_s, &self.positions, &self.world.base_from_object())?;
+        Ok(())
+    }
+
+    /// What a policy may know: positions, targets (rad or m, in the robot's order) and touch (0 or 1, in channel order),
+    /// one after the other.
+    ///
+    /// # Panics
+    /// If `into` is not [`GraspScene::num_observations`] long: a caller's bug.
+    pub fn observe(&self, into: &mut [f32]) {
+        assert_eq!(into.len(), self.scene.num_observations(), "one number per observation");
+        let touch = self.readings.active.iter().map(|&on| f32::from(u8::from(on)));
+        let joints = self.positions.iter().chain(&self.targets).map(|&value| value as f32);
+        into.iter_mut().zip(joints.chain(touch)).for_each(|(into, value)| *into = value);
+    }
+
+    /// The physics, for rewards and verdicts.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// What it shares with others.
+    pub fn scene(&self) -> &Arc<GraspScene> {
+        &self.scene
+    }
+
+    /// Readings after the last step.
+    pub fn readings(&self) -> &Readings {
+        &self.readings
+    }
+
+    /// Positions after the last step.
+    pub fn positions(&self) -> &[f64] {
+        &self.positions
+    }
+
+    /// Time in the episode, s.
+    pub fn time_s(&self) -> f64 {
+        self.num_steps as f64 / self.scene.config.control_rate_hz
+    }
+}

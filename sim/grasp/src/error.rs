@@ -1,0 +1,34 @@
+//! What can be wrong with a grasp world.
+
+/// A grasp world that cannot be made, or that went wrong.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GraspError {
+    /// A file cannot be used.
+    #[error("{file}: {problem}")]
+    Config {
+        /// Which file was being read.
+        file: String,
+        /// What is wrong, what was expected, and where.
+        problem: String,
+    },
+    /// The scene cannot be made of robot and object.
+    #[error("failed to make the scene: {0}")]
+    Scene(String),
+    /// MuJoCo refuses the scene.
+    #[error("failed to load the scene into MuJoCo: {0}")]
+    Physics(String),
+    /// A position became NaN or infinite.
+    #[error(
+        "the simulation diverged at {time_s:.3} s: the position of {what} is not finite; a shorter physics.timestep_s or \
+         weaker servos help"
+    )]
+    Diverged {
+        /// Time in the episode, s.
+        time_s: f64,
+        /// Which joint, or the object.
+        what: String,
+    },
+    /// Touch could not be computed.
+    #[error(transparent)]
+    Touch(#[from] palpate_sim::replay::ReplayError),
+}

@@ -1,0 +1,39 @@
+//! The grasp world: robot, table and object in MuJoCo, felt through the tactile model of calibration.
+//!
+//! [`GraspConfig`] is the file that says what the robot's own file leaves open (servos, friction, table, task);
+//! [`scene::mjcf`] turns both and an object into the text that MuJoCo loads. With the `mujoco` feature, [`World`] is the
+//! physics, [`GraspEnv`] an environment whose observations are joint positions, targets and touch, [`GraspBatch`] many
+//! of them on every core, and [`trial`] the grasping task with its verdicts.
+//!
+//! Touch is not computed here: [`palpate_sim::live`] gives the same readings from the same sensor model file as replays
+//! do. Nothing here reads a clock or a file, learns, or knows a particular robot.
+
+mod config;
+mod error;
+mod randomisation;
+pub mod scene;
+mod script;
+
+#[cfg(feature = "mujoco")]
+mod batch;
+#[cfg(feature = "mujoco")]
+mod env;
+#[cfg(feature = "mujoco")]
+pub mod trial;
+#[cfg(feature = "mujoco")]
+mod world;
+
+pub use config::{
+    FrictionConfig, GraspConfig, LinkFriction, PhysicsConfig, RandomisationConfig, ServoConfig, TableConfig,
+    TaskConfig,
+};
+pub use error::GraspError;
+pub use randomisation::Randomisation;
+pub use script::Script;
+
+#[cfg(feature = "mujoco")]
+pub use {
+    batch::GraspBatch,
+    env::{GraspEnv, GraspScene, Start},
+    world::{Contacts, World},
+};

@@ -1,0 +1,154 @@
+//! Trials of the grasping task and their verdicts.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::{GraspEnv, GraspError, GraspScene, Script};
+
+/// How a trial ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Touched, lifted, and held for the time asked.
+    Success,
+    /// Never lifted.
+    EmptyGrasp,
+    /// Lifted, and dropped or not held long enough.
+    Slip,
+    /// The force between robot and table passed its limit, or the physics diverged.
+    EmergencyStop,
+}
+
+/// Watches a trial step by step.
+#[derive(Clone, Debug)]
+pub struct Judge {
+    start_height_m: f64,
+    lifted_for_s: f64,
+    was_touched: bool,
+    was_lifted: bool,
+}
+
+impl Judge {
+    /// Of an episode that `env` has just begun.
+    pub fn new(env: &GraspEnv) -> Self {
+        let start_height_m = env.world().base_from_object().translation.z;
+        Self { start_height_m, lifted_for_s: 0.0, was_touched: false, was_lifted: false }
+    }
+
+    /// Looks at `env` after a step; the verdict as soon as there is one. Success needs touch by the robot, the object's
+    /// origin `lift_m` above where it began, and that for `hold_s` without a break (paper, "Evaluation Protocol").
+    pub fn look(&mut self, env: &GraspEnv) -> Option<Outcome> {
+        let config = env.scene().config();
+        let contacts = env.world().contacts();
+        if contacts.robot_table_n > config.task.max_table_force_n {
+            return Some(Outcome::EmergencyStop);
+        }
+        self.was_touched |= contacts.robot_object_n > 0.0;
+        let height_m = env.world().base_from_object().translation.z - self.start_height_m;
+        if height_m >= config.task.lift_m && self.was_touched {
+            self.was_lifted = true;
+            self.lifted_for_s += 1.0 / config.control_rate_hz;
+        } else {
+            self.lifted_for_s = 0.0;
+        }
+        // A step's rounding is no reason to hold for a step longer.
+        if self.lifted_for_s >= config.task.hold_s - 0.5 / config.control_rate_hz {
+            return Some(Outcome::Success);
+        }
+        (env.time_s() >= config.task.episode_s).then_some(if self.was_lifted {
+            Outcome::Slip
+        } else {
+            Outcome::EmptyGrasp
+        })
+    }
+}
+
+/// Outcomes of trials, counted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Score {
+    /// Trials run.
+    pub trials: usize,
+    /// Of them won.
+    pub successes: usize,
+    /// Never lifted.
+    pub empty_grasp: usize,
+    /// Lifted and lost.
+    pub slip: usize,
+    /// Stopped.
+    pub emergency_stop: usize,
+    /// 95 % interval of the success rate (Wilson's).
+    pub interval_95: [f64; 2],
+}
+
+impl Score {
+    /// Counts `outcomes`.
+    pub fn of(outcomes: &[Outcome]) -> Self {
+        let count = |wanted: Outcome| outcomes.iter().filter(|outcome| **outcome == wanted).count();
+        let successes = count(Outcome::Success);
+        Self {
+            trials: outcomes.len(),
+            successes,
+            empty_grasp: count(Outcome::EmptyGrasp),
+            slip: count(Outcome::Slip),
+            emergency_stop: count(Outcome::EmergencyStop),
+            interval_95: wilson_95(successes, outcomes.len()),
+        }
+    }
+}
+
+/// The interval in which the rate behind `successes` of `trials` lies with 95 % confidence (Wilson, "Probable
+/// inference, the law of succession, and statistical inference", 1927); 0 to 1 without trials.
+fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
+    const Z: f64 = 1.959_963_984_540_054;
+    if trials == 0 {
+        return [0.0, 1.0];
+    }
+    let n = trials as f64;
+    let rate = successes as f64 / n;
+    let center = (rate + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
+    let half = Z / (1.0 + Z * Z / n) * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
+    [(center - half).max(0.0), (center + half).min(1.0)]
+}
+
+/// One trial of `script`: number `trial` of those with `seed`.
+pub fn run(scene: &Arc<GraspScene>, script: &Script, seed: u64, trial: u64) -> Result<Outcome, GraspError> {
+    let mut env = GraspEnv::new(Arc::clone(scene), seed, trial)?;
+    env.reset()?;
+    let mut judge = Judge::new(&env);
+    loop {
+        match env.step(&script.targets_at(env.time_s())) {
+            Err(GraspError::Diverged { .. }) => return Ok(Outcome::EmergencyStop),
+            other => other?,
+        }
+        if let Some(outcome) = judge.look(&env) {
+            return Ok(outcome);
+        }
+    }
+}
+
+/// `trials` trials of `script` on every core, in order.
+pub fn run_all(
+    scene: &Arc<GraspScene>,
+    script: &Script,
+    seed: u64,
+    trials: u64,
+) -> Result<Vec<Outcome>, GraspError> {
+    (0..trials).into_par_iter().map(|trial| run(scene, script, seed, trial)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_are_wilsons() {
+        // Known values: 45 of 50.
+        let [low, high] = wilson_95(45, 50);
+        assert!((low - 0.7864).abs() < 1e-3 && (high - 0.9565).abs() < 1e-3, "{low} {high}");
+        assert_eq!(wilson_95(0, 0), [0.0, 1.0]);
+        assert_eq!(wilson_95(0, 50)[0], 0.0);
+        assert_eq!(wilson_95(50, 50)[1], 1.0);
+    }
+}

@@ -1,0 +1,89 @@
+//! What people write, and the scene that is made of it.
+
+use palpate_grasp::{GraspConfig, Randomisation, Script, scene};
+use palpate_sim::body::MassProperties;
+
+use super::{WORLD, config, object, station, text};
+
+/// What the shipped file says after replacing `from`, which must occur, by `to`.
+fn refusal(from: &str, to: &str) -> String {
+    let text = text(WORLD);
+    assert!(text.contains(from), "{from:?} is not in the file");
+    GraspConfig::from_toml("world.toml", &text.replacen(from, to, 1), &station().robot)
+        .expect_err("must be refused")
+        .to_string()
+}
+
+#[test]
+fn what_is_wrong_with_a_world_is_named() {
+    for (from, to, expected) in [
+        ("hand_root = \"palm\"", "hand_root = \"plam\"", "hand_root names link \"plam\""),
+        ("\"index_distal\"", "\"index_tipp\"", "mutual_contacts names link \"index_tipp\""),
+        ("sliding = 0.8", "sliding = -0.8", "friction.link.sliding is -0.8"),
+        ("timestep_s = 0.005", "timestep_s = 0.007", "expected a whole number"),
+        ("timestep_s = 0.005", "timestep_s = nan", "physics.timestep_s is NaN"),
+        ("iterations = 10", "iterations = 0", "physics.iterations is 0"),
+        ("\"index_pip\", ", "", "joint \"index_pip\" is in 0 [[servo]] entries"),
+        ("\"index_pip\", ", "\"index_pip\", \"joint1\", ", "joint \"joint1\" is in 2 [[servo]] entries"),
+        ("thumb_ip = 0.0", "", "start has no position for joint \"thumb_ip\""),
+        ("thumb_ip = 0.0", "thumb_ip = 9.0", "start.thumb_ip is 9"),
+        ("thumb_ip = 0.0", "thumb_tip = 0.0", "joint \"thumb_tip\" is none of the robot's"),
+        ("object_mass_factor = [0.8, 1.2]", "object_mass_factor = [1.2, 0.8]", "object_mass_factor"),
+        ("hold_s = 1.0", "hold_s = 1.0\nlfit_m = 1.0", "unknown field `lfit_m`"),
+        ("half_width_m = 0.02", "half_width_m = -0.02", "task.half_width_m is -0.02"),
+    ] {
+        let message = refusal(from, to);
+        assert!(message.starts_with("world.toml: ") && message.contains(expected), "{to}: {message}");
+    }
+}
+
+#[test]
+fn a_script_is_linear_between_its_keys_and_its_faults_are_named() {
+    let station = station();
+    let config = config(&station);
+    let read = |text: &str| Script::from_toml("s.toml", text, &station.robot, &config);
+    let script =
+        read("key = [{ at_s = 1.0 }, { at_s = 3.0, joints = { thumb_ip = 0.8 } }]").expect("a script");
+    let dof = station.robot.dofs().position(|joint| joint.name == "thumb_ip").expect("a joint");
+    for (time_s, expected) in [(0.0, 0.0), (1.0, 0.0), (2.0, 0.4), (3.0, 0.8), (9.0, 0.8)] {
+        assert!((script.targets_at(time_s)[dof] - expected).abs() < 1e-12, "{time_s}");
+    }
+    for (text, expected) in [
+        ("key = [{ at_s = 0.0 }]", "key 1: at_s is 0, expected a time after 0 s"),
+        ("key = [{ at_s = 2.0 }, { at_s = 1.0 }]", "key 2: at_s is 1"),
+        ("key = [{ at_s = 1.0, joints = { tumb = 0.0 } }]", "key 1: there is no joint \"tumb\""),
+        ("key = [{ at_s = 1.0, joints = { thumb_ip = 7.0 } }]", "beyond its limits"),
+    ] {
+        let message = read(text).expect_err(text).to_string();
+        assert!(message.starts_with("s.toml: ") && message.contains(expected), "{message}");
+    }
+    let shipped = "grasp/scripts/xarm6_leap_cube.toml";
+    Script::from_toml(shipped, &self::text(shipped), &station.robot, &config)
+        .expect("the shipped script is valid");
+}
+
+#[test]
+fn a_scene_has_every_joint_and_what_cannot_be_grasped_is_refused() {
+    let station = station();
+    let config = config(&station);
+    let cube = object("cube");
+    let mass = MassProperties::of(&cube).expect("a density");
+    let write = |object, randomisation: &Randomisation| {
+        scene::mjcf(&station.robot, &config, object, &mass, randomisation)
+    };
+    let nominal = write(&cube, &Randomisation::none()).expect("a scene");
+    for joint in station.robot.dofs() {
+        assert!(
+            nominal.contains(&format!("<position name=\"{0}\" joint=\"{0}\"", joint.name)),
+            "{}",
+            joint.name
+        );
+    }
+    let mut heavy = Randomisation::none();
+    heavy.object_mass_factor = 1.2;
+    assert_ne!(write(&cube, &heavy).expect("a scene"), nominal);
+    let mut mesh = cube.clone();
+    mesh.shape = palpate_robot_model::ObjectShape::Mesh { vertices: Vec::new(), triangles: Vec::new() };
+    let message = write(&mesh, &Randomisation::none()).expect_err("a mesh").to_string();
+    assert!(message.contains("object \"cube\" cannot be grasped: a mesh has no convex parts"), "{message}");
+}
