@@ -195,7 +195,7 @@ fn narrower_positions_are_kept_or_the_joint_is_named() {
 }
 
 #[test]
-fn a_motion_that_leaves_the_workspace_says_which_patch_and_when() {
+fn a_motion_that_leaves_the_workspace_says_what_does_and_when() {
     let (mut station, plan) = (station("xarm6_leap"), plan("quick_check"));
     let limits = MotionLimits::of(&station);
     station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.0], max_m: [1.0, 1.0, 1.5] });
@@ -205,6 +205,11 @@ fn a_motion_that_leaves_the_workspace_says_which_patch_and_when() {
     station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.27], max_m: [1.0, 1.0, 1.5] });
     let error = plan_take(&station, &plan, &Primitives::new(), 0, Some(&limits)).unwrap_err().to_string();
     assert!(error.contains("take 1") && error.contains("outside safety.workspace"), "{error}");
+    // The skin stays below the arm's shoulder and elbow, which do not fit.
+    station.safety.workspace = Some(WorkspaceBox { min_m: [-1.0, -1.0, 0.0], max_m: [1.0, 1.0, 0.5] });
+    let error = plan_take(&station, &plan, &Primitives::new(), 0, Some(&limits)).unwrap_err().to_string();
+    let names_a_link = station.robot.links.iter().any(|link| error.contains(&format!("{:?}", link.name)));
+    assert!(names_a_link && error.contains("outside safety.workspace"), "{error}");
 }
 
 /// From wherever a take was left, the way back to its start is clear of the object, or it is said that somebody has to
