@@ -82,6 +82,11 @@ impl EmulatedDevices {
         &self.station
     }
 
+    /// What is truly going on.
+    pub(crate) fn control(&self) -> &StationControl {
+        &self.control
+    }
+
     /// Where the drivers find them.
     pub(crate) fn ports(&self) -> &Ports {
         &self.ports

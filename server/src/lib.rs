@@ -83,5 +83,5 @@ pub use error::{Class, Error, chain};
 pub use hub::Hub;
 pub use live::LiveStation;
 pub use routes::app;
-pub use serve::{AppState, ServeConfig, serve};
+pub use serve::{AppState, ServeConfig, serve, serve_on};
 pub use store::Store;

@@ -7,6 +7,7 @@ use std::{
 };
 
 use axum::serve::ListenerExt as _;
+use palpate_emulator::devices::StationControl;
 use tokio::{net::TcpListener, sync::watch};
 
 use crate::{
@@ -65,6 +66,11 @@ impl AppState {
         &self.hub
     }
 
+    /// What is truly going on at an emulated station; `None` for a real one or none.
+    pub fn emulated_station(&self) -> Option<&StationControl> {
+        Some(self.live()?.emulated()?.control())
+    }
+
     pub(crate) fn store(&self) -> &Arc<Store> {
         &self.store
     }
@@ -121,12 +127,20 @@ pub async fn serve(
         stop.await;
         ending.begin_shutdown();
     };
+    serve_on(listener, state, stop).await.map_err(|err| Error::Internal(format!("the server stopped: {err}")))
+}
+
+/// Serves `state` on `listener` until `stop` completes.
+pub async fn serve_on(
+    listener: TcpListener,
+    state: Arc<AppState>,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> std::io::Result<()> {
     // Replies and frames are small, and late if they wait for more to be sent.
     let listener = listener.tap_io(|connection| {
         if let Err(err) = connection.set_nodelay(true) {
             tracing::debug!(%err, "a connection may delay small messages");
         }
     });
-    let serving = axum::serve(listener, app(state)).with_graceful_shutdown(stop);
-    serving.await.map_err(|err| Error::Internal(format!("the server stopped: {err}")))
+    axum::serve(listener, app(state)).with_graceful_shutdown(stop).await
 }

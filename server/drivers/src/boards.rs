@@ -71,6 +71,7 @@ struct Reading<'a> {
     setup: &'a BoardSetup,
     decoder: BoardDecoder,
     clock_map: ClockMap,
+    last_host_ns: u64,
     num_bad: u64,
     num_gaps: u64,
 }
@@ -78,7 +79,15 @@ struct Reading<'a> {
 impl<'a> Reading<'a> {
     fn new(context: &'a DeviceContext, setup: &'a BoardSetup) -> Self {
         let decoder = BoardDecoder::new(setup.num_channels, setup.lines_per_sample);
-        Self { context, setup, decoder, clock_map: ClockMap::default(), num_bad: 0, num_gaps: 0 }
+        Self {
+            context,
+            setup,
+            decoder,
+            clock_map: ClockMap::default(),
+            last_host_ns: 0,
+            num_bad: 0,
+            num_gaps: 0,
+        }
     }
 
     fn run(&mut self, mut port: Box<dyn SerialPort>) -> Result<(), String> {
@@ -124,6 +133,9 @@ impl<'a> Reading<'a> {
         let device_ns = sample.device_us.map(|device_us| device_us.saturating_mul(1000));
         let host_ns =
             device_ns.map_or(received_ns, |device_ns| self.clock_map.observe(device_ns, received_ns));
+        // A board without a clock may be heard twice at once; what is not later than the newest is left out of takes.
+        let host_ns = host_ns.max(self.last_host_ns + 1);
+        self.last_host_ns = host_ns;
         self.context.health.sample(received_ns);
         if device_ns.is_some() {
             self.context.health.set_skew_ppm(self.clock_map.skew_ppm());

@@ -248,6 +248,11 @@ impl Watcher {
         }
     }
 
+    /// What came last, for messages.
+    pub fn newest(&self) -> Option<LiveFrame> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).frame.clone()
+    }
+
     /// Waits for a phase.
     pub fn wait_for_phase(&self, phase: Phase) -> anyhow::Result<ControlState> {
         self.wait_for(&format!("{phase:?}"), |state| state.phase() == phase)

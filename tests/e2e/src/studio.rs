@@ -7,6 +7,7 @@ use std::{
     os::unix::process::CommandExt as _,
     path::Path,
     process::{Child, Command, Stdio},
+    sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
 
@@ -18,6 +19,7 @@ use crate::Tools;
 /// A studio on a free port; it ends when this is dropped.
 pub struct Studio {
     process: Child,
+    log: Arc<Mutex<String>>,
     /// Where the page is.
     pub url: String,
 }
@@ -45,13 +47,49 @@ impl Studio {
         Self::spawn(command)
     }
 
+    /// The same where no file can grow beyond `most_kib`: writing more fails, as on a disk that is full.
+    pub fn serve_on_little_space(
+        tools: &Tools,
+        data: &Path,
+        station: impl IntoIterator<Item = impl AsRef<OsStr>>,
+        most_kib: u32,
+    ) -> anyhow::Result<Self> {
+        let mut command = Command::new("bash");
+        // Whoever ignores the signal of the limit gets the error from the call that wrote.
+        command
+            .arg("-c")
+            .arg(format!("ulimit -f {most_kib} && trap '' XFSZ && exec \"$0\" \"$@\""))
+            .arg(&tools.palpate)
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(data)
+            .args(station);
+        Self::spawn(command)
+    }
+
+    /// What it has said so far.
+    pub fn log(&self) -> String {
+        self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     fn spawn(mut command: Command) -> anyhow::Result<Self> {
         let mut process = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
             .process_group(0)
             .spawn()
             .with_context(|| format!("failed to start {command:?}"))?;
+        let stderr = process.stderr.take().context("the studio has no standard error")?;
+        let log = Arc::<Mutex<String>>::default();
+        let kept = Arc::clone(&log);
+        std::thread::spawn(move || {
+            for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+                eprintln!("{line}");
+                let mut log = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                log.push_str(&line);
+                log.push('\n');
+            }
+        });
         let stdout = process.stdout.take().context("the studio has no standard output")?;
         let mut lines = BufReader::new(stdout).lines();
         let url = loop {
@@ -62,7 +100,7 @@ impl Studio {
         };
         // Whatever else it prints must not fill the pipe.
         std::thread::spawn(move || lines.for_each(drop));
-        Ok(Self { process, url })
+        Ok(Self { process, log, url })
     }
 
     /// Kills it, as when the machine loses its power: it has no time for a last word.

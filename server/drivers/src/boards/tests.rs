@@ -20,9 +20,11 @@ fn readings(driven: &Driven) -> Vec<Vec<f32>> {
         if let DeviceEvent::Tactile { received_ns, host_ns, device_ns, stream, first_channel, raw, .. } =
             event
         {
-            assert!(*received_ns >= last_ns && host_ns == received_ns && device_ns.is_none());
+            // Two that one read brought are a moment apart.
+            assert!(*host_ns > last_ns && device_ns.is_none());
+            assert!((*received_ns..received_ns + 1000).contains(host_ns), "{host_ns} {received_ns}");
             assert_eq!((*stream, *first_channel), (1, 8));
-            last_ns = *received_ns;
+            last_ns = *host_ns;
             all.push(raw.clone());
         }
     }

@@ -29,30 +29,25 @@ pub(super) enum Pace {
 /// What a client saw.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Watched {
-    /// Messages that came.
-    pub(super) frames: u64,
-    /// Messages that it was told it lost.
+    /// Frames that it was told it lost.
     pub(super) dropped: u64,
-    /// Turns of the control loop in the second before each message.
+    /// Turns of the control loop in the second before each frame.
     pub(super) loop_hz: Vec<f64>,
-    /// As each message says, ms.
+    /// As each frame says, ms.
     pub(super) latency_ms: Vec<f64>,
-    /// When each message came less when it was made, by clocks that began at different times, s.
+    /// When each frame was made, by the station's clock, s.
+    pub(super) made_s: Vec<f64>,
+    /// When each frame was read less when it was made, by clocks that began at different times, s.
     pub(super) delays_s: Vec<f64>,
     /// Samples that the recorder could not keep.
     pub(super) lost_samples: u64,
-    /// How much older than the fastest the newest message was when the end came, s.
-    pub(super) behind_s: f64,
 }
 
-/// Who has fallen behind reads up to this far, s, or for so long, before it leaves.
-const CAUGHT_UP_S: f64 = 0.2;
-const MOST_CATCHING_UP: Duration = Duration::from_secs(10);
-
-/// Reads the stream of `addr` until `ends`.
+/// Reads the stream of `addr` until `ends`. Delays count from `begun`, which all clients share.
 pub(super) async fn watch_stream(
     addr: SocketAddr,
     pace: Pace,
+    begun: Instant,
     mut ends: watch::Receiver<bool>,
 ) -> Result<Watched, Error> {
     let failed = |err: &dyn std::fmt::Display| Error::Internal(format!("a client could not watch: {err}"));
@@ -63,49 +58,32 @@ pub(super) async fn watch_stream(
     let stream = socket.connect(addr).await.map_err(|err| failed(&err))?;
     let (mut socket, _) =
         client_async(socket_url(addr, "stream"), stream).await.map_err(|err| failed(&err))?;
-    let begun = Instant::now();
     let mut watched = Watched::default();
-    let mut ended: Option<Instant> = None;
     loop {
         let message = tokio::select! {
             message = socket.next() => message,
-            _ = ends.wait_for(|&ends| ends), if ended.is_none() => {
-                watched.behind_s = watched.behind_s();
-                ended = Some(Instant::now());
-                continue;
-            }
+            _ = ends.wait_for(|&ends| ends) => return Ok(watched),
         };
         match message {
             Some(Ok(Message::Binary(bytes))) => {
                 let message = StreamMessage::decode(bytes).map_err(|err| failed(&err))?;
                 watched.take_in(&message, begun.elapsed().as_secs_f64());
+                if pace == Pace::Slow {
+                    tokio::time::sleep(SLOW).await;
+                }
             }
             Some(Ok(_)) => {}
             Some(Err(err)) => return Err(failed(&err)),
             None => return Err(failed(&"the server closed the stream")),
         }
-        match ended {
-            // What a message says it lost is what was lost before it was sent: the newest one knows all of it.
-            Some(at) if watched.behind_s() < CAUGHT_UP_S || at.elapsed() > MOST_CATCHING_UP => {
-                return Ok(watched);
-            }
-            None if pace == Pace::Slow => tokio::time::sleep(SLOW).await,
-            _ => {}
-        }
     }
 }
 
 impl Watched {
-    /// How much older than the fastest the newest message is, s.
-    fn behind_s(&self) -> f64 {
-        let fastest = self.delays_s.iter().copied().fold(f64::INFINITY, f64::min);
-        self.delays_s.last().map_or(0.0, |newest| newest - fastest)
-    }
-
     fn take_in(&mut self, message: &StreamMessage, now_s: f64) {
         self.dropped = self.dropped.max(message.dropped);
         let Some(stream_message::Message::Live(frame)) = &message.message else { return };
-        self.frames += 1;
+        self.made_s.push(frame.time_s);
         self.delays_s.push(now_s - frame.time_s);
         let Some(control) = &frame.control else { return };
         self.loop_hz.push(f64::from(control.loop_hz));
