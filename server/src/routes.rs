@@ -17,7 +17,7 @@ use axum::{
     extract::State,
     http::{Method, StatusCode, Uri},
     response::{IntoResponse as _, Response},
-    routing::{get, post, put},
+    routing::{delete, get, post, put},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
@@ -60,6 +60,8 @@ pub fn app(state: Arc<AppState>) -> Router {
         .route("/control", get(control_socket::upgrade))
         .route("/recording", get(recording::document).post(recording::start))
         .route("/recording/act", post(recording::act))
+        .route("/recording/wanted", post(recording::want))
+        .route("/recording/wanted/{object}/{primitive}", delete(recording::unwant))
         .route("/audit", get(live::audit))
         .route("/emulator/faults", get(live::faults).put(live::set_faults))
         .route("/emulator/object", post(live::place_object))

@@ -45,7 +45,8 @@ pub struct RecordingFile {
     /// Who records; may be empty.
     #[serde(default)]
     pub operator: String,
-    /// The plan's steps, in order, so that a plan that was changed since is noticed.
+    /// The plan's steps, in order, so that a plan that was changed since is noticed; then those that were added. A session
+    /// may have the latter alone.
     #[serde(rename = "step", default)]
     pub steps: Vec<PlannedStep>,
     /// Every take that was started, in order.
@@ -61,6 +62,9 @@ pub struct PlannedStep {
     pub object: String,
     /// Primitive id.
     pub primitive: String,
+    /// Why it was added to the plan's own steps, e.g. what a diagnosis wants to tell apart; absent for those of the plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub added_because: Option<String>,
 }
 
 /// A take that was started.
@@ -116,7 +120,7 @@ pub enum TakeState {
 pub struct SessionPlan {
     /// Id of the plan.
     pub plan: String,
-    /// Its steps, in order.
+    /// Its steps, in order, then those that are added to them.
     pub steps: Vec<PlannedStep>,
 }
 
@@ -312,6 +316,35 @@ impl GrowingSession {
         let mut changed = self.recording.clone();
         changed.takes[take_idx].verdict = Some(verdict);
         changed.takes[take_idx].readable = Some(readable);
+        self.save(changed)
+    }
+
+    /// Adds a step behind the others.
+    pub fn add_step(&mut self, step: PlannedStep) -> Result<(), RecordingError> {
+        let mut changed = self.recording.clone();
+        changed.steps.push(step);
+        self.save(changed)
+    }
+
+    /// Takes an added step off the list again. Takes of it that were set aside stay in the folder `discarded`, and are
+    /// listed no more.
+    pub fn remove_step(&mut self, step_idx: usize) -> Result<(), RecordingError> {
+        let refused = |problem: &str| {
+            let place = format!("step {}", step_idx + 1);
+            Err(RecordingError::content(self.recording_path(), place, problem.to_owned()))
+        };
+        if self.recording.steps.get(step_idx).is_none_or(|step| step.added_because.is_none()) {
+            return refused("only a step that was added to the plan's can be taken off");
+        }
+        let mut changed = self.recording.clone();
+        changed.takes.retain(|take| take.step != step_idx || take.state != TakeState::Discarded);
+        if changed.takes.iter().any(|take| take.step == step_idx) {
+            return refused("has a take; set it aside first");
+        }
+        changed.steps.remove(step_idx);
+        for take in changed.takes.iter_mut().filter(|take| take.step > step_idx) {
+            take.step -= 1;
+        }
         self.save(changed)
     }
 

@@ -141,6 +141,15 @@ impl ControlLoop {
             Message::Act(action, reply) => {
                 let _ = reply.send(self.act(&action));
             }
+            Message::Want(wanted, reply) => {
+                let _ = reply.send(self.want(wanted));
+            }
+            Message::AddStep(step, reply) => {
+                let _ = reply.send(self.add_step(*step));
+            }
+            Message::Unwant { object, primitive, reply } => {
+                let _ = reply.send(self.unwant(&object, &primitive));
+            }
             Message::End => {}
         }
     }

@@ -12,7 +12,7 @@
 //! Whatever stops a motion once a take has begun leads to Checking: what was recorded is kept, with the reason.
 
 use nalgebra::Isometry3;
-use palpate_recording::{RecordedTake, RecordingFile, Span, TakeMeta, TakeState};
+use palpate_recording::{PlannedStep, RecordedTake, RecordingFile, Span, TakeMeta, TakeState};
 use palpate_wire::api::{RecordingAction, RecordingPhase, TakeVerdict};
 
 use crate::recorder::RecorderCommand;
@@ -61,6 +61,15 @@ pub(crate) struct GuideStep {
     pub(crate) activities: Vec<(f64, String)>,
     /// Channels that it means to touch.
     pub(crate) touches: Vec<usize>,
+    /// Why it was added to the plan's own takes; `None` for those of the plan.
+    pub(crate) added_because: Option<String>,
+}
+
+impl GuideStep {
+    /// As they are marked one after the other.
+    fn sort_spans(&mut self) {
+        self.spans.sort_by(|a, b| a.end_s.total_cmp(&b.end_s));
+    }
 }
 
 /// What the safety layer and the joints are up to.
@@ -179,10 +188,7 @@ impl Guide {
         recording: &RecordingFile,
         report: &[String],
     ) -> (Self, Vec<Effect>) {
-        // As they are marked one after the other.
-        for step in &mut plan.steps {
-            step.spans.sort_by(|a, b| a.end_s.total_cmp(&b.end_s));
-        }
+        plan.steps.iter_mut().for_each(GuideStep::sort_spans);
         let mut steps = vec![None; plan.steps.len()];
         let mut effects = Vec::new();
         let of = |take: &RecordedTake| Recorded {
@@ -267,6 +273,63 @@ impl Guide {
         }
         self.revision += 1;
         Ok(effects)
+    }
+
+    /// Puts a step at the end of the list.
+    pub(crate) fn add_step(&mut self, mut step: GuideStep) -> Result<Vec<Effect>, String> {
+        if self.finished || self.pending == Some(Pending::Leave) {
+            return Err("the session was left; try again".to_owned());
+        }
+        step.sort_spans();
+        let planned = PlannedStep {
+            object: step.object.clone(),
+            primitive: step.primitive.clone(),
+            added_because: step.added_because.clone(),
+        };
+        let audit = format!("step {}: {} on {} is added", self.steps.len() + 1, step.primitive, step.object);
+        self.plan.steps.push(step);
+        self.steps.push(None);
+        if self.current.is_none() {
+            self.go_on(0);
+        }
+        self.revision += 1;
+        Ok(vec![Effect::Audit(audit), Effect::Record(RecorderCommand::AddStep { step: planned })])
+    }
+
+    /// Takes a step off the list that was added and has no take; gives its index.
+    pub(crate) fn remove_step(
+        &mut self,
+        object: &str,
+        primitive: &str,
+    ) -> Result<(usize, Vec<Effect>), String> {
+        self.refuse_while_busy()?;
+        if self.finished || self.pending.is_some() {
+            return Err("the last decision is still being written; try again in a moment".to_owned());
+        }
+        let added = |step: &GuideStep| {
+            step.added_because.is_some() && step.object == object && step.primitive == primitive
+        };
+        let mut found = (0..self.steps.len()).filter(|&step| added(&self.plan.steps[step])).peekable();
+        if found.peek().is_none() {
+            return Err(format!("{primitive} on {object} was not added to this session"));
+        }
+        let Some(removed) = found.find(|&step| self.steps[step].is_none()) else {
+            return Err(format!("{primitive} on {object} is recorded; discard its take first"));
+        };
+        let audit = format!("step {}: {primitive} on {object} is taken off the list", removed + 1);
+        self.plan.steps.remove(removed);
+        self.steps.remove(removed);
+        self.undo = self.undo.take().filter(|(step, _)| *step != removed);
+        let moved_up = |step: &mut usize| *step -= usize::from(*step > removed);
+        self.undo.iter_mut().for_each(|(step, _)| moved_up(step));
+        if self.current == Some(removed) {
+            self.go_on(0);
+        } else {
+            self.current.iter_mut().for_each(moved_up);
+        }
+        self.revision += 1;
+        let remove = Effect::Record(RecorderCommand::RemoveStep { step: removed });
+        Ok((removed, vec![Effect::Audit(audit), remove]))
     }
 
     /// Whether the session was left; the guide has nothing to do any more.

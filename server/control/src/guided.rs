@@ -11,10 +11,11 @@ use std::{
 
 use nalgebra::Isometry3;
 use palpate_motion::{MotionLimits, Plan, Primitives, TakeMotion, plan_approach};
+use palpate_recording::PlannedStep;
 use palpate_robot_model::{JointKind, Station};
 use palpate_safety::Lease;
 use palpate_wire::{
-    api::{PlanSummary, RecordingDocument},
+    api::{PlanSummary, RecordingDocument, WantedTake},
     proto::RecordingStatus,
 };
 
@@ -22,7 +23,7 @@ use crate::{
     error::ControlError,
     follow::Follow,
     guide::{Effect, Guide, GuidePlan, GuideStep},
-    prepare::Prepared,
+    prepare::{AddedStep, Prepared},
     recorder::{Recorder, RecorderConfig},
 };
 
@@ -46,6 +47,8 @@ pub(crate) struct Guided {
     pub(crate) motion: Option<Follow>,
     station: Arc<Station>,
     plans: Vec<PlanSummary>,
+    /// What the next session records besides its plan.
+    wanted: Vec<WantedTake>,
     plan: Option<Arc<Plan>>,
     /// The way to a start pose that is being planned, if one is.
     approach: Option<Approach>,
@@ -72,6 +75,7 @@ impl Guided {
             motion: None,
             station,
             plans,
+            wanted: Vec::new(),
             plan: None,
             approach: None,
             motions: Vec::new(),
@@ -84,13 +88,69 @@ impl Guided {
     /// Begins or resumes a session; what has to be done first comes with it.
     pub(crate) fn begin(&mut self, prepared: Prepared) -> Result<Vec<Effect>, ControlError> {
         self.refuse_second_session()?;
-        let guide_plan = guide_plan(&self.station, &prepared.plan, &prepared.motions)?;
+        let guide_plan = guide_plan(&self.station, &prepared)?;
         let recording = prepared.session.recording();
+        let steps = recording.steps.clone();
         let (guide, effects) = Guide::new(guide_plan, &prepared.id, recording, &prepared.mended);
         self.recorder.begin(prepared.session);
         self.motions = prepared.motions;
         self.plan = Some(Arc::new(prepared.plan));
         self.guide = Some(guide);
+        // They are steps of the session now.
+        self.wanted.retain(|wanted| {
+            let is_step = |step: &PlannedStep| {
+                step.added_because.is_some()
+                    && step.object == wanted.object
+                    && step.primitive == wanted.primitive
+            };
+            !steps.iter().any(is_step)
+        });
+        Ok(effects)
+    }
+
+    /// Keeps what is wanted for the next session.
+    pub(crate) fn want(&mut self, wanted: WantedTake) -> Result<(), ControlError> {
+        if self.guide.is_some() {
+            return Err(ControlError::Refused("a session was begun meanwhile; try again".to_owned()));
+        }
+        self.wanted.push(wanted);
+        self.revisions_before += 1;
+        Ok(())
+    }
+
+    /// Puts a step at the end of the session under way.
+    pub(crate) fn add_step(&mut self, added: AddedStep) -> Result<Vec<Effect>, ControlError> {
+        let AddedStep { session, plan, motion, because } = added;
+        let changed = || ControlError::Refused("the checklist changed meanwhile; try again".to_owned());
+        let guide = self.guide.as_mut().ok_or_else(changed)?;
+        if guide.session().session != session || plan.takes.len() != self.motions.len() + 1 {
+            return Err(changed());
+        }
+        let take_idx = plan.takes.len() - 1;
+        let step = guide_step(&self.station, &plan, take_idx, &motion, Some(because))?;
+        let effects = guide.add_step(step).map_err(ControlError::Refused)?;
+        self.motions.push(motion);
+        self.plan = Some(Arc::new(plan));
+        Ok(effects)
+    }
+
+    /// What was wanted is not any more: it is taken off the list where it waits, or off the checklist.
+    pub(crate) fn unwant(&mut self, object: &str, primitive: &str) -> Result<Vec<Effect>, ControlError> {
+        let waiting = self.wanted.len();
+        self.wanted.retain(|wanted| wanted.object != object || wanted.primitive != primitive);
+        if self.wanted.len() < waiting {
+            self.revisions_before += 1;
+            let what = format!("{primitive} on {object} is not wanted any more");
+            return Ok(vec![Effect::Audit(what)]);
+        }
+        let Some(guide) = &mut self.guide else {
+            return Err(ControlError::Unknown(format!("{primitive} on {object} is not wanted")));
+        };
+        let (removed, effects) = guide.remove_step(object, primitive).map_err(ControlError::Refused)?;
+        self.motions.remove(removed);
+        if let Some(plan) = &mut self.plan {
+            Arc::make_mut(plan).takes.remove(removed);
+        }
         Ok(effects)
     }
 
@@ -121,6 +181,7 @@ impl Guided {
         RecordingDocument {
             revision: self.revision(),
             plans: self.plans.clone(),
+            wanted: self.wanted.clone(),
             session: self.guide.as_ref().map(Guide::session),
         }
     }
@@ -262,35 +323,45 @@ impl Drop for Placer {
     }
 }
 
-/// The plan as the guide follows it.
-fn guide_plan(
+/// A take of the plan as the guide follows it.
+fn guide_step(
     station: &Station,
     plan: &Plan,
-    motions: &[Arc<TakeMotion>],
-) -> Result<GuidePlan, ControlError> {
+    take_idx: usize,
+    motion: &TakeMotion,
+    added_because: Option<String>,
+) -> Result<GuideStep, ControlError> {
     let refused = |problem: String| ControlError::Refused(problem);
+    let take = &plan.takes[take_idx];
+    let unknown = || refused(format!("{}: object {:?} is not of this station", plan.file, take.object));
+    let object = station.objects.get(&take.object).ok_or_else(unknown)?;
+    let pose = plan.objects.get(&take.object).ok_or_else(unknown)?;
     let no_others = Primitives::new();
-    let mut steps = Vec::with_capacity(plan.takes.len());
-    for (take, motion) in plan.takes.iter().zip(motions) {
-        let unknown = || refused(format!("{}: object {:?} is not of this station", plan.file, take.object));
-        let object = station.objects.get(&take.object).ok_or_else(unknown)?;
-        let pose = plan.objects.get(&take.object).ok_or_else(unknown)?;
-        let primitive =
-            plan.primitive(&take.primitive, &no_others).map_err(|error| refused(error.to_string()))?;
-        steps.push(GuideStep {
-            object: take.object.clone(),
-            object_label: object.label.clone(),
-            base_from_object: pose.to_isometry().map_err(refused)?,
-            primitive: take.primitive.clone(),
-            primitive_label: primitive.label.clone(),
-            instruction: take.instruction.clone(),
-            start: motion.start().to_vec(),
-            duration_s: motion.duration_s(),
-            spans: motion.spans.clone(),
-            activities: motion.activities.clone(),
-            touches: motion.touches.clone(),
-        });
-    }
+    let primitive =
+        plan.primitive(&take.primitive, &no_others).map_err(|error| refused(error.to_string()))?;
+    Ok(GuideStep {
+        object: take.object.clone(),
+        object_label: object.label.clone(),
+        base_from_object: pose.to_isometry().map_err(refused)?,
+        primitive: take.primitive.clone(),
+        primitive_label: primitive.label.clone(),
+        instruction: take.instruction.clone(),
+        start: motion.start().to_vec(),
+        duration_s: motion.duration_s(),
+        spans: motion.spans.clone(),
+        activities: motion.activities.clone(),
+        touches: motion.touches.clone(),
+        added_because,
+    })
+}
+
+/// The plan as the guide follows it.
+fn guide_plan(station: &Station, prepared: &Prepared) -> Result<GuidePlan, ControlError> {
+    let Prepared { plan, motions, added_because, .. } = prepared;
+    let takes = motions.iter().zip(added_because).enumerate();
+    let steps = takes
+        .map(|(take_idx, (motion, because))| guide_step(station, plan, take_idx, motion, because.clone()));
+    let steps = steps.collect::<Result<Vec<_>, _>>()?;
     let joints = station.robot.dofs().enumerate().map(|(dof, joint)| {
         let near = match (station.carrier_dofs.contains(&dof), joint.kind) {
             (true, JointKind::Prismatic) => NEAR_CARRIER_M,

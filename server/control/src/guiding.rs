@@ -4,14 +4,14 @@ use std::{collections::VecDeque, sync::Arc};
 
 use palpate_motion::TakeMotion;
 use palpate_safety::{Lease, Phase, Status};
-use palpate_wire::api::{RecordingAction, RecordingDocument};
+use palpate_wire::api::{RecordingAction, RecordingDocument, WantedTake};
 
 use crate::{
     control_loop::{ControlLoop, TARE_NS},
     error::ControlError,
     follow::{Follow, Progress},
     guide::{Effect, Safety},
-    prepare::Prepared,
+    prepare::{AddedStep, Prepared},
 };
 
 /// Who asks for what the guide does, in the audit log.
@@ -47,6 +47,32 @@ impl ControlLoop {
         };
         let effects = guide.act(now_ns, action, &safety).map_err(ControlError::Refused)?;
         self.carry_out(now_ns, effects);
+        Ok(self.guided.document())
+    }
+
+    /// A take for the next session.
+    pub(crate) fn want(&mut self, wanted: WantedTake) -> Result<RecordingDocument, ControlError> {
+        let what = format!("{} on {} is wanted", wanted.primitive, wanted.object);
+        self.guided.want(wanted)?;
+        self.audit.note(self.clock.now_ns(), GUIDE, &what);
+        Ok(self.guided.document())
+    }
+
+    /// A step for the session under way, whose motion is planned.
+    pub(crate) fn add_step(&mut self, step: AddedStep) -> Result<RecordingDocument, ControlError> {
+        let effects = self.guided.add_step(step)?;
+        self.carry_out(self.clock.now_ns(), effects);
+        Ok(self.guided.document())
+    }
+
+    /// What was wanted is not any more.
+    pub(crate) fn unwant(
+        &mut self,
+        object: &str,
+        primitive: &str,
+    ) -> Result<RecordingDocument, ControlError> {
+        let effects = self.guided.unwant(object, primitive)?;
+        self.carry_out(self.clock.now_ns(), effects);
         Ok(self.guided.document())
     }
 

@@ -11,13 +11,13 @@ use std::{
 use palpate_robot_model::Station;
 use palpate_sim::SensorModel;
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, Source, StartRecording},
+    api::{RecordingAction, RecordingDocument, Source, StartRecording, StepState, WantedTake},
     proto::{ControlReply, ControlRequest},
 };
 
 use crate::{
     error::ControlError,
-    prepare::{Plans, Prepared},
+    prepare::{AddedStep, Plans, Prepared},
     twin::TwinModel,
 };
 
@@ -54,6 +54,16 @@ pub(crate) enum Message {
     Recording(SyncSender<RecordingDocument>),
     Begin(Box<Prepared>, SyncSender<Result<RecordingDocument, ControlError>>),
     Act(RecordingAction, SyncSender<Result<RecordingDocument, ControlError>>),
+    /// A take for the next session.
+    Want(WantedTake, SyncSender<Result<RecordingDocument, ControlError>>),
+    /// A step for the session under way.
+    AddStep(Box<AddedStep>, SyncSender<Result<RecordingDocument, ControlError>>),
+    /// What is wanted is not wanted any more.
+    Unwant {
+        object: String,
+        primitive: String,
+        reply: SyncSender<Result<RecordingDocument, ControlError>>,
+    },
     /// The loop shall end.
     End,
 }
@@ -98,14 +108,52 @@ impl Handle {
     /// Begins a guided session, or goes on with one. The first time this takes as long as the plan's motions take to be
     /// planned; the loop goes on meanwhile.
     pub fn start_recording(&self, start: StartRecording) -> Result<RecordingDocument, ControlError> {
-        if let Some(running) = self.recording()?.session {
+        let RecordingDocument { session, wanted, .. } = self.recording()?;
+        if let Some(running) = session {
             return Err(ControlError::Refused(format!(
                 "session {:?} is being recorded; leave it before another is begun",
                 running.session
             )));
         }
-        let prepared = Box::new(self.shared.plans.prepare(start)?);
+        let prepared = Box::new(self.shared.plans.prepare(start, &wanted)?);
         self.ask(|reply| Message::Begin(prepared, reply))?
+    }
+
+    /// Asks for a take besides those of a plan: the last step of the session under way, or of the next one. The motion is
+    /// planned first where a session is under way; the loop goes on meanwhile.
+    pub fn want(&self, wanted: WantedTake) -> Result<RecordingDocument, ControlError> {
+        let document = self.recording()?;
+        let same = |object: &str, primitive: &str| object == wanted.object && primitive == wanted.primitive;
+        let waits = document.wanted.iter().any(|other| same(&other.object, &other.primitive));
+        let is_open = |session: &palpate_wire::api::RecordingSession| {
+            session.steps.iter().any(|step| {
+                step.added_because.is_some()
+                    && step.state == StepState::Open
+                    && same(&step.object, &step.primitive)
+            })
+        };
+        if waits || document.session.as_ref().is_some_and(is_open) {
+            return Err(ControlError::Refused(format!(
+                "{} on {} is on the list already",
+                wanted.primitive, wanted.object
+            )));
+        }
+        match &document.session {
+            None => {
+                self.shared.plans.check_wanted(&wanted)?;
+                self.ask(|reply| Message::Want(wanted, reply))?
+            }
+            Some(session) => {
+                let step = Box::new(self.shared.plans.add_step(session, wanted)?);
+                self.ask(|reply| Message::AddStep(step, reply))?
+            }
+        }
+    }
+
+    /// Takes back what [`Handle::want`] asked for, as long as it has no take.
+    pub fn unwant(&self, object: &str, primitive: &str) -> Result<RecordingDocument, ControlError> {
+        let (object, primitive) = (object.to_owned(), primitive.to_owned());
+        self.ask(|reply| Message::Unwant { object, primitive, reply })?
     }
 
     /// What the operator does in the guided session.

@@ -13,7 +13,7 @@ use std::{
 use palpate_motion::{MotionLimits, Plan, PlanError, Primitives, TakeMotion, plan_take};
 use palpate_recording::{GrowingSession, PlannedStep, SessionPlan};
 use palpate_robot_model::Station;
-use palpate_wire::api::{PlanSummary, StartRecording};
+use palpate_wire::api::{PlanSummary, RecordingSession, StartRecording, WantedTake};
 
 use crate::{audit::rfc3339_now, error::ControlError};
 
@@ -32,7 +32,10 @@ type Motions = Vec<Arc<TakeMotion>>;
 
 /// A session that is ready to be recorded.
 pub(crate) struct Prepared {
+    /// The plan, and behind its own takes those that were added.
     pub(crate) plan: Plan,
+    /// Why each take was added; `None` for the plan's own.
+    pub(crate) added_because: Vec<Option<String>>,
     /// One a take of the plan.
     pub(crate) motions: Vec<Arc<TakeMotion>>,
     /// Id of the session.
@@ -41,6 +44,17 @@ pub(crate) struct Prepared {
     pub(crate) session: GrowingSession,
     /// What was found and mended in a session that is gone on with.
     pub(crate) mended: Vec<String>,
+}
+
+/// A step for the session that is under way.
+#[derive(Debug)]
+pub(crate) struct AddedStep {
+    /// Id of the session that it was prepared for.
+    pub(crate) session: String,
+    /// The plan of the session, whose last take it is.
+    pub(crate) plan: Plan,
+    pub(crate) motion: Arc<TakeMotion>,
+    pub(crate) because: String,
 }
 
 impl std::fmt::Debug for Prepared {
@@ -73,33 +87,130 @@ impl Plans {
     }
 
     /// Plans the motions and opens the folder. Takes seconds the first time: not for the control loop's thread.
-    pub(crate) fn prepare(&self, start: StartRecording) -> Result<Prepared, ControlError> {
-        let StartRecording { plan: plan_id, session: id, operator } = start;
-        let Some(plan_idx) = self.plans.iter().position(|plan| plan.id == plan_id) else {
-            let known: Vec<&str> = self.plans.iter().map(|plan| plan.id.as_str()).collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            return Err(ControlError::Unknown(format!(
-                "the station has no plan {plan_id:?}; it has {known}, as its station file says"
-            )));
-        };
+    /// What is `wanted` comes behind what the session has.
+    pub(crate) fn prepare(
+        &self,
+        start: StartRecording,
+        wanted: &[WantedTake],
+    ) -> Result<Prepared, ControlError> {
+        let StartRecording { plan: plan_id, session: id, operator, only_wanted } = start;
+        let plan_idx = self.plan_idx(&plan_id)?;
         check_session_id(&id)?;
-        let plan = &self.plans[plan_idx];
-        let motions = self.motions(plan_idx).map_err(|error| ControlError::Refused(error.to_string()))?;
-        let steps = plan
-            .takes
-            .iter()
-            .map(|take| PlannedStep { object: take.object.clone(), primitive: take.primitive.clone() });
+        let dir = self.sessions_dir.join(&id);
+        let known =
+            GrowingSession::steps_of(&dir).map_err(|error| ControlError::Refused(with_causes(&error)))?;
+        if only_wanted && known.is_none() && wanted.is_empty() {
+            return Err(ControlError::Refused(
+                "nothing is wanted that could be recorded by itself; ask for a take first, or record by a plan".to_owned(),
+            ));
+        }
+        let own = known.as_ref().map_or(!only_wanted, |steps| {
+            steps.is_empty() || steps.iter().any(|step| step.added_because.is_none())
+        });
+        let mut added: Vec<WantedTake> = known.into_iter().flatten().filter_map(as_wanted).collect();
+        added.extend_from_slice(wanted);
+        let plan = self.checklist(plan_idx, own, &added)?;
+        let refused = |error: PlanError| ControlError::Refused(error.to_string());
+        let mut motions = if own { self.motions(plan_idx).map_err(refused)? } else { Motions::new() };
+        for take_idx in motions.len()..plan.takes.len() {
+            motions.push(self.motion(&plan, take_idx)?);
+        }
+        let own_takes = plan.takes.len() - added.len();
+        let added_because: Vec<Option<String>> = std::iter::repeat_n(None, own_takes)
+            .chain(added.into_iter().map(|wanted| Some(wanted.because)))
+            .collect();
+        let steps = plan.takes.iter().zip(&added_because).map(|(take, because)| PlannedStep {
+            object: take.object.clone(),
+            primitive: take.primitive.clone(),
+            added_because: because.clone(),
+        });
         let follows = SessionPlan { plan: plan.id.clone(), steps: steps.collect() };
         fs::create_dir_all(&self.sessions_dir).map_err(|source| ControlError::Io {
             action: "make the folder",
             path: self.sessions_dir.clone(),
             source,
         })?;
-        let dir = self.sessions_dir.join(&id);
         let (session, mended) =
             GrowingSession::open(&dir, &self.station.id, &follows, &operator, &rfc3339_now())
                 .map_err(|error| ControlError::Refused(with_causes(&error)))?;
-        Ok(Prepared { plan: plan.clone(), motions, id, operator, session, mended })
+        Ok(Prepared { plan, added_because, motions, id, operator, session, mended })
+    }
+
+    /// Whether some plan has the motion that is wanted; says what there is otherwise.
+    pub(crate) fn check_wanted(&self, wanted: &WantedTake) -> Result<(), ControlError> {
+        self.find(0, wanted).map(|_| ())
+    }
+
+    /// Plans the motion of what is wanted as the last step of the session under way. Takes a moment: not for the control
+    /// loop's thread.
+    pub(crate) fn add_step(
+        &self,
+        session: &RecordingSession,
+        wanted: WantedTake,
+    ) -> Result<AddedStep, ControlError> {
+        let plan_idx = self.plan_idx(&session.plan)?;
+        let own = session.steps.iter().any(|step| step.added_because.is_none());
+        let before = session.steps.iter().filter_map(|step| {
+            let because = step.added_because.clone()?;
+            Some(WantedTake { object: step.object.clone(), primitive: step.primitive.clone(), because })
+        });
+        let because = wanted.because.clone();
+        let added: Vec<WantedTake> = before.chain([wanted]).collect();
+        let plan = self.checklist(plan_idx, own, &added)?;
+        let motion = self.motion(&plan, plan.takes.len() - 1)?;
+        Ok(AddedStep { session: session.session.clone(), plan, motion, because })
+    }
+
+    fn plan_idx(&self, plan_id: &str) -> Result<usize, ControlError> {
+        self.plans.iter().position(|plan| plan.id == plan_id).ok_or_else(|| {
+            let known: Vec<&str> = self.plans.iter().map(|plan| plan.id.as_str()).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            ControlError::Unknown(format!(
+                "the station has no plan {plan_id:?}; it has {known}, as its station file says"
+            ))
+        })
+    }
+
+    /// The plan at `plan_idx`, with or without its own takes, and behind them what was `added`. Objects stand where this
+    /// plan has them, and move as it says, whichever plan has the added motion.
+    fn checklist(&self, plan_idx: usize, own: bool, added: &[WantedTake]) -> Result<Plan, ControlError> {
+        let mut plan = self.plans[plan_idx].clone();
+        if !own {
+            plan.takes.clear();
+        }
+        for wanted in added {
+            let (from, take_idx) = self.find(plan_idx, wanted)?;
+            let take = &from.takes[take_idx];
+            if let Some(pose) = from.objects.get(&take.object) {
+                plan.objects.entry(take.object.clone()).or_insert_with(|| pose.clone());
+            }
+            if let Some(primitive) = from.primitives.get(&take.primitive) {
+                plan.primitives.entry(take.primitive.clone()).or_insert_with(|| primitive.clone());
+            }
+            plan.takes.push(take.clone());
+        }
+        Ok(plan)
+    }
+
+    /// The first take with the wanted motion on the wanted object: of the plan at `first`, or else of another.
+    fn find(&self, first: usize, wanted: &WantedTake) -> Result<(&Plan, usize), ControlError> {
+        let fits = |take: &palpate_motion::PlannedTake| {
+            take.object == wanted.object && take.primitive == wanted.primitive
+        };
+        let plans = self.plans.get(first).into_iter().chain(&self.plans);
+        let mut found = plans.filter_map(|plan| Some((plan, plan.takes.iter().position(fits)?)));
+        found.next().ok_or_else(|| {
+            ControlError::Unknown(format!(
+                "no plan of this station has {} on {}; add such a [[take]] to one of its plans",
+                wanted.primitive, wanted.object
+            ))
+        })
+    }
+
+    fn motion(&self, plan: &Plan, take_idx: usize) -> Result<Arc<TakeMotion>, ControlError> {
+        let limits = MotionLimits::of(&self.station);
+        let motion = plan_take(&self.station, plan, &Primitives::new(), take_idx, Some(&limits));
+        motion.map(Arc::new).map_err(|error| ControlError::Refused(error.to_string()))
     }
 
     fn motions(&self, plan_idx: usize) -> Result<Motions, PlanError> {
@@ -111,6 +222,12 @@ impl Plans {
         lock().push((plan_idx, motions.clone()));
         Ok(motions)
     }
+}
+
+/// What was wanted, of a step that was added.
+fn as_wanted(step: PlannedStep) -> Option<WantedTake> {
+    let PlannedStep { object, primitive, added_because } = step;
+    added_because.map(|because| WantedTake { object, primitive, because })
 }
 
 /// Every take of the plan as the station may move it, on as many threads as leave the control loop a core.

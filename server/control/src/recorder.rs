@@ -16,7 +16,7 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
-use palpate_recording::{GrowingSession, SpanKind, TakeMeta};
+use palpate_recording::{GrowingSession, PlannedStep, SpanKind, TakeMeta};
 use palpate_robot_model::Station;
 use palpate_wire::api::TakeVerdict;
 
@@ -63,6 +63,10 @@ pub(crate) enum RecorderCommand {
     Restore { take: String },
     /// Checks a take that is there already.
     Check { take: String, planned: Vec<usize> },
+    /// Adds a step to the session's list.
+    AddStep { step: PlannedStep },
+    /// Takes an added step off the list.
+    RemoveStep { step: usize },
     /// A remark about a take that is over.
     Annotate { take: String, text: String },
     /// Lets go of the session.

@@ -210,6 +210,7 @@ impl Observer {
             self.judge.forget_expectations();
             self.object.clone_from(&frame.object);
             self.path.clear();
+            self.problem.clear();
         }
         self.used = model;
         self.notice_zero(frame);
@@ -222,6 +223,8 @@ impl Observer {
             model: self.used.name.clone(),
             active: felt.map_or_else(Vec::new, |(active, _)| bits::pack(active)),
             agreement: self.judge.agreement(),
+            time_s: frame.at_s,
+            problem: self.problem.clone(),
         };
         TwinView { status, warnings: self.judge.warnings(frame.at_s) }
     }

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use axum::{Json, extract::State};
-use palpate_wire::api::{RecordingAction, RecordingDocument, StartRecording};
+use palpate_wire::api::{RecordingAction, RecordingDocument, StartRecording, WantedTake};
 
 use super::{
     blocking,
-    extract::Body,
+    extract::{Body, Ids},
     problem::{Answer, Problem},
 };
 use crate::{AppState, Error, files};
@@ -29,6 +29,20 @@ pub(super) async fn act(
     Body(action): Body<RecordingAction>,
 ) -> Answer<Json<RecordingDocument>> {
     with_station(&state, move |handle| Ok(handle.act(action)?)).await
+}
+
+pub(super) async fn want(
+    State(state): State<Arc<AppState>>,
+    Body(wanted): Body<WantedTake>,
+) -> Answer<Json<RecordingDocument>> {
+    with_station(&state, move |handle| Ok(handle.want(wanted)?)).await
+}
+
+pub(super) async fn unwant(
+    State(state): State<Arc<AppState>>,
+    Ids((object, primitive)): Ids<(String, String)>,
+) -> Answer<Json<RecordingDocument>> {
+    with_station(&state, move |handle| Ok(handle.unwant(&object, &primitive)?)).await
 }
 
 async fn with_station(

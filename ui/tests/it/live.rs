@@ -67,7 +67,10 @@ impl Bench {
     }
 
     pub(crate) fn at(hash: &str) -> Self {
-        Self::new(hash, &RecordingDocument { revision: 0, plans: Vec::new(), session: None })
+        Self::new(
+            hash,
+            &RecordingDocument { revision: 0, plans: Vec::new(), wanted: Vec::new(), session: None },
+        )
     }
 
     /// The station says that it is in `phase`, and the page comes to rest.

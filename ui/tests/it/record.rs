@@ -26,6 +26,7 @@ fn step(object: &str, primitive: &str, state: StepState) -> RecordingStep {
         instruction: "Place the sphere on fixture A, flat side to the arm".to_owned(),
         touches: vec!["index_tip_0".to_owned()],
         duration_s: 20.0,
+        added_because: None,
         state,
         take: None,
         verdict: None,
@@ -45,7 +46,7 @@ fn document(phase: RecordingPhase) -> RecordingDocument {
         untouched: Vec::new(),
         can_undo: false,
     };
-    RecordingDocument { revision: 7, plans: plans(), session: Some(session) }
+    RecordingDocument { revision: 7, plans: plans(), wanted: Vec::new(), session: Some(session) }
 }
 
 fn plans() -> Vec<PlanSummary> {
@@ -101,7 +102,7 @@ fn a_server_without_a_station_teaches_how_to_have_one() {
 
 #[test]
 fn a_session_starts_under_a_free_name() {
-    let empty = RecordingDocument { revision: 1, plans: plans(), session: None };
+    let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
     let mut bench = Bench::new("#/record", &empty);
     bench.harness.get_by_label("9 takes, 5 min 25 s of motion");
     bench.click("Start session");
@@ -109,6 +110,7 @@ fn a_session_starts_under_a_free_name() {
         plan: "nine_takes".to_owned(),
         session: "nine_takes-1".to_owned(),
         operator: String::new(),
+        only_wanted: false,
     };
     assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(wanted)));
     bench.harness.run_steps(3);

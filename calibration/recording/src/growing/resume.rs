@@ -6,8 +6,8 @@ use std::{
 };
 
 use super::{
-    DISCARDED, GrowingSession, LOCK_FILE, PARTIAL, RECORDING_FORMAT, RecordingFile, SessionPlan, TakeState,
-    chain, move_file, new_session_file,
+    DISCARDED, GrowingSession, LOCK_FILE, PARTIAL, PlannedStep, RECORDING_FORMAT, RecordingFile, SessionPlan,
+    TakeState, chain, move_file, new_session_file,
 };
 use crate::{
     RecordingError, Session, close_partial,
@@ -17,8 +17,8 @@ use crate::{
 impl GrowingSession {
     /// Begins the session at `dir` or goes on with it; the second value says in sentences what was found and mended.
     ///
-    /// `station` is the station's id and `recorded` when the session begins (RFC 3339). A session that follows another
-    /// plan, belongs to another station, was not recorded step by step, or is open in another process is refused.
+    /// `station` is the station's id and `recorded` when the session begins (RFC 3339). Added steps of `plan` that the
+    /// session does not have yet come behind its own. A session that follows another plan, belongs to another station, was not recorded step by step, or is open in another process is refused.
     pub fn open(
         dir: &Path,
         station: &str,
@@ -46,7 +46,10 @@ impl GrowingSession {
         let lock = lock(dir)?;
         let resumed = recording_path.is_file();
         let recording = if resumed {
-            read_recording(&recording_path)?
+            let mut recording = read_recording(&recording_path)?;
+            check_plan(&recording_path, &recording, plan)?;
+            recording.steps.clone_from(&plan.steps);
+            recording
         } else {
             RecordingFile {
                 format: RECORDING_FORMAT,
@@ -56,7 +59,6 @@ impl GrowingSession {
                 takes: Vec::new(),
             }
         };
-        check_plan(&recording_path, &recording, plan)?;
         // What is accepted follows from `recording.toml`; only station and time come from the session's own file.
         let file = if dir.join("session.toml").is_file() {
             Session::open(dir)?.file
@@ -83,6 +85,12 @@ impl GrowingSession {
         growing.save(recording)?;
         check_file(&dir.join("session.toml"), &growing.session.file)?;
         Ok((growing, report))
+    }
+
+    /// The steps of the session at `dir`, those that were added included; `None` if none was begun there.
+    pub fn steps_of(dir: &Path) -> Result<Option<Vec<PlannedStep>>, RecordingError> {
+        let path = dir.join(RECORDING_FILE);
+        if path.is_file() { read_recording(&path).map(|recording| Some(recording.steps)) } else { Ok(None) }
     }
 
     /// Makes the folder what `recording.toml` says it is.
@@ -261,8 +269,13 @@ fn check_plan(path: &Path, recording: &RecordingFile, plan: &SessionPlan) -> Res
         );
         return Err(RecordingError::content(path, "plan", problem));
     }
+    let added_since = |step: usize| {
+        recording.steps.get(step).is_none()
+            && (recording.steps.is_empty()
+                || plan.steps.get(step).is_some_and(|step| step.added_because.is_some()))
+    };
     let changed = (0..recording.steps.len().max(plan.steps.len()))
-        .find(|&step| recording.steps.get(step) != plan.steps.get(step));
+        .find(|&step| recording.steps.get(step) != plan.steps.get(step) && !added_since(step));
     if let Some(step) = changed {
         let problem =
             "the plan was changed since the session was begun; choose another id, or change the plan back";

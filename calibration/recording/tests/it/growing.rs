@@ -13,7 +13,11 @@ use crate::{
 };
 
 fn plan() -> SessionPlan {
-    let step = |primitive: &str| PlannedStep { object: "ball".to_owned(), primitive: primitive.to_owned() };
+    let step = |primitive: &str| PlannedStep {
+        object: "ball".to_owned(),
+        primitive: primitive.to_owned(),
+        added_because: None,
+    };
     SessionPlan { plan: "two".to_owned(), steps: vec![step("tap"), step("roll")] }
 }
 
@@ -268,4 +272,39 @@ fn what_is_no_session_of_this_plan_is_refused() {
         let error = open_with(&at("monday"), "finger", &plan());
         assert!(error.contains(expected), "{error}\nlacks\n{expected}");
     }
+}
+
+#[test]
+fn steps_are_added_kept_over_a_restart_and_taken_off_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path().join("monday");
+    let added = |primitive: &str| PlannedStep {
+        object: "ball".to_owned(),
+        primitive: primitive.to_owned(),
+        added_because: Some("tells latency from low pass".to_owned()),
+    };
+    let (mut growing, _) = open(&dir).unwrap();
+    growing.add_step(added("slide")).unwrap();
+    growing.add_step(added("tap")).unwrap();
+    let slide = record(&mut growing, 2);
+    let tap = record(&mut growing, 3);
+    growing.accept(&tap).unwrap();
+    let refused = growing.remove_step(2).unwrap_err().to_string();
+    assert!(refused.contains("has a take"), "{refused}");
+    let refused = growing.remove_step(0).unwrap_err().to_string();
+    assert!(refused.contains("only a step that was added"), "{refused}");
+    growing.set_aside(&slide).unwrap();
+    growing.remove_step(2).unwrap();
+    assert_eq!(growing.recording().takes[0].step, 2, "the step behind it moves up");
+    drop(growing);
+
+    assert_eq!(GrowingSession::steps_of(&dir).unwrap().unwrap().len(), 3);
+    assert!(dir.join("discarded").join(format!("{slide}.mcap")).is_file());
+    // The plan alone is not the whole of what was recorded; with what was added, it goes on, and may grow.
+    assert!(open(&dir).unwrap_err().to_string().contains("the plan was changed"));
+    let mut grown = plan();
+    grown.steps.extend([added("tap"), added("roll")]);
+    let (growing, _) = GrowingSession::open(&dir, "finger", &grown, "", "2026-11-22T10:00:00Z").unwrap();
+    assert_eq!(growing.recording().steps, grown.steps);
+    assert_eq!(accepted(&dir), [tap]);
 }

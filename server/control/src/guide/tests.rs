@@ -26,6 +26,7 @@ fn plan() -> GuidePlan {
         spans: vec![span(SpanKind::Repetition, 1.0, 2.0), span(SpanKind::Repetition, 2.0, 3.5)],
         activities: vec![(0.0, "to tip".to_owned()), (1.0, "tap, tip".to_owned())],
         touches,
+        added_because: None,
     };
     GuidePlan {
         id: "three".to_owned(),
@@ -44,9 +45,11 @@ fn plan() -> GuidePlan {
 
 fn recording(takes: Vec<RecordedTake>) -> RecordingFile {
     let steps = plan().steps;
-    let steps = steps
-        .iter()
-        .map(|step| PlannedStep { object: step.object.clone(), primitive: step.primitive.clone() });
+    let steps = steps.iter().map(|step| PlannedStep {
+        object: step.object.clone(),
+        primitive: step.primitive.clone(),
+        added_because: step.added_because.clone(),
+    });
     RecordingFile {
         format: 1,
         plan: "three".to_owned(),
@@ -174,7 +177,7 @@ impl Bench {
                 let rival =
                     self.takes.values().find(|(other, place)| *other == step && *place == Place::Accepted);
                 assert_eq!(rival, None, "records over an accepted take");
-                assert_eq!(meta.object, plan().steps[step].object);
+                assert_eq!(meta.object, self.guide.plan.steps[step].object);
                 let take = format!("take-{:02}", self.takes.len() + 1);
                 self.takes.insert(take.clone(), (step, Place::Recording));
                 self.answers.push(RecorderEvent::TakeStarted { take });
@@ -208,7 +211,10 @@ impl Bench {
                 self.spans.push(kind);
             }
             RecorderCommand::Annotate { take, .. } => assert!(self.takes.contains_key(&take)),
-            RecorderCommand::Note { .. } | RecorderCommand::Log { .. } => {}
+            RecorderCommand::Note { .. }
+            | RecorderCommand::Log { .. }
+            | RecorderCommand::AddStep { .. }
+            | RecorderCommand::RemoveStep { .. } => {}
             RecorderCommand::EndSession => {
                 assert_eq!(recording, None, "leaves in the middle of a take");
                 self.answers.push(RecorderEvent::SessionEnded);
@@ -221,7 +227,8 @@ impl Bench {
         self.put(take, Place::Review);
         let (take, channels) = (take.to_owned(), ["a", "b", "c"]);
         self.answers.push(RecorderEvent::TakeEnded { take: take.clone(), broken_off: broken_off.to_owned() });
-        let verdict = verdict(&[channels[step]]);
+        let touched = self.guide.plan.steps[step].touches[0];
+        let verdict = verdict(&[channels[touched]]);
         self.answers.push(RecorderEvent::Checked { take, verdict, readable: true });
     }
 
@@ -647,4 +654,57 @@ fn a_session_goes_on_where_it_stood() {
     bench.act(RecordingAction::Accept).unwrap();
     bench.answer();
     assert_eq!(bench.phase(), RecordingPhase::Done);
+}
+
+#[test]
+fn steps_are_added_at_the_end_and_taken_off_while_they_have_no_take() {
+    let mut bench = Bench::new();
+    let added = |primitive: &str| GuideStep {
+        primitive: primitive.to_owned(),
+        added_because: Some("tells two rivals apart".to_owned()),
+        ..plan().steps[0].clone()
+    };
+    for _ in 0..3 {
+        bench.take();
+        bench.act(RecordingAction::Accept).unwrap();
+        bench.answer();
+    }
+    assert_eq!(bench.phase(), RecordingPhase::Done);
+    let effects = bench.guide.add_step(added("press")).unwrap();
+    assert!(
+        matches!(&effects[1], Effect::Record(RecorderCommand::AddStep { step }) if step.primitive == "press")
+    );
+    // It is what is left to do.
+    assert_eq!((bench.phase(), bench.session().current), (RecordingPhase::PlaceObject, Some(3)));
+    assert_eq!(bench.session().steps[3].added_because.as_deref(), Some("tells two rivals apart"));
+    bench.guide.add_step(added("pull")).unwrap();
+    bench.act(RecordingAction::Select { step: 4 }).unwrap();
+
+    let refused = bench.guide.remove_step("ball", "tap").unwrap_err();
+    assert!(refused.contains("was not added"), "{refused}");
+    let (removed, effects) = bench.guide.remove_step("ball", "press").unwrap();
+    assert_eq!(removed, 3);
+    assert!(effects.contains(&Effect::Record(RecorderCommand::RemoveStep { step: 3 })));
+    assert_eq!((bench.session().current, bench.session().steps.len()), (Some(3), 4));
+    assert_eq!(bench.session().steps[3].primitive, "pull");
+    bench.take();
+    let refused = bench.guide.remove_step("ball", "pull").unwrap_err();
+    assert!(refused.contains("discard its take first"), "{refused}");
+    bench.act(RecordingAction::Discard).unwrap();
+    bench.answer();
+    assert!(bench.session().can_undo);
+    bench.guide.remove_step("ball", "pull").unwrap();
+    let session = bench.session();
+    assert_eq!((session.phase, session.steps.len(), session.can_undo), (RecordingPhase::Done, 3, false));
+}
+
+#[test]
+fn no_step_is_taken_off_under_a_robot_that_moves() {
+    let mut bench = Bench::new();
+    let step = GuideStep { added_because: Some(String::new()), ..plan().steps[0].clone() };
+    bench.guide.add_step(step).unwrap();
+    bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
+    bench.act(RecordingAction::GoToStart { lease: LEASE }).unwrap();
+    let refused = bench.guide.remove_step("ball", "tap").unwrap_err();
+    assert!(refused.contains("on its way"), "{refused}");
 }

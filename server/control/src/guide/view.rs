@@ -28,6 +28,7 @@ impl Guide {
                 .filter_map(|&channel| self.plan.channels.get(channel).cloned())
                 .collect(),
             duration_s: planned.duration_s,
+            added_because: planned.added_because.clone(),
             state: match recorded {
                 None => StepState::Open,
                 Some(recorded) if recorded.accepted => StepState::Accepted,

@@ -29,7 +29,7 @@ fn station() -> Arc<Station> {
 }
 
 fn open(dir: &Path) -> GrowingSession {
-    let step = PlannedStep { object: "ball".to_owned(), primitive: "tap".to_owned() };
+    let step = PlannedStep { object: "ball".to_owned(), primitive: "tap".to_owned(), added_because: None };
     let plan = SessionPlan { plan: "two".to_owned(), steps: vec![step.clone(), step] };
     GrowingSession::open(dir, "finger", &plan, "somebody", "").expect("the session opens").0
 }

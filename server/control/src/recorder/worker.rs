@@ -126,16 +126,21 @@ impl Worker {
                     Circumstances { planned: &planned, broken_off: &broken_off, ..Circumstances::default() };
                 self.check(&take, &known);
             }
-            RecorderCommand::Annotate { take, text } => {
-                let Some(session) = &mut self.session else { return };
-                if let Err(error) = session.note(&take, &text) {
-                    self.say(RecorderEvent::Failed { problem: in_words(&error) });
-                }
-            }
+            RecorderCommand::AddStep { step } => self.list(|session| session.add_step(step)),
+            RecorderCommand::RemoveStep { step } => self.list(|session| session.remove_step(step)),
+            RecorderCommand::Annotate { take, text } => self.list(|session| session.note(&take, &text)),
             RecorderCommand::EndSession => {
                 self.end_session();
                 self.say(RecorderEvent::SessionEnded);
             }
+        }
+    }
+
+    /// Changes the session's list; nobody waits for it, so that only a failure is said.
+    fn list(&mut self, change: impl FnOnce(&mut GrowingSession) -> Result<(), RecordingError>) {
+        let Some(session) = &mut self.session else { return };
+        if let Err(error) = change(session) {
+            self.say(RecorderEvent::Failed { problem: in_words(&error) });
         }
     }
 

@@ -7,7 +7,9 @@ use std::{
 
 use palpate_control::ControlError;
 use palpate_recording::{Session, SpanKind};
-use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingSession, StartRecording, StepState};
+use palpate_wire::api::{
+    RecordingAction, RecordingPhase, RecordingSession, StartRecording, StepState, WantedTake,
+};
 
 use crate::bench::{Bench, Operator, targets};
 
@@ -18,6 +20,7 @@ fn start(bench: &Bench, session: &str) -> Result<RecordingSession, ControlError>
         plan: "quick_check".to_owned(),
         session: session.to_owned(),
         operator: "Ada".to_owned(),
+        only_wanted: false,
     };
     let document = bench.handle.start_recording(start)?;
     Ok(document.session.expect("it was begun"))
@@ -164,12 +167,90 @@ fn sessions_that_cannot_be_are_refused_in_words() {
         ("quick_check", "", "letters"),
         ("quick_check", ".hidden", "letters"),
     ] {
-        let start =
-            StartRecording { plan: plan.to_owned(), session: session.to_owned(), operator: String::new() };
+        let start = StartRecording {
+            plan: plan.to_owned(),
+            session: session.to_owned(),
+            operator: String::new(),
+            only_wanted: false,
+        };
         let refused = bench.handle.start_recording(start).unwrap_err().to_string();
         assert!(refused.contains(expected), "{refused}");
     }
     let refused = bench.handle.act(RecordingAction::Accept).unwrap_err().to_string();
     assert!(refused.contains("begin one"), "{refused}");
     assert!(!bench.dir.path().join("sessions").join("monday").exists());
+}
+
+fn leave(bench: &Bench) {
+    bench.handle.act(RecordingAction::Leave).expect("nothing is under way");
+    let begun = Instant::now();
+    while bench.handle.recording().unwrap().session.is_some() {
+        assert!(begun.elapsed() < PATIENCE);
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn what_is_wanted_waits_for_a_session_and_joins_its_checklist() {
+    let bench = Bench::new();
+    let wanted = |object: &str, primitive: &str| WantedTake {
+        object: object.to_owned(),
+        primitive: primitive.to_owned(),
+        because: "tells latency from low pass".to_owned(),
+    };
+    let (sphere, cylinder) = ("sphere_50mm", "cylinder_25x100mm");
+    let refused = bench.handle.want(wanted("corner_block_80mm", "tap")).unwrap_err().to_string();
+    assert!(refused.contains("no plan of this station has tap on corner_block_80mm"), "{refused}");
+    let document = bench.handle.want(wanted(sphere, "quick_tap")).unwrap();
+    assert_eq!(document.wanted, [wanted(sphere, "quick_tap")]);
+    let refused = bench.handle.want(wanted(sphere, "quick_tap")).unwrap_err().to_string();
+    assert!(refused.contains("on the list already"), "{refused}");
+    let document = bench.handle.unwant(sphere, "quick_tap").unwrap();
+    assert!(document.wanted.is_empty());
+    bench.handle.unwant(sphere, "quick_tap").unwrap_err();
+
+    // Alone, without the takes of any plan.
+    let alone = || StartRecording {
+        plan: "quick_check".to_owned(),
+        session: "next".to_owned(),
+        operator: String::new(),
+        only_wanted: true,
+    };
+    let refused = bench.handle.start_recording(alone()).unwrap_err().to_string();
+    assert!(refused.contains("nothing is wanted"), "{refused}");
+    assert!(!bench.dir.path().join("sessions/next").exists());
+    bench.handle.want(wanted(sphere, "quick_tap")).unwrap();
+    let document = bench.handle.start_recording(alone()).unwrap();
+    assert!(document.wanted.is_empty(), "it is a step now");
+    let pairs = |session: &RecordingSession| -> Vec<(String, bool)> {
+        let steps = session.steps.iter();
+        steps.map(|step| (step.object.clone(), step.added_because.is_some())).collect()
+    };
+    assert_eq!(pairs(&document.session.unwrap()), [(sphere.to_owned(), true)]);
+    // Another one joins the session that is under way, and can be recorded.
+    let session = bench.handle.want(wanted(cylinder, "quick_tap")).unwrap().session.unwrap();
+    assert_eq!(pairs(&session), [(sphere.to_owned(), true), (cylinder.to_owned(), true)]);
+    let operator = Operator::armed(&bench, 1);
+    act(&bench, RecordingAction::Select { step: 1 });
+    to_start(&bench, &operator);
+    act(&bench, RecordingAction::Run { lease: operator.lease() });
+    wait_for_phase(&bench, RecordingPhase::Running);
+    act(&bench, RecordingAction::Cancel);
+    let session = wait_for_phase(&bench, RecordingPhase::Review);
+    assert_eq!(session.steps[1].take.as_deref(), Some("take-02"));
+    let session = bench.handle.unwant(sphere, "quick_tap").unwrap().session.unwrap();
+    assert_eq!(session.steps[0].take.as_deref(), Some("take-02"), "the step behind it moves up");
+    leave(&bench);
+
+    // It goes on by itself, and what is wanted meanwhile comes with it.
+    bench.handle.want(wanted(sphere, "quick_tap")).unwrap();
+    let resumed = bench.handle.start_recording(alone()).unwrap().session.unwrap();
+    assert_eq!(pairs(&resumed), [(cylinder.to_owned(), true), (sphere.to_owned(), true)]);
+    assert_eq!(resumed.steps[0].state, StepState::Review);
+    leave(&bench);
+    // Behind the takes of a plan.
+    bench.handle.want(wanted(cylinder, "quick_tap")).unwrap();
+    let session = start(&bench, "monday").unwrap();
+    let added: Vec<bool> = pairs(&session).iter().map(|(_, added)| *added).collect();
+    assert_eq!(added, [false, false, false, true]);
 }

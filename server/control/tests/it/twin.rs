@@ -40,6 +40,7 @@ fn dead_and_drifting_taxels_are_named_and_the_model_can_be_chosen() {
         plan: "quick_check".to_owned(),
         session: "twin".to_owned(),
         operator: "Ada".to_owned(),
+        only_wanted: false,
     };
     bench.handle.start_recording(start).unwrap();
     bench.handle.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();

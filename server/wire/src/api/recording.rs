@@ -12,6 +12,9 @@ pub struct StartRecording {
     /// Who records.
     #[serde(default)]
     pub operator: String,
+    /// Leaves the plan's own takes out: only what is [wanted](RecordingDocument::wanted) is recorded.
+    #[serde(default)]
+    pub only_wanted: bool,
 }
 
 /// `GET /api/v1/recording`.
@@ -21,8 +24,27 @@ pub struct RecordingDocument {
     pub revision: u64,
     /// Plans that the live station has.
     pub plans: Vec<PlanSummary>,
+    /// What waits for the next session: its checklist ends with it.
+    #[serde(default)]
+    pub wanted: Vec<WantedTake>,
     /// The session under way, if there is one.
     pub session: Option<RecordingSession>,
+}
+
+/// Body of `POST /api/v1/recording/wanted`: a take to record besides those of a plan, e.g. what a diagnosis asks for. It
+/// comes last in the checklist of the session under way, or of the next one; `DELETE
+/// /api/v1/recording/wanted/{object}/{primitive}` takes it off again as long as it has no take. Both are answered by
+/// [`RecordingDocument`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WantedTake {
+    /// Object id.
+    pub object: String,
+    /// Primitive id. The motion is that of the first take of the station's plans that has both.
+    pub primitive: String,
+    /// Why it is wanted, as a sentence for the operator.
+    #[serde(default)]
+    pub because: String,
 }
 
 /// A plan of a calibration session.
@@ -78,6 +100,9 @@ pub struct RecordingStep {
     pub touches: Vec<String>,
     /// How long the motion takes, s.
     pub duration_s: f64,
+    /// Why it was added to the plan's own takes; absent for those of the plan.
+    #[serde(default)]
+    pub added_because: Option<String>,
     /// Where it stands.
     pub state: StepState,
     /// Take id once it is recorded.

@@ -105,6 +105,7 @@ fn form_ui(
             plan: plan.id.clone(),
             session: name.to_owned(),
             operator: cx.store.control.operator.trim().to_owned(),
+            only_wanted: false,
         });
         state.name = None;
     }

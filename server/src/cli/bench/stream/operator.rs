@@ -71,6 +71,7 @@ impl Operator {
             plan: PLAN.to_owned(),
             session: SESSION.to_owned(),
             operator: "palpate bench".to_owned(),
+            only_wanted: false,
         };
         let _begun: RecordingDocument = ask(addr, "POST", "recording", Some(&start)).await?;
         let url = socket_url(addr, "control");
