@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use palpate_wire::{
     api::{
-        CalibrationRequest, DiagnosisRequest, ProblemDetails, RecordingAction, SaveDiagnosisRequest,
-        SaveModelRequest, StartRecording,
+        CalibrationRequest, DiagnosisRequest, LiveModel, ProblemDetails, RecordingAction,
+        SaveDiagnosisRequest, SaveModelRequest, StartRecording, WantedTake,
     },
     proto::{ControlRequest, control_request},
 };
@@ -101,12 +101,23 @@ pub enum Request {
     StartRecording(StartRecording),
     /// Do something with the step under way.
     ActOnRecording(RecordingAction),
+    /// Put a take on the list of what is recorded next.
+    Want(WantedTake),
+    /// Take it off again.
+    Unwant {
+        /// Object id.
+        object: String,
+        /// Primitive id.
+        primitive: String,
+    },
+    /// Choose what the live twin simulates with.
+    SetLiveModel(LiveModel),
 }
 
 /// A request as HTTP.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpRequest {
-    /// `GET`, `POST` or `DELETE`.
+    /// `GET`, `POST`, `PUT` or `DELETE`.
     pub method: &'static str,
     /// Path and query, from the server's root.
     pub path: String,
@@ -168,6 +179,13 @@ impl Request {
             Self::Recording => get("/recording".into()),
             Self::StartRecording(body) => post("/recording".into(), json(body)),
             Self::ActOnRecording(body) => post("/recording/act".into(), json(body)),
+            Self::Want(body) => post("/recording/wanted".into(), json(body)),
+            Self::Unwant { object, primitive } => {
+                delete(format!("/recording/wanted/{}/{}", segment(object), segment(primitive)))
+            }
+            Self::SetLiveModel(body) => {
+                HttpRequest { method: "PUT", path: "/api/v1/live/model".into(), body: json(body) }
+            }
         }
     }
 }

@@ -7,7 +7,7 @@ mod strip;
 use crate::{
     api_client::Api,
     commands::Command,
-    playback::{ModelRef, Playback},
+    playback::{HandSource, ModelRef, Playback},
     route::{Route, Screen},
     screens::{self, PickedFile, ScreenContext},
     store::{Connection, Store},
@@ -238,6 +238,10 @@ impl StudioApp {
     }
 
     fn apply_route(&mut self, route: Route) {
+        if matches!(route.screen, Screen::Hand | Screen::Timelines) {
+            let source = if route.live { HandSource::Live } else { HandSource::Recorded };
+            self.playback.hand_source = source;
+        }
         if let (Some(session), Some(take)) = (&route.session, &route.take) {
             self.playback.open(session, take);
         } else if let Some(session) = &route.session {
@@ -277,6 +281,7 @@ impl StudioApp {
                 time_s: self.playback.take.as_ref().map(|_| (self.playback.time_s * 1000.0).round() / 1000.0),
                 model: self.playback.compared.as_ref().map(ModelRef::key),
                 diagnosed: self.playback.diagnosed.as_ref().map(ModelRef::key),
+                live: self.playback.hand_source == HandSource::Live,
                 ..self.route.clone()
             }
         } else {
@@ -348,6 +353,8 @@ impl StudioApp {
                 (Screen::Diagnose, _, Some(ModelRef::Diagnosis(run))) => Some(run.clone()),
                 _ => None,
             },
+            live: matches!(screen, Screen::Hand | Screen::Timelines)
+                && self.playback.hand_source == HandSource::Live,
             ..Route::to(screen)
         }
     }

@@ -54,13 +54,13 @@ impl fmt::Display for ModelRef {
     }
 }
 
-/// What the hand screen shows.
+/// What Hand and Timelines show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum HandSource {
     /// The chosen take at the cursor.
     #[default]
     Recorded,
-    /// The newest frame of the live station.
+    /// The live station.
     Live,
 }
 

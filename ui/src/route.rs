@@ -105,6 +105,8 @@ pub struct Route {
     pub diagnosed: Option<String>,
     /// Calibration run or diagnosis shown, by id.
     pub run: Option<String>,
+    /// Whether the live station is shown instead of a take.
+    pub live: bool,
 }
 
 impl Default for Route {
@@ -116,7 +118,16 @@ impl Default for Route {
 impl Route {
     /// `screen`, with nothing chosen.
     pub fn to(screen: Screen) -> Self {
-        Self { screen, session: None, take: None, time_s: None, model: None, diagnosed: None, run: None }
+        Self {
+            screen,
+            session: None,
+            take: None,
+            time_s: None,
+            model: None,
+            diagnosed: None,
+            run: None,
+            live: false,
+        }
     }
 
     /// The same, with `session` chosen.
@@ -153,6 +164,7 @@ impl Route {
                 "model" => route.model = value,
                 "diagnosed" => route.diagnosed = value,
                 "run" => route.run = value,
+                "source" => route.live = value.as_deref() == Some("live"),
                 _ => {}
             }
         }
@@ -161,8 +173,8 @@ impl Route {
 
     /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
     pub fn is_same_place(&self, other: &Self) -> bool {
-        (self.screen, &self.session, &self.take, &self.run)
-            == (other.screen, &other.session, &other.take, &other.run)
+        (self.screen, &self.session, &self.take, &self.run, self.live)
+            == (other.screen, &other.session, &other.take, &other.run, other.live)
     }
 }
 
@@ -177,7 +189,9 @@ impl fmt::Display for Route {
             let text = format!("{time_s:.3}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         });
+        let source = self.live.then(|| "live".to_owned());
         let pairs = [
+            ("source", &source),
             ("take", &self.take),
             ("t", &time),
             ("model", &self.model),
@@ -238,11 +252,11 @@ mod tests {
         fn every_route_survives_its_hash(
             screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
             diagnosed in id(), run in id(),
-            time_ms in proptest::option::of(0_u32..10_000_000),
+            time_ms in proptest::option::of(0_u32..10_000_000), live in any::<bool>(),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
-            let route = Route { screen, session, take, time_s, model, diagnosed, run };
+            let route = Route { screen, session, take, time_s, model, diagnosed, run, live };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
         }
 

@@ -8,6 +8,7 @@ mod live;
 mod runs;
 #[cfg(test)]
 mod tests;
+pub mod touch_history;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -23,7 +24,7 @@ use palpate_wire::{
 };
 use prost::Message as _;
 
-use self::{control::ControlLink, runs::RunTable};
+use self::{control::ControlLink, runs::RunTable, touch_history::TouchHistory};
 
 use crate::{
     api_client::{ApiEvent, Request},
@@ -126,6 +127,14 @@ pub struct Store {
     pub control: ControlLink,
     /// Why the last thing that was done in a recording did not work; `None` when all is well.
     pub recording_problem: Option<String>,
+    /// Why the list of what is recorded next could not be changed; `None` when all is well.
+    pub wanted_problem: Option<String>,
+    /// The list of what is recorded next is being changed.
+    pub wanted_busy: bool,
+    /// The model that [`Store::set_live_model`] asked for: its id once the live twin has it.
+    pub live_model: Loadable<String>,
+    /// What the live station and its twin felt in the last seconds.
+    pub touch_history: TouchHistory,
     /// Something was done in a recording, and the server has not answered yet.
     pub recording_busy: bool,
     recording: Loadable<Arc<RecordingDocument>>,
@@ -447,6 +456,10 @@ impl Store {
                 self.imported = parse_json(result);
                 self.outbox.push(Request::Sessions);
             }
+            Request::Want(_) | Request::Unwant { .. } => self.receive_wanted(result),
+            Request::SetLiveModel(body) => {
+                self.live_model = Loadable::from_result(result.map(|_| body.model));
+            }
             Request::Recording => self.receive_recording(parse_json(result)),
             Request::StartRecording(_) => self.receive_acted(result),
             Request::ActOnRecording(action) => {
@@ -470,6 +483,7 @@ impl Store {
             Some(stream_message::Message::Live(frame)) => {
                 self.live_at_s = now_s;
                 time_of_day.clone_into(&mut self.live_at);
+                self.touch_history.take_in(&frame);
                 self.live = Some(frame);
                 self.follow_live(now_s);
             }

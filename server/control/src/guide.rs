@@ -277,7 +277,7 @@ impl Guide {
 
     /// Puts a step at the end of the list.
     pub(crate) fn add_step(&mut self, mut step: GuideStep) -> Result<Vec<Effect>, String> {
-        if self.finished || self.pending == Some(Pending::Leave) {
+        if self.finished || self.leaving || self.pending == Some(Pending::Leave) {
             return Err("the session was left; try again".to_owned());
         }
         step.sort_spans();
@@ -303,7 +303,7 @@ impl Guide {
         primitive: &str,
     ) -> Result<(usize, Vec<Effect>), String> {
         self.refuse_while_busy()?;
-        if self.finished || self.pending.is_some() {
+        if self.finished || self.leaving || self.pending.is_some() {
             return Err("the last decision is still being written; try again in a moment".to_owned());
         }
         let added = |step: &GuideStep| {

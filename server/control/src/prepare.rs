@@ -182,7 +182,7 @@ impl Plans {
             let (from, take_idx) = self.find(plan_idx, wanted)?;
             let take = &from.takes[take_idx];
             if let Some(pose) = from.objects.get(&take.object) {
-                plan.objects.entry(take.object.clone()).or_insert_with(|| pose.clone());
+                plan.objects.entry(take.object.clone()).or_insert(*pose);
             }
             if let Some(primitive) = from.primitives.get(&take.primitive) {
                 plan.primitives.entry(take.primitive.clone()).or_insert_with(|| primitive.clone());

@@ -55,9 +55,15 @@ pub(crate) fn verdict(take: &Take, circumstances: &Circumstances<'_>) -> TakeVer
         let width = stream.channels.len();
         channels.extend((0..width).map(|offset| Channel::of(log, config, offset, width, &take.spans)));
     }
+    // Sentences have the names that people use, lists the ids.
     let named = |wanted: &dyn Fn(usize, &Channel) -> bool| -> Vec<String> {
         let found = channels.iter().enumerate().filter(|(channel, seen)| wanted(*channel, seen));
-        found.filter_map(|(channel, _)| Some(layout.channels.get(channel)?.id.clone())).collect()
+        found.map(|(channel, _)| layout.channel_label(channel)).collect()
+    };
+    let ids = |wanted: &dyn Fn(usize, &Channel) -> bool| -> Vec<String> {
+        let found = channels.iter().zip(&layout.channels).enumerate();
+        let found = found.filter(|(channel, (seen, _))| wanted(*channel, seen));
+        found.map(|(_, (_, channel))| channel.id.clone()).collect()
     };
     let planned = |channel: usize| circumstances.planned.contains(&channel);
 
@@ -68,8 +74,8 @@ pub(crate) fn verdict(take: &Take, circumstances: &Circumstances<'_>) -> TakeVer
             if one { "is" } else { "are" }
         )
     });
-    let covered = named(&|_, seen| seen.touches > 0);
-    let missed = named(&|channel, seen| planned(channel) && seen.touches == 0);
+    let covered = ids(&|_, seen| seen.touches > 0);
+    let missed = ids(&|channel, seen| planned(channel) && seen.touches == 0);
     say(
         &mut problems,
         &named(&|channel, seen| planned(channel) && seen.touches == 0 && seen.constant),

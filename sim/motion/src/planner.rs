@@ -260,15 +260,16 @@ impl<'a> Planner<'a> {
         };
         self.add(&mut take.path, Segment::still(&self.rest, baseline_s));
         for touch in touches {
-            let place = &self.scene.station.layout.channels[touch.channel].id;
-            take.activities.push((take.path.duration_s(), format!("to {place}")));
+            let layout = &self.scene.station.layout;
+            let (place, name) = (&layout.channels[touch.channel].id, layout.channel_label(touch.channel));
+            take.activities.push((take.path.duration_s(), format!("to {name}")));
             if let Some(first) = touch.way_in.first() {
                 self.add(&mut take.path, Segment::still(&first.waypoints[0], pause_s));
             }
             for segment in &touch.way_in {
                 self.add(&mut take.path, segment.clone());
             }
-            take.activities.push((take.path.duration_s(), format!("{}, {place}", self.primitive.label)));
+            take.activities.push((take.path.duration_s(), format!("{}, {name}", self.primitive.label)));
             if !take.touches.contains(&touch.channel) {
                 take.touches.push(touch.channel);
             }

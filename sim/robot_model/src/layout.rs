@@ -102,6 +102,18 @@ pub struct Channel {
 }
 
 impl TactileLayout {
+    /// What people call a channel: the name of its patch, with the number of the taxel (from 1) where the patch has
+    /// several, e.g. `Index tip 4`.
+    pub fn channel_label(&self, channel_idx: usize) -> String {
+        let channel = &self.channels[channel_idx];
+        let patch = &self.patches[channel.patch];
+        if patch.channels.len() == 1 {
+            patch.label.clone()
+        } else {
+            format!("{} {}", patch.label, channel.taxel + 1)
+        }
+    }
+
     /// Reads a layout file against the robot it belongs to. `file` names it in errors.
     ///
     /// Refused, naming line and patch: an unknown link or stream, no taxels, a taxel beside the surface, sizes or

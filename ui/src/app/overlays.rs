@@ -50,7 +50,7 @@ impl Overlays {
     fn shortcuts_ui(&mut self, ctx: &egui::Context, commandable: bool) {
         let palette = Palette::of(ctx.theme());
         let modal = egui::Modal::new(egui::Id::unique("shortcuts")).show(ctx, |ui| {
-            ui.set_width(800.0);
+            ui.set_width(1180.0);
             ui.heading("Keyboard shortcuts");
             ui.add_space(6.0);
             ui.horizontal_top(|ui| {
@@ -62,17 +62,19 @@ impl Overlays {
                         .filter(|command| command.shortcut().is_some() && command.is_offered(commandable))
                         .map(|command| (command.shortcut_text(), command.label().to_owned()));
                     list_ui(ui, &palette, "Everywhere", commands.chain(pairs(&EVERYWHERE)));
-                    if commandable {
-                        ui.add_space(8.0);
-                        list_ui(ui, &palette, "Record", pairs(&ON_RECORD));
-                    }
                 });
                 ui.add_space(28.0);
                 ui.vertical(|ui| {
                     list_ui(ui, &palette, "Hand", pairs(&ON_HAND));
                     ui.add_space(8.0);
                     list_ui(ui, &palette, "Timelines", pairs(&ON_TIMELINES));
-                    ui.add_space(8.0);
+                });
+                ui.add_space(28.0);
+                ui.vertical(|ui| {
+                    if commandable {
+                        list_ui(ui, &palette, "Record", pairs(&ON_RECORD));
+                        ui.add_space(8.0);
+                    }
                     list_ui(ui, &palette, "Calibrate, Diagnose, Sessions", pairs(&ON_OTHERS));
                 });
             });
@@ -165,11 +167,16 @@ fn pairs<'a>(rows: &'a [(&str, &str)]) -> impl Iterator<Item = (String, String)>
 
 const EVERYWHERE: [(&str, &str); 2] = [("Tab", "Next control"), ("Esc", "Close what is open")];
 
-const ON_RECORD: [(&str, &str); 4] = [
+const ON_RECORD: [(&str, &str); 9] = [
     ("Enter", "The large button: go on, accept"),
+    ("Up, Down", "Another take of the checklist"),
+    ("P", "The fixture holds the object, or not"),
+    ("G, B", "Go to the start pose; begin from here"),
+    ("Esc", "Cancel the motion; what was recorded stays"),
     ("R", "Record the take again"),
-    ("Delete", "Discard the take; it can be undone"),
+    ("Delete, U", "Discard the take; undo that"),
     ("M", "Mark this moment of the take"),
+    ("N", "Write a remark"),
 ];
 
 const ON_HAND: [(&str, &str); 8] = [

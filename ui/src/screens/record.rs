@@ -33,6 +33,8 @@ pub struct RecordState {
     start: start::StartState,
     /// The remark that is being typed.
     note: String,
+    /// The field of remarks gets the focus in the next frame.
+    write_note: bool,
     start_pose: StartPose,
     /// Whether the object stands where the plan says.
     fixture_elsewhere: bool,
@@ -113,8 +115,7 @@ pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Reco
         Some(session) => session_ui(ui, cx, state, session, &names),
         None => {
             state.start_pose = StartPose::Unknown;
-            egui::CentralPanel::default()
-                .show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document.plans));
+            egui::CentralPanel::default().show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document));
         }
     }
 }
@@ -127,15 +128,8 @@ fn channel_names(station: &Arc<Station>) -> Names {
         .layout
         .channels
         .iter()
-        .map(|channel| {
-            let patch = &station.layout.patches[channel.patch];
-            let name = if patch.channels.len() == 1 {
-                patch.label.clone()
-            } else {
-                format!("{} {}", patch.label, channel.taxel + 1)
-            };
-            (channel.id.clone(), name)
-        })
+        .enumerate()
+        .map(|(idx, channel)| (channel.id.clone(), station.layout.channel_label(idx)))
         .collect()
 }
 
@@ -204,7 +198,12 @@ fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<(&'s
         ),
         RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run { lease }),
         RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart { lease }),
-        RecordingPhase::Review => ("Accept", RecordingAction::Accept),
+        RecordingPhase::Review => {
+            // Its check has the last word.
+            let step = scene.session.current.and_then(|idx| scene.session.steps.get(idx))?;
+            step.verdict.as_ref()?;
+            ("Accept", RecordingAction::Accept)
+        }
         RecordingPhase::GoingToStart
         | RecordingPhase::Baseline
         | RecordingPhase::Countdown
@@ -222,7 +221,7 @@ fn moves(action: &RecordingAction) -> bool {
 fn keys(
     ui: &egui::Ui,
     scene: &Scene<'_>,
-    state: &RecordState,
+    state: &mut RecordState,
     actions: &mut Vec<RecordingAction>,
     store: &Store,
 ) {
@@ -239,6 +238,36 @@ fn keys(
     {
         actions.push(action);
     }
+    let lease = store.control.lease();
+    match scene.phase {
+        RecordingPhase::PlaceObject if key(Key::P) => state.fixture_elsewhere ^= true,
+        RecordingPhase::StartPose if scene.not_ready.is_none() => {
+            if key(Key::G) {
+                actions.push(RecordingAction::GoToStart { lease });
+            }
+            if key(Key::B) {
+                actions.push(RecordingAction::Run { lease });
+            }
+        }
+        RecordingPhase::GoingToStart
+        | RecordingPhase::Baseline
+        | RecordingPhase::Countdown
+        | RecordingPhase::Running
+            if key(Key::Escape) =>
+        {
+            actions.push(RecordingAction::Cancel);
+        }
+        _ => {}
+    }
+    if scene.session.can_undo && key(Key::U) {
+        actions.push(RecordingAction::Undo);
+    }
+    if !focused && let Some(step) = neighbour(scene, key(Key::ArrowUp), key(Key::ArrowDown)) {
+        actions.push(RecordingAction::Select { step });
+    }
+    if (step::takes_notes(scene.phase) || scene.phase == RecordingPhase::Review) && key(Key::N) {
+        state.write_note = true;
+    }
     if scene.phase == RecordingPhase::Review {
         if key(Key::R) {
             actions.push(RecordingAction::Again);
@@ -249,6 +278,18 @@ fn keys(
     }
     if step::takes_notes(scene.phase) && key(Key::M) {
         actions.push(RecordingAction::Note { text: String::new() });
+    }
+}
+
+/// The step above or below the one under way, if one was asked for and is there.
+fn neighbour(scene: &Scene<'_>, up: bool, down: bool) -> Option<usize> {
+    let count = scene.session.steps.len();
+    match (scene.session.current, up, down) {
+        (Some(step), true, false) => step.checked_sub(1),
+        (Some(step), false, true) => Some(step + 1).filter(|&step| step < count),
+        (None, true, false) => count.checked_sub(1),
+        (None, false, true) => Some(0).filter(|_| count > 0),
+        _ => None,
     }
 }
 

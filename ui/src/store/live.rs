@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording},
+    api::{
+        LiveModel, RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording, WantedTake,
+    },
     proto::{ControlState, control_state::Phase},
 };
 
@@ -41,6 +43,27 @@ impl Store {
         self.recording_busy = true;
         self.recording_problem = None;
         self.outbox.push(Request::ActOnRecording(action));
+    }
+
+    /// Puts a take on the list of what is recorded next.
+    pub fn want(&mut self, wanted: WantedTake) {
+        self.wanted_busy = true;
+        self.wanted_problem = None;
+        self.outbox.push(Request::Want(wanted));
+    }
+
+    /// Takes it off again.
+    pub fn unwant(&mut self, object: &str, primitive: &str) {
+        self.wanted_busy = true;
+        self.wanted_problem = None;
+        self.outbox.push(Request::Unwant { object: object.to_owned(), primitive: primitive.to_owned() });
+    }
+
+    /// Has the live twin simulate with a saved model, or with the station's own (`nominal`); see
+    /// [`Store::live_model`].
+    pub fn set_live_model(&mut self, model: &str) {
+        self.live_model = Loadable::Loading;
+        self.outbox.push(Request::SetLiveModel(LiveModel { model: model.to_owned() }));
     }
 
     /// What the safety layer and the devices said last; `None` where nothing can be commanded.
@@ -85,6 +108,15 @@ impl Store {
         match result {
             Ok(body) => self.receive_recording(parse_json(Ok(body))),
             Err(problem) => self.recording_problem = Some(problem),
+        }
+    }
+
+    /// A refusal leaves the list as it is.
+    pub(super) fn receive_wanted(&mut self, result: Result<Vec<u8>, String>) {
+        self.wanted_busy = false;
+        match result {
+            Ok(body) => self.receive_recording(parse_json(Ok(body))),
+            Err(problem) => self.wanted_problem = Some(problem),
         }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use egui::accesskit::Role;
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use palpate_robot_model::Place;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
@@ -12,9 +12,9 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{
-        Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, DiagnosisRequest, DiagnosisRun, Gap,
-        JobState, Metrics, ModelEffect, ModelSummary, NamedEffect, NextExperiment, Rival,
-        SaveDiagnosisRequest, ThetaReport, Unexplained, Verdict, WaterfallStep,
+        Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, DiagnosisRequest, DiagnosisRun, Gap, Info,
+        JobState, Metrics, ModelEffect, ModelSummary, NamedEffect, NextExperiment, RecordingDocument, Rival,
+        SaveDiagnosisRequest, Source, ThetaReport, Unexplained, Verdict, WantedTake, WaterfallStep,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
@@ -377,4 +377,61 @@ fn timelines_show_real_before_and_after() {
         let request = Request::Replay { session: "bench-1".into(), take: "take-01".into(), model };
         assert!(asked.contains(&request), "{asked:?}");
     }
+}
+
+fn wanted() -> WantedTake {
+    WantedTake {
+        object: "sphere_50mm".into(),
+        primitive: "tap_two_speeds".into(),
+        because: "Record taps on the sphere from both sides of joint x.".into(),
+    }
+}
+
+#[test]
+fn next_experiment_goes_on_the_list_and_comes_off_it() {
+    let (api, window) = result_page(&run(JobState::Done, Some(named())));
+    let list = |wanted: Vec<WantedTake>| RecordingDocument {
+        revision: 1 + wanted.len() as u64,
+        plans: Vec::new(),
+        wanted,
+        session: None,
+    };
+    answer(&api, &Request::Recording, &list(Vec::new()));
+    answer(&api, &Request::Want(wanted()), &list(vec![wanted()]));
+    let unwant = Request::Unwant { object: "sphere_50mm".into(), primitive: "tap_two_speeds".into() };
+    answer(&api, &unwant, &list(Vec::new()));
+    let mut harness = page(&api, &window);
+    harness.get_by_role_and_label(Role::Button, "Record this next").scroll_to_me();
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::Button, "Record this next").click();
+    harness.run_steps(4);
+    assert!(api.0.borrow().sent.contains(&Request::Want(wanted())), "{:?}", api.0.borrow().sent);
+    harness.get_by_label_contains("On the list: the next session that is recorded has it.");
+    harness.get_by_role_and_label(Role::Button, "Undo").click();
+    harness.run_steps(4);
+    assert!(api.0.borrow().sent.contains(&unwant));
+    harness.get_by_role_and_label(Role::Button, "Record this next");
+}
+
+#[test]
+fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
+    let (api, window) = result_page(&run(JobState::Done, Some(named())));
+    let replay =
+        Info { name: "palpate".into(), version: "0.1.0".into(), station: None, source: Source::Replay };
+    answer(&api, &Request::Info, &replay);
+    let harness = page(&api, &window);
+    let button = harness.get_by_role_and_label(Role::Button, "Record this next");
+    assert!(button.accesskit_node().is_disabled());
+    harness.get_by_label_contains("No station is live");
+
+    // The station refuses: no plan of it has the motion.
+    let (api, window) = result_page(&run(JobState::Done, Some(named())));
+    let empty = RecordingDocument { revision: 1, plans: Vec::new(), wanted: Vec::new(), session: None };
+    answer(&api, &Request::Recording, &empty);
+    let mut harness = page(&api, &window);
+    harness.get_by_role_and_label(Role::Button, "Record this next").scroll_to_me();
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::Button, "Record this next").click();
+    harness.run_steps(4);
+    harness.get_by_label_contains("The list was not changed: nothing at POST /api/v1/recording/wanted");
 }

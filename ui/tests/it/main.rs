@@ -10,3 +10,4 @@ mod mirror;
 mod record;
 mod sessions;
 mod timelines;
+mod twin;

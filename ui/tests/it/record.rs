@@ -6,7 +6,7 @@ use palpate_ui::{api_client::Request, route::Screen};
 use palpate_wire::{
     api::{
         PlanSummary, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, RecordingStep,
-        StartRecording, StepState, TakeVerdict,
+        StartRecording, StepState, TakeVerdict, WantedTake,
     },
     bits,
     proto::{RecordingStatus, control_state::Phase},
@@ -35,11 +35,16 @@ fn step(object: &str, primitive: &str, state: StepState) -> RecordingStep {
 
 /// A session of two takes whose second waits in `phase`.
 fn document(phase: RecordingPhase) -> RecordingDocument {
+    let mut slide = step("Cylinder", "Slide", StepState::Open);
+    if phase == RecordingPhase::Review {
+        slide.state = StepState::Review;
+        slide.verdict = Some(verdict(true));
+    }
     let session = RecordingSession {
         session: "monday".to_owned(),
         plan: "nine_takes".to_owned(),
         operator: "Ada".to_owned(),
-        steps: vec![step("Sphere", "Tap", StepState::Accepted), step("Cylinder", "Slide", StepState::Open)],
+        steps: vec![step("Sphere", "Tap", StepState::Accepted), slide],
         current: (phase != RecordingPhase::Done).then_some(1),
         phase,
         problem: String::new(),
@@ -149,7 +154,7 @@ fn every_phase_says_what_to_do_and_has_one_primary_button() {
         (RecordingPhase::Countdown, "Starts in 0 s", None),
         (RecordingPhase::Running, "Recording", None),
         (RecordingPhase::Checking, "Checking the take", None),
-        (RecordingPhase::Review, "Recorded", Some("Accept")),
+        (RecordingPhase::Review, "\u{2714} Good take", Some("Accept")),
         (RecordingPhase::Done, "\u{2714} Every take is recorded", None),
     ];
     for (phase, says, primary) in phases {
@@ -374,4 +379,98 @@ fn a_lost_connection_freezes_the_checklist_in_words() {
     bench.harness.step();
     bench.harness.get_by_label("FROZEN SINCE 14:03:12");
     assert!(!bench.can("Object is in place"));
+}
+
+#[test]
+fn a_take_whose_check_is_not_there_yet_cannot_be_accepted() {
+    let mut recovered = document(RecordingPhase::Review);
+    recovered.session.as_mut().expect("a session").steps[1].verdict = None;
+    let mut bench = Bench::new("#/record", &recovered);
+    bench.api.0.borrow_mut().sent.clear();
+    bench.harness.get_by_label("Checking the take");
+    bench.harness.get_by_label("Take 2: Slide, Cylinder, being checked");
+    assert!(bench.harness.query_by_label("Accept").is_none());
+    key(&mut bench, Key::Enter);
+    assert!(acts(&bench).is_empty());
+}
+
+#[test]
+fn a_take_that_is_recorded_again_is_not_to_review() {
+    let mut again = document(RecordingPhase::Running);
+    again.session.as_mut().expect("a session").steps[1].state = StepState::Review;
+    let bench = Bench::new("#/record", &again);
+    bench.harness.get_by_label("Take 2: Slide, Cylinder, recording");
+}
+
+#[test]
+fn every_step_has_keys() {
+    let cases: [(RecordingPhase, Key, RecordingAction); 6] = [
+        (RecordingPhase::StartPose, Key::G, RecordingAction::GoToStart { lease: 4 }),
+        (RecordingPhase::StartPose, Key::B, RecordingAction::Run { lease: 4 }),
+        (RecordingPhase::GoingToStart, Key::Escape, RecordingAction::Cancel),
+        (RecordingPhase::Running, Key::Escape, RecordingAction::Cancel),
+        (RecordingPhase::PlaceObject, Key::ArrowUp, RecordingAction::Select { step: 0 }),
+        (RecordingPhase::Done, Key::ArrowDown, RecordingAction::Select { step: 0 }),
+    ];
+    for (phase, pressed, action) in cases {
+        let mut bench = armed(phase);
+        key(&mut bench, pressed);
+        assert_eq!(acts(&bench), [action], "{phase:?}");
+    }
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    key(&mut bench, Key::P);
+    key(&mut bench, Key::Enter);
+    assert_eq!(acts(&bench), [RecordingAction::ConfirmObject { fixture_trusted: false }]);
+    let mut discarded = document(RecordingPhase::PlaceObject);
+    discarded.session.as_mut().expect("a session").can_undo = true;
+    let mut bench = Bench::new("#/record", &discarded);
+    bench.api.0.borrow_mut().sent.clear();
+    key(&mut bench, Key::U);
+    assert_eq!(acts(&bench), [RecordingAction::Undo]);
+    let mut bench = armed(RecordingPhase::Review);
+    key(&mut bench, Key::N);
+    bench.harness.event(egui::Event::Text("good".into()));
+    bench.harness.run_steps(2);
+    key(&mut bench, Key::Enter);
+    assert_eq!(acts(&bench), [RecordingAction::Note { text: "good".to_owned() }]);
+}
+
+#[test]
+fn what_is_wanted_waits_before_a_session_and_can_be_recorded_alone() {
+    let wanted = WantedTake {
+        object: "sphere_50mm".to_owned(),
+        primitive: "quick_tap".to_owned(),
+        because: "Tells latency from low pass.".to_owned(),
+    };
+    let waiting = RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None };
+    let mut bench = Bench::new("#/record", &waiting);
+    bench.harness.get_by_label("Tells latency from low pass.");
+    bench
+        .harness
+        .get_by_role_and_label(Role::CheckBox, "Record only this, not the takes of the plan")
+        .click();
+    bench.harness.run_steps(3);
+    bench.click("Start session");
+    let start = StartRecording {
+        plan: "nine_takes".to_owned(),
+        session: "next-1".to_owned(),
+        operator: String::new(),
+        only_wanted: true,
+    };
+    assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(start)));
+    let unwant = Request::Unwant { object: "sphere_50mm".to_owned(), primitive: "quick_tap".to_owned() };
+    let none = RecordingDocument { revision: 2, plans: plans(), wanted: Vec::new(), session: None };
+    bench.api.0.borrow_mut().answer(&unwant, serde_json::to_vec(&none).expect("it serialises"));
+    bench.click("Remove quick tap on sphere 50mm");
+    bench.harness.run_steps(3);
+    assert!(bench.api.0.borrow().sent.contains(&unwant));
+    assert!(bench.harness.query_by_label("Tells latency from low pass.").is_none());
+}
+
+#[test]
+fn an_added_step_says_why() {
+    let mut added = document(RecordingPhase::PlaceObject);
+    added.session.as_mut().expect("a session").steps[1].added_because = Some("Tells a from b.".to_owned());
+    let bench = Bench::new("#/record", &added);
+    bench.harness.get_by_label("Added to the plan: Tells a from b.");
 }

@@ -103,12 +103,12 @@ fn every_fault_is_named_by_itself() {
         (&|take| take.spans.clear(), "there is no baseline"),
         (
             &|take| set_channel(take, 4, |time_s| (quiet(time_s), time_s < 0.5)),
-            "root was active during the baseline; take everything off",
+            "Root was active during the baseline; take everything off",
         ),
-        (&|take| set_channel(take, 4, |time_s| (quiet(time_s), true)), "root was active throughout; tare"),
+        (&|take| set_channel(take, 4, |time_s| (quiet(time_s), true)), "Root was active throughout; tare"),
         (
             &|take| set_channel(take, 2, |time_s| (200.0 + 40.0 * (time_s * 60.0).sin() as f32, false)),
-            "tip.2 is noisy while nothing touches",
+            "Tip 3 is noisy while nothing touches",
         ),
         (
             &|take| {
@@ -117,13 +117,13 @@ fn every_fault_is_named_by_itself() {
                     (if touched { 4095.0 } else { quiet(time_s) }, touched)
                 });
             },
-            "tip.0 is at the top of the range",
+            "Tip 1 is at the top of the range",
         ),
         (
             &|take| set_channel(take, 3, |time_s| (quiet(time_s), false)),
-            "pulp was not touched though the motion meant to",
+            "Pulp was not touched though the motion meant to",
         ),
-        (&|take| set_channel(take, 3, |_| (0.0, false)), "pulp reads the same value throughout: dead"),
+        (&|take| set_channel(take, 3, |_| (0.0, false)), "Pulp reads the same value throughout: dead"),
         (
             &|take| {
                 take.joints.positions.iter_mut().skip(21).step_by(2).for_each(|position| *position += 0.2);
@@ -168,7 +168,7 @@ fn missed_channels_are_listed_and_unplanned_ones_need_not_be_touched() {
         }
     });
     assert_eq!(verdict.missed, ["tip.0", "pulp"]);
-    assert!(verdict.problems[0].starts_with("tip.0 and pulp were not touched"), "{verdict:#?}");
+    assert!(verdict.problems[0].starts_with("Tip 1 and Pulp were not touched"), "{verdict:#?}");
 }
 
 #[test]

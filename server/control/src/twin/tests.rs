@@ -101,6 +101,13 @@ fn a_healthy_hand_is_believed_and_spoilt_channels_are_named() {
     let mut observer = observer(take);
     let (_, view) = watch_take(&mut observer, take, 100.0, &|_, _, _| {});
     assert_eq!(view.status.agreement.len(), layout.num_channels());
+    let last_s = 100.0 + take.joints.times_s[take.num_frames() - 1];
+    assert!(
+        (last_s - 2.0 * LOOK_S..=last_s).contains(&view.status.time_s),
+        "{} of {last_s}",
+        view.status.time_s
+    );
+    assert_eq!(view.status.problem, "");
     let mean = view.status.agreement.iter().sum::<f32>() / layout.num_channels() as f32;
     assert!(mean > 0.8, "the nominal model agrees for most of the time: {mean}");
 

@@ -184,7 +184,7 @@ fn sessions_that_cannot_be_are_refused_in_words() {
 fn leave(bench: &Bench) {
     bench.handle.act(RecordingAction::Leave).expect("nothing is under way");
     let begun = Instant::now();
-    while bench.handle.recording().unwrap().session.is_some() {
+    while bench.handle.recording().expect("the loop answers").session.is_some() {
         assert!(begun.elapsed() < PATIENCE);
         thread::sleep(Duration::from_millis(20));
     }

@@ -59,9 +59,9 @@ fn device_ui(ui: &mut egui::Ui, device: &DeviceStatus, mine: bool, palette: &Pal
         device.rate_hz, device.rate_mean_hz, device.rate_worst_hz
     ));
     let mut counts = vec![
-        format!("{} gaps", device.gaps),
-        format!("{} bad frames", device.bad_frames),
-        format!("{} reconnects", device.reconnects),
+        counted(device.gaps, "gap"),
+        counted(device.bad_frames, "bad frame"),
+        counted(device.reconnects, "reconnect"),
     ];
     if device.clock_skew_ppm != 0.0 {
         counts.push(format!("clock {:+.0} ppm", device.clock_skew_ppm));
@@ -97,6 +97,11 @@ fn motors_ui(ui: &mut egui::Ui, device: &str, motors: &[MotorStatus], palette: &
             }
         });
     });
+}
+
+/// A number of things: `1 gap`, `3 gaps`.
+fn counted(count: u64, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 /// A number with its unit; a dash where it is unknown (0).

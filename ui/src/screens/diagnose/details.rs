@@ -2,11 +2,17 @@
 
 use egui::RichText;
 use palpate_wire::{
-    api::{Cell, DiagnosisReport, Metrics, Verdict},
+    api::{
+        Cell, DiagnosisReport, Metrics, NextExperiment, RecordingDocument, StepState, Verdict, WantedTake,
+    },
     wording,
 };
 
-use crate::screens::{ScreenContext, words};
+use crate::{
+    route::Screen,
+    screens::{ScreenContext, words},
+    store::Loadable,
+};
 
 /// Parts of the data, a line each.
 pub(super) fn cells_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, cells: &[Cell]) {
@@ -42,7 +48,7 @@ pub(super) fn unexplained_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: 
     cells_ui(ui, cx, &left.cells);
 }
 
-pub(super) fn next_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) {
+pub(super) fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &DiagnosisReport) {
     let Some(next) = &report.next_experiment else {
         ui.label("Nothing that would tell more about what was named.");
         return;
@@ -61,11 +67,69 @@ pub(super) fn next_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Diagno
         if ui.button("Copy the sentence").clicked() {
             ui.ctx().copy_text(next.sentence.clone());
         }
-        ui.label(
-            RichText::new("This page does not record yet: record it with your own tools, then import it.")
-                .color(cx.palette.text_weak),
-        );
+        // Experiments without an object are none that this page's stations record.
+        if !next.object.is_empty() {
+            record_next_ui(ui, cx, next);
+        }
     });
+    if let Some(problem) = &cx.store.wanted_problem {
+        ui.colored_label(cx.palette.mismatch, format!("\u{26a0} The list was not changed: {problem}"));
+    }
+}
+
+/// Puts the experiment on the list of what is recorded next, or says where on the list it is and takes it off again.
+fn record_next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, next: &NextExperiment) {
+    let document = if cx.store.is_commandable() { cx.store.recording() } else { Loadable::Idle };
+    let Some(document) = document.ready() else {
+        let why = match &document {
+            Loadable::Failed(error) => format!("The checklist did not arrive: {error}"),
+            Loadable::Loading => "Reading the checklist\u{2026}".to_owned(),
+            _ => "No station is live: start `palpate serve --station FILE` where its devices are, or record it with your \
+                  own tools and import it."
+                .to_owned(),
+        };
+        ui.add_enabled(false, egui::Button::new("Record this next")).on_disabled_hover_text(&why);
+        ui.label(RichText::new(why).color(cx.palette.text_weak));
+        return;
+    };
+    let ready = !cx.store.wanted_busy;
+    let Some(place) = place_on_list(document, next) else {
+        let button = egui::Button::new(RichText::new("Record this next").strong());
+        let hint = match &document.session {
+            Some(session) => format!("Puts it at the end of the checklist of session {}", session.session),
+            None => "Puts it on the list of the station: the next session that is recorded ends with it"
+                .to_owned(),
+        };
+        if ui.add_enabled(ready, button).on_hover_text(hint).clicked() {
+            cx.store.want(WantedTake {
+                object: next.object.clone(),
+                primitive: next.primitive.clone(),
+                because: next.sentence.clone(),
+            });
+        }
+        return;
+    };
+    ui.label(RichText::new(format!("\u{2714} {place}")).strong());
+    if ui.add_enabled(ready, egui::Button::new("Undo")).on_hover_text("Takes it off the list again").clicked()
+    {
+        cx.store.unwant(&next.object, &next.primitive);
+    }
+    if ui.button("Go to Record").clicked() {
+        cx.go_to_screen(Screen::Record);
+    }
+}
+
+/// Where on the list of what is recorded next the experiment is, in words; `None` if it is not.
+fn place_on_list(document: &RecordingDocument, next: &NextExperiment) -> Option<String> {
+    let same = |object: &str, primitive: &str| object == next.object && primitive == next.primitive;
+    if document.wanted.iter().any(|wanted| same(&wanted.object, &wanted.primitive)) {
+        return Some("On the list: the next session that is recorded has it.".to_owned());
+    }
+    let session = document.session.as_ref()?;
+    let step = session.steps.iter().position(|step| {
+        step.added_because.is_some() && step.state == StepState::Open && same(&step.object, &step.primitive)
+    })?;
+    Some(format!("Take {} of session {} records it.", step + 1, session.session))
 }
 
 /// Event metrics on confirm takes, and which takes did what.

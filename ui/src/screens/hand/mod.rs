@@ -141,7 +141,7 @@ pub fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     let id = egui::Id::unique("hand screen");
     let shared: Arc<Mutex<HandState>> = ui.data_mut(|data| Arc::clone(data.get_temp_mut_or_default(id)));
     let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
-    if !cx.store.is_live() {
+    if !cx.store.is_live() && cx.store.info.ready().is_some() {
         cx.playback.hand_source = HandSource::Recorded;
     }
     // Who has just taken control wants to see what moves.

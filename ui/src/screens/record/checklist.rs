@@ -1,7 +1,7 @@
 //! The takes of the session, in order, and where each stands.
 
-use egui::{RichText, accesskit::Role};
-use palpate_wire::api::{RecordingAction, RecordingStep, StepState};
+use egui::{Color32, RichText, accesskit::Role};
+use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState};
 
 use super::{Scene, plan_label};
 use crate::{
@@ -31,7 +31,8 @@ pub(super) fn checklist_ui(
     egui::ScrollArea::vertical().max_height(height).auto_shrink(false).show(ui, |ui| {
         for (idx, step) in session.steps.iter().enumerate() {
             let current = session.current == Some(idx);
-            if step_row_ui(ui, idx, step, current, &cx.palette) && !current && !scene.waits {
+            let standing = standing(step, current.then_some(scene.phase), &cx.palette);
+            if step_row_ui(ui, idx, step, current, standing) && !current && !scene.waits {
                 actions.push(RecordingAction::Select { step: idx });
             }
         }
@@ -45,22 +46,36 @@ pub(super) fn checklist_ui(
     }
 }
 
+/// Where a step stands: a sign, a word, a colour. `phase` is that of the step under way.
+fn standing(
+    step: &RecordingStep,
+    phase: Option<RecordingPhase>,
+    palette: &Palette,
+) -> (&'static str, &'static str, Color32) {
+    use RecordingPhase::{Baseline, Checking, Countdown, Running};
+    match (step.state, phase) {
+        // A take that is recorded again has one already, which says nothing about this one.
+        (_, Some(Baseline | Countdown | Running)) => ("\u{23fa}", "recording", palette.real),
+        (_, Some(Checking)) => ("\u{25b6}", "being checked", palette.real),
+        (StepState::Accepted, _) => ("\u{2714}", "accepted", palette.diagnosed),
+        (StepState::Review, _) if step.verdict.is_none() => ("?", "being checked", palette.text_weak),
+        (StepState::Review, _) => ("?", "to review", palette.warning),
+        (StepState::Open, Some(_)) => ("\u{25b6}", "now", palette.real),
+        (StepState::Open, None) => ("\u{25cb}", "open", palette.text_weak),
+    }
+}
+
 /// True when it was clicked.
 fn step_row_ui(
     ui: &mut egui::Ui,
     idx: usize,
     step: &RecordingStep,
     current: bool,
-    palette: &Palette,
+    (sign, word, color): (&str, &str, Color32),
 ) -> bool {
-    let (sign, word, color) = match step.state {
-        StepState::Open if current => ("\u{25b6}", "now", palette.real),
-        StepState::Open => ("\u{25cb}", "open", palette.text_weak),
-        StepState::Review => ("?", "to review", palette.warning),
-        StepState::Accepted => ("\u{2714}", "accepted", palette.diagnosed),
-    };
     let title = format!("{sign} {}  {}", idx + 1, step.primitive_label);
-    let text = format!("{title}\n      {}", step.object_label);
+    let added = if step.added_because.is_some() { ", added" } else { "" };
+    let text = format!("{title}\n      {}{added}", step.object_label);
     let mut text = RichText::new(text).color(color);
     if current {
         text = text.strong();
@@ -69,7 +84,9 @@ fn step_row_ui(
         .min_size(egui::vec2(ui.available_width(), 46.0))
         .right_text(RichText::new(word).color(color).small());
     let name = format!("Take {}: {}, {}, {word}", idx + 1, step.primitive_label, step.object_label);
-    let response = ui.add(button).on_hover_text(format!("{name}; {}", duration_text(step.duration_s)));
+    let why = step.added_because.as_deref().map_or_else(String::new, |why| format!("\nAdded: {why}"));
+    let hint = format!("{name}; {}{why}", duration_text(step.duration_s));
+    let response = ui.add(button).on_hover_text(hint);
     response.widget_info(|| egui::WidgetInfo::selected(Role::Button, true, current, name.clone()));
     response.clicked()
 }

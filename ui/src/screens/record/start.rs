@@ -1,18 +1,20 @@
 //! Before a session: which plan, under which name.
 
 use egui::{RichText, accesskit::Role};
-use palpate_wire::api::{PlanSummary, StartRecording};
+use palpate_wire::api::{PlanSummary, RecordingDocument, StartRecording, WantedTake};
 
 use crate::screens::{
     ScreenContext,
-    controls::{combo_ui, option_ui},
-    duration_text,
+    controls::{combo_ui, name_button, option_ui},
+    duration_text, words,
 };
 
 /// What was chosen so far.
 #[derive(Debug, Default)]
 pub(super) struct StartState {
     plan_idx: usize,
+    /// What is wanted, without the takes of a plan.
+    only_wanted: bool,
     /// `None` until somebody types: then the name is made up.
     name: Option<String>,
 }
@@ -21,8 +23,9 @@ pub(super) fn start_ui(
     ui: &mut egui::Ui,
     cx: &mut ScreenContext<'_>,
     state: &mut StartState,
-    plans: &[PlanSummary],
+    document: &RecordingDocument,
 ) {
+    let plans = &document.plans;
     ui.add_space((ui.available_height() * 0.12).min(90.0));
     ui.vertical_centered(|ui| {
         ui.set_max_width(520.0);
@@ -40,7 +43,7 @@ pub(super) fn start_ui(
             );
             return;
         };
-        form_ui(ui, cx, state, plans, plan);
+        form_ui(ui, cx, state, document, plan);
     });
 }
 
@@ -48,23 +51,35 @@ fn form_ui(
     ui: &mut egui::Ui,
     cx: &mut ScreenContext<'_>,
     state: &mut StartState,
-    plans: &[PlanSummary],
+    document: &RecordingDocument,
     plan: &PlanSummary,
 ) {
+    let wanted = &document.wanted;
+    state.only_wanted &= !wanted.is_empty();
     let sessions = cx.store.sessions();
     let known: Vec<&str> = sessions
         .ready()
         .map_or_else(Vec::new, |sessions| sessions.iter().map(|session| session.id.as_str()).collect());
-    let mut name = state.name.clone().unwrap_or_else(|| free_name(&plan.id, &known));
+    let mut name = state
+        .name
+        .clone()
+        .unwrap_or_else(|| free_name(if state.only_wanted { "next" } else { &plan.id }, &known));
     ui.horizontal(|ui| {
         ui.label("Plan");
         combo_ui(ui, "Plan", &plan.label, 260.0, |ui| {
-            for (idx, plan) in plans.iter().enumerate() {
+            for (idx, plan) in document.plans.iter().enumerate() {
                 option_ui(ui, &mut state.plan_idx, idx, &plan.label);
             }
         });
     });
-    ui.label(format!("{} takes, {} of motion", plan.takes, duration_text(plan.duration_s)));
+    ui.label(match state.only_wanted {
+        true => "Of this plan, only where objects stand and how the robot moves".to_owned(),
+        false => format!("{} takes, {} of motion", plan.takes, duration_text(plan.duration_s)),
+    });
+    if !wanted.is_empty() {
+        ui.add_space(6.0);
+        wanted_ui(ui, cx, state, wanted);
+    }
     ui.add_space(6.0);
     let enter = ui
         .horizontal(|ui| {
@@ -105,7 +120,7 @@ fn form_ui(
             plan: plan.id.clone(),
             session: name.to_owned(),
             operator: cx.store.control.operator.trim().to_owned(),
-            only_wanted: false,
+            only_wanted: state.only_wanted,
         });
         state.name = None;
     }
@@ -113,6 +128,33 @@ fn form_ui(
         ui.add_space(6.0);
         ui.colored_label(cx.palette.mismatch, format!("\u{26a0} The session did not start: {problem}"));
     }
+}
+
+/// What the session records besides the plan, and why.
+fn wanted_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartState, wanted: &[WantedTake]) {
+    ui.separator();
+    ui.label(RichText::new("At the end, what was asked for").strong());
+    for take in wanted {
+        ui.horizontal(|ui| {
+            ui.label(
+                RichText::new(format!("{} on {}", words(&take.primitive), words(&take.object))).strong(),
+            );
+            let button = ui.add_enabled(!cx.store.wanted_busy, egui::Button::new("Remove"));
+            let name = format!("Remove {} on {}", words(&take.primitive), words(&take.object));
+            name_button(&button, &name);
+            if button.clicked() {
+                cx.store.unwant(&take.object, &take.primitive);
+            }
+        });
+        if !take.because.is_empty() {
+            ui.label(RichText::new(&take.because).color(cx.palette.text_weak));
+        }
+    }
+    ui.checkbox(&mut state.only_wanted, "Record only this, not the takes of the plan");
+    if let Some(problem) = &cx.store.wanted_problem {
+        ui.colored_label(cx.palette.mismatch, format!("\u{26a0} The list was not changed: {problem}"));
+    }
+    ui.separator();
 }
 
 /// The first name of the form `plan-1` that no session has.

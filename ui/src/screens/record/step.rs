@@ -41,6 +41,9 @@ pub(super) fn step_ui(
     let of = scene.session.steps.len();
     ui.label(RichText::new(format!("Take {} of {of}", idx + 1)).color(cx.palette.text_weak).size(16.0));
     ui.label(RichText::new(format!("{}: {}", step.primitive_label, step.object_label)).strong().size(26.0));
+    if let Some(why) = &step.added_because {
+        ui.label(RichText::new(format!("Added to the plan: {why}")).color(cx.palette.text_weak));
+    }
     ui.add_space(10.0);
     match scene.phase {
         RecordingPhase::PlaceObject => place_ui(ui, state, step),
@@ -66,7 +69,10 @@ pub(super) fn step_ui(
         }
         RecordingPhase::Review => match &step.verdict {
             Some(verdict) => verdict_ui(ui, verdict, names, &cx.palette),
-            None => big_ui(ui, "Recorded"),
+            None => {
+                big_ui(ui, "Checking the take");
+                ui.spinner();
+            }
         },
         RecordingPhase::Done => {}
     }
@@ -94,7 +100,7 @@ fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, step: &RecordingStep) {
     ui.add_space(8.0);
     let mut trusted = !state.fixture_elsewhere;
     ui.checkbox(&mut trusted, "The fixture holds it where the plan says").on_hover_text(
-        "Off: its place is not trusted, so distances to it will not be used to judge the simulation",
+        "Key P. Off: its place is not trusted, so distances to it will not be used to judge the simulation",
     );
     state.fixture_elsewhere = !trusted;
 }
@@ -215,9 +221,9 @@ fn buttons_ui(
         let ready = scene.not_ready.is_none();
         match scene.phase {
             RecordingPhase::StartPose if scene.is_at_start(state) => {
-                second(ui, "Go to start pose", "", ready, RecordingAction::GoToStart { lease });
+                second(ui, "Go to start pose", "G", ready, RecordingAction::GoToStart { lease });
             }
-            RecordingPhase::StartPose => second(ui, "Run", "", ready, RecordingAction::Run { lease }),
+            RecordingPhase::StartPose => second(ui, "Run", "B", ready, RecordingAction::Run { lease }),
             RecordingPhase::Review => {
                 second(ui, "Record again", "R", true, RecordingAction::Again);
                 second(ui, "Discard", "Del", true, RecordingAction::Discard);
@@ -225,7 +231,7 @@ fn buttons_ui(
             RecordingPhase::GoingToStart
             | RecordingPhase::Baseline
             | RecordingPhase::Countdown
-            | RecordingPhase::Running => second(ui, "Cancel", "", true, RecordingAction::Cancel),
+            | RecordingPhase::Running => second(ui, "Cancel", "Esc", true, RecordingAction::Cancel),
             RecordingPhase::PlaceObject | RecordingPhase::Checking | RecordingPhase::Done => {}
         }
     });
@@ -250,7 +256,9 @@ fn undo_ui(ui: &mut egui::Ui, scene: &Scene<'_>, actions: &mut Vec<RecordingActi
     ui.add_space(8.0);
     ui.horizontal(|ui| {
         ui.label("A take was discarded.");
-        if ui.add_enabled(!scene.waits, egui::Button::new("Undo discard")).clicked() {
+        let undo = ui.add_enabled(!scene.waits, egui::Button::new("Undo discard  (U)"));
+        undo.widget_info(|| egui::WidgetInfo::labeled(Role::Button, !scene.waits, "Undo discard"));
+        if undo.clicked() {
             actions.push(RecordingAction::Undo);
         }
     });
@@ -269,6 +277,9 @@ fn note_ui(
             .desired_width(320.0)
             .min_size(egui::vec2(0.0, 32.0));
         let response = ui.add(field).accessible_name("Note");
+        if std::mem::take(&mut state.write_note) {
+            response.request_focus();
+        }
         let enter = response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
         let text = state.note.trim();
         // A bare mark belongs to a moment, and a take that is reviewed has none.

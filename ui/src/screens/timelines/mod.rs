@@ -1,10 +1,12 @@
 //! Timelines: real and simulated touch on one time axis.
 //!
 //! [`events`], [`lanes`], [`pyramid`] and [`view`] are pure: they work out what there is to see, once per take, and which
-//! part of it is on the screen. [`paint`] draws that, [`toolbar`] chooses it.
+//! part of it is on the screen. [`paint`] draws that, [`toolbar`] chooses it. [`live`] has the live station instead of a
+//! take.
 
 pub mod events;
 pub mod lanes;
+mod live;
 mod paint;
 pub mod pyramid;
 mod toolbar;
@@ -20,7 +22,7 @@ use self::{lanes::TakeLanes, view::TimeView};
 use super::{ScreenContext, ensure_take_ui, failed_ui, loading_ui};
 use crate::{
     commands::Command,
-    playback::{ModelRef, ShownChannels},
+    playback::{HandSource, ModelRef, ShownChannels},
     route::Screen,
     store::Loadable,
     take_data::{TakeData, check_replay},
@@ -34,6 +36,7 @@ pub struct TimelinesState {
     view_of: Option<(String, String)>,
     cache: Option<Cache>,
     mismatches: Option<Mismatches>,
+    live: live::LiveState,
 }
 
 impl TimelinesState {
@@ -89,6 +92,12 @@ struct Simulation {
 /// The screen.
 pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TimelinesState) {
     let commands = std::mem::take(&mut state.commands);
+    if cx.playback.hand_source == HandSource::Live {
+        return live::live_ui(ui, cx, &mut state.live);
+    }
+    if cx.store.is_live() {
+        live::source_ui(ui, cx);
+    }
     if !ensure_take_ui(ui, cx) {
         return;
     }
