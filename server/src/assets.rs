@@ -107,6 +107,19 @@ fn station_files() -> impl Iterator<Item = (String, &'static str)> {
     })
 }
 
+/// `(file name, text)` of every shipped object file.
+pub(crate) fn object_files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
+    FILES.iter().filter_map(|(path, bytes)| {
+        let name = path.strip_prefix("objects/")?;
+        (name.ends_with(".toml") && !name.contains('/')).then_some((name, *bytes))
+    })
+}
+
+/// A mesh that a shipped object file names.
+pub(crate) fn object_mesh(name: &str) -> Option<&'static [u8]> {
+    read(&normalise("objects", name))
+}
+
 fn read(path: &str) -> Option<&'static [u8]> {
     FILES.binary_search_by_key(&path, |(name, _)| name).ok().map(|idx| FILES[idx].1)
 }

@@ -2,7 +2,7 @@
 //!
 //! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. Long work
 //! lives in [`jobs`], which the command line and the server call alike. Data is plain files below one folder
-//! ([`Store`]): `sessions/`, `models/`, `runs/`, `bars/`, and `trash/` for what was deleted.
+//! ([`Store`]): `sessions/`, `models/`, `objects/` (one's own), `runs/`, `bars/`, and `trash/` for what was deleted.
 //!
 //! # Routes
 //!
@@ -22,6 +22,7 @@
 //! | GET | `/api/v1/models` | `[ModelSummary]` |
 //! | GET, DELETE | `/api/v1/models/{id}` | TOML; DELETE moves it to the trash, 204 |
 //! | POST | `/api/v1/models/{id}/restore` | undoes the DELETE; `ModelSummary` |
+//! | GET | `/api/v1/objects` | `[ObjectEntry]`: the binary's objects and those in `objects/` of the data folder |
 //! | POST | `/api/v1/calibrations` | body `CalibrationRequest`; 202 `CalibrationRun`, `Location` |
 //! | GET | `/api/v1/calibrations` | `[CalibrationRun]`, newest first, without report and model text |
 //! | GET | `/api/v1/calibrations/{id}` | `CalibrationRun` |
@@ -70,6 +71,7 @@ mod hub;
 pub mod jobs;
 pub mod library;
 mod live;
+mod objects;
 mod pacing;
 mod page;
 mod routes;

@@ -5,6 +5,7 @@ mod diagnoses;
 mod extract;
 mod live;
 mod models;
+mod objects;
 mod problem;
 mod recording;
 mod sessions;
@@ -43,6 +44,7 @@ pub fn app(state: Arc<AppState>) -> Router {
         .route("/models", get(models::list))
         .route("/models/{model}", get(models::text).delete(models::discard))
         .route("/models/{model}/restore", post(models::restore))
+        .route("/objects", get(objects::list))
         .route("/calibrations", get(calibrations::list).post(calibrations::start))
         .route("/calibrations/{run}", get(calibrations::detail))
         .route("/calibrations/{run}/cancel", post(calibrations::cancel))

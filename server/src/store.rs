@@ -54,7 +54,7 @@ impl Kind {
 impl Store {
     /// Opens `root`, making what is missing.
     pub fn open(root: &Path) -> Result<Self, Error> {
-        for folder in ["sessions", "models", "runs", "trash/sessions", "trash/models"] {
+        for folder in ["sessions", "models", "objects", "runs", "trash/sessions", "trash/models"] {
             let path = root.join(folder);
             fs::create_dir_all(&path).map_err(Error::io("make", &path))?;
         }
@@ -80,6 +80,12 @@ impl Store {
     pub(crate) fn sessions(&self) -> Result<Vec<(String, PathBuf)>, Error> {
         let entries = self.entries("sessions")?;
         Ok(entries.into_iter().filter(|(_, path)| path.is_dir()).collect())
+    }
+
+    /// `(file name, path)` of every object file of one's own, by name.
+    pub(crate) fn object_files(&self) -> Result<Vec<(String, PathBuf)>, Error> {
+        let entries = self.entries("objects")?;
+        Ok(entries.into_iter().filter(|(name, path)| name.ends_with(".toml") && path.is_file()).collect())
     }
 
     /// The session called `id`.

@@ -48,6 +48,8 @@ pub enum Request {
     },
     /// Saved sensor models.
     Models,
+    /// Objects.
+    Objects,
     /// Calibration runs, newest first.
     Runs,
     /// One calibration run.
@@ -156,6 +158,7 @@ impl Request {
                 segment(&model.key())
             )),
             Self::Models => get("/models".into()),
+            Self::Objects => get("/objects".into()),
             Self::Runs => get("/calibrations".into()),
             Self::Run(run) => get(format!("/calibrations/{}", segment(run))),
             Self::StartRun(body) => post("/calibrations".into(), json(body)),

@@ -73,6 +73,7 @@ pub struct StudioApp {
     calibrate: screens::calibrate::CalibrateState,
     diagnose: screens::diagnose::DiagnoseState,
     sessions: screens::sessions::SessionsState,
+    objects: screens::objects::ObjectsState,
 }
 
 impl StudioApp {
@@ -106,6 +107,7 @@ impl StudioApp {
             calibrate: screens::calibrate::CalibrateState::default(),
             diagnose: screens::diagnose::DiagnoseState::default(),
             sessions: screens::sessions::SessionsState::default(),
+            objects: screens::objects::ObjectsState::default(),
         };
         app.store.ask_info();
         app.store.control.operator = app.platform.saved_operator();
@@ -202,6 +204,7 @@ impl StudioApp {
             Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx, &mut self.calibrate),
             Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
             Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
+            Screen::Objects => screens::objects::objects_ui(ui, &mut cx, &mut self.objects),
         }
         if pick_file {
             self.platform.pick_file();
@@ -346,7 +349,11 @@ impl StudioApp {
             session: self.playback.session.clone().filter(|_| screen != Screen::Record),
             take: match screen {
                 Screen::Hand | Screen::Timelines => self.playback.take.clone(),
-                Screen::Record | Screen::Calibrate | Screen::Diagnose | Screen::Sessions => None,
+                Screen::Record
+                | Screen::Calibrate
+                | Screen::Diagnose
+                | Screen::Sessions
+                | Screen::Objects => None,
             },
             run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
                 (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),

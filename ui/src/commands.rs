@@ -49,13 +49,14 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 25] = [
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
         Self::Open(Screen::Timelines),
         Self::Open(Screen::Calibrate),
         Self::Open(Screen::Diagnose),
         Self::Open(Screen::Sessions),
+        Self::Open(Screen::Objects),
         Self::Stop,
         Self::ResetStop,
         Self::TakeControl,
@@ -92,6 +93,7 @@ impl Command {
             Self::Open(Screen::Calibrate) => "Go to Calibrate",
             Self::Open(Screen::Diagnose) => "Go to Diagnose",
             Self::Open(Screen::Sessions) => "Go to Sessions",
+            Self::Open(Screen::Objects) => "Go to Objects",
             Self::PlayPause => "Play or pause",
             Self::PreviousFrame => "One frame back",
             Self::NextFrame => "One frame on",
@@ -132,6 +134,7 @@ impl Command {
             Self::Open(Screen::Diagnose) => alt(Key::Num4),
             Self::Open(Screen::Sessions) => alt(Key::Num5),
             Self::Open(Screen::Record) => alt(Key::Num6),
+            Self::Open(Screen::Objects) => alt(Key::Num7),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
             Self::ResetStop

@@ -34,12 +34,21 @@ pub enum Screen {
     Diagnose,
     /// What has been recorded.
     Sessions,
+    /// What is touched and grasped.
+    Objects,
 }
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 6] =
-        [Self::Hand, Self::Record, Self::Timelines, Self::Calibrate, Self::Diagnose, Self::Sessions];
+    pub const ALL: [Self; 7] = [
+        Self::Hand,
+        Self::Record,
+        Self::Timelines,
+        Self::Calibrate,
+        Self::Diagnose,
+        Self::Sessions,
+        Self::Objects,
+    ];
 
     /// The word in the rail.
     pub fn label(self) -> &'static str {
@@ -50,6 +59,7 @@ impl Screen {
             Self::Calibrate => "Calibrate",
             Self::Diagnose => "Diagnose",
             Self::Sessions => "Sessions",
+            Self::Objects => "Objects",
         }
     }
 
@@ -64,6 +74,7 @@ impl Screen {
                 "Find where simulation and hand disagree, name the missing effect, add it to the model"
             }
             Self::Sessions => "What has been recorded, and whether it can be used",
+            Self::Objects => "What is touched and grasped: shape, mass, poses at rest",
         }
     }
 
@@ -80,6 +91,7 @@ impl Screen {
             Self::Calibrate => "calibrate",
             Self::Diagnose => "diagnose",
             Self::Sessions => "sessions",
+            Self::Objects => "objects",
         }
     }
 
@@ -107,6 +119,8 @@ pub struct Route {
     pub run: Option<String>,
     /// Whether the live station is shown instead of a take.
     pub live: bool,
+    /// Object shown, by id.
+    pub object: Option<String>,
 }
 
 impl Default for Route {
@@ -127,6 +141,7 @@ impl Route {
             diagnosed: None,
             run: None,
             live: false,
+            object: None,
         }
     }
 
@@ -165,6 +180,7 @@ impl Route {
                 "diagnosed" => route.diagnosed = value,
                 "run" => route.run = value,
                 "source" => route.live = value.as_deref() == Some("live"),
+                "object" => route.object = value,
                 _ => {}
             }
         }
@@ -173,8 +189,8 @@ impl Route {
 
     /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
     pub fn is_same_place(&self, other: &Self) -> bool {
-        (self.screen, &self.session, &self.take, &self.run, self.live)
-            == (other.screen, &other.session, &other.take, &other.run, other.live)
+        (self.screen, &self.session, &self.take, &self.run, &self.object, self.live)
+            == (other.screen, &other.session, &other.take, &other.run, &other.object, other.live)
     }
 }
 
@@ -197,6 +213,7 @@ impl fmt::Display for Route {
             ("model", &self.model),
             ("diagnosed", &self.diagnosed),
             ("run", &self.run),
+            ("object", &self.object),
         ];
         let mut separator = '?';
         for (key, value) in pairs {
@@ -251,12 +268,12 @@ mod tests {
         #[test]
         fn every_route_survives_its_hash(
             screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
-            diagnosed in id(), run in id(),
+            diagnosed in id(), run in id(), object in id(),
             time_ms in proptest::option::of(0_u32..10_000_000), live in any::<bool>(),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
-            let route = Route { screen, session, take, time_s, model, diagnosed, run, live };
+            let route = Route { screen, session, take, time_s, model, diagnosed, run, live, object };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
         }
 

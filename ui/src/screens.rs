@@ -5,6 +5,7 @@ pub mod control;
 pub mod controls;
 pub mod diagnose;
 pub mod hand;
+pub mod objects;
 pub mod record;
 pub mod run_controls;
 pub mod sessions;

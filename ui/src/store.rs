@@ -17,8 +17,9 @@ use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
-        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, RecordingAction, RecordingDocument,
-        SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary, StationDocument,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, ObjectEntry, RecordingAction,
+        RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary,
+        StationDocument,
     },
     proto::{LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
@@ -153,6 +154,7 @@ pub struct Store {
     takes: BTreeMap<TakeKey, Loadable<Arc<TakeData>>>,
     replays: BTreeMap<(TakeKey, ModelRef), Loadable<Arc<ReplayTrace>>>,
     models: Loadable<Arc<Vec<ModelSummary>>>,
+    objects: Loadable<Arc<Vec<ObjectEntry>>>,
     calibrations: RunTable<CalibrationRequest, CalibrationReport>,
     diagnoses: RunTable<DiagnosisRequest, DiagnosisReport>,
     live: Option<LiveFrame>,
@@ -208,6 +210,16 @@ impl Store {
     /// Saved sensor models.
     pub fn models(&mut self) -> Loadable<Arc<Vec<ModelSummary>>> {
         ask(&mut self.models, &mut self.outbox, || Request::Models)
+    }
+
+    /// What is touched and grasped.
+    pub fn objects(&mut self) -> Loadable<Arc<Vec<ObjectEntry>>> {
+        ask(&mut self.objects, &mut self.outbox, || Request::Objects)
+    }
+
+    /// Asks for the objects again, as their files may have changed.
+    pub fn ask_objects_again(&mut self) {
+        self.objects = Loadable::Idle;
     }
 
     /// How the simulation in blue is called: what a run found by the run, a saved model by its name.
@@ -331,6 +343,7 @@ impl Store {
         reset(&mut self.live_station);
         reset(&mut self.recording);
         reset(&mut self.models);
+        reset(&mut self.objects);
         self.calibrations.retry_failed();
         self.diagnoses.retry_failed();
         self.details.values_mut().for_each(reset);
@@ -412,6 +425,7 @@ impl Store {
                 self.replays.insert(((session, take), model), shared(parsed));
             }
             Request::Models => self.models = shared(parse_json(result)),
+            Request::Objects => self.objects = shared(parse_json(result)),
             Request::Runs => self.calibrations.receive_list(result),
             Request::Run(id) => self.calibrations.receive_detail(id, result),
             Request::Diagnoses => self.diagnoses.receive_list(result),

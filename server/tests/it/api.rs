@@ -4,7 +4,9 @@ use axum::http::header;
 use palpate_recording::Session;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
-    api::{CheckReport, Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument},
+    api::{
+        CheckReport, Info, ModelSummary, ObjectEntry, SessionDetail, SessionSummary, Source, StationDocument,
+    },
     bits,
     proto::{ReplayTrace, TakeTrace},
 };
@@ -53,6 +55,41 @@ async fn session_tells_what_it_holds() {
         .map(|(path, text)| (path, base64(&base64::engine::general_purpose::STANDARD, text).unwrap()));
     let files = StationFiles { station_toml: document.station_toml, files: files.collect() };
     assert_eq!(Station::from_files(files).unwrap().layout.num_channels(), NUM_CHANNELS);
+}
+
+#[tokio::test]
+async fn objects_are_bodies_with_takes_and_bad_files_say_why() {
+    let data = Data::with_session();
+    let own = data.root().join("objects");
+    std::fs::create_dir_all(&own).unwrap();
+    let mug = "id = 'mug'\nlabel = 'Mug'\ndensity_kg_m3 = 1000.0\nshape = { kind = 'box', size_m = [0.1, 0.1, 0.1] }";
+    std::fs::write(own.join("mug.toml"), mug).unwrap();
+    std::fs::write(
+        own.join("bad.toml"),
+        "id = 'bad'\nlabel = 'Bad'\nshape = { kind = 'sphere', radius_m = -1 }",
+    )
+    .unwrap();
+    let objects: Vec<ObjectEntry> = get(&data.app(), "/api/v1/objects").await.json();
+    let entry = |id: &str| objects.iter().find(|object| object.id == id).unwrap_or_else(|| panic!("{id}"));
+
+    let grouped = |group: &str| {
+        let of = |object: &&ObjectEntry| {
+            object.content.as_ref().is_ok_and(|content| content.group.as_deref() == Some(group))
+        };
+        objects.iter().filter(of).count()
+    };
+    assert_eq!((grouped("seen"), grouped("unseen")), (10, 10));
+    let cube = entry("cube").content.as_ref().unwrap();
+    assert!((cube.mass_kg.unwrap() - 0.06_f64.powi(3) * 550.0).abs() < 1e-9);
+    assert_eq!(cube.rest_poses.len(), 6);
+    assert_eq!(entry("wedge_80mm").content.as_ref().unwrap().meshes_base64.len(), 1);
+    assert_eq!(entry("sphere_50mm").takes.len(), NUM_TAKES);
+    assert!(entry("cube").takes.is_empty());
+
+    let mug = entry("mug");
+    assert!(mug.own && (mug.content.as_ref().unwrap().mass_kg.unwrap() - 1.0).abs() < 1e-9);
+    let problem = entry("bad").content.as_ref().unwrap_err();
+    assert!(problem.contains("bad.toml: line 3") && problem.contains("radius_m is -1"), "{problem}");
 }
 
 #[tokio::test]

@@ -2,12 +2,14 @@
 
 mod diagnosis;
 mod live;
+mod objects;
 mod recording;
 
 use std::collections::BTreeMap;
 
 pub use diagnosis::*;
 pub use live::*;
+pub use objects::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 

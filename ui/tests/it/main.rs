@@ -7,6 +7,7 @@ mod fixture;
 mod frame;
 mod live;
 mod mirror;
+mod objects;
 mod record;
 mod sessions;
 mod timelines;

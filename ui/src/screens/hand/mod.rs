@@ -8,6 +8,7 @@ mod details;
 mod flat_map;
 mod hull;
 mod mesh;
+mod object_view;
 mod renderer;
 pub mod residual;
 mod scene;
@@ -28,7 +29,6 @@ use palpate_wire::{
     wording,
 };
 
-pub use self::flat_map::channel_map_ui;
 use self::{
     bars::{controls_ui, legend_ui, live_rates_ui, views_ui},
     details::{Details, details_ui, tooltip_ui},
@@ -38,6 +38,7 @@ use self::{
     signal::{Coloring, Sample, Signal},
     view3d::{Moment, ViewState, view3d_ui},
 };
+pub use self::{flat_map::channel_map_ui, object_view::ObjectView};
 use super::{
     ScreenContext,
     control::{

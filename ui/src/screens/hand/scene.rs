@@ -178,6 +178,24 @@ impl Geometry {
         }
     }
 
+    /// An object by itself: one mesh.
+    pub(super) fn of_object(shape: &ObjectShape) -> Self {
+        let mesh = object_mesh(shape);
+        Self {
+            bounds: vec![mesh.bounds()],
+            meshes: vec![mesh],
+            link_meshes: Vec::new(),
+            in_hand: Vec::new(),
+            patch_meshes: Vec::new(),
+            marker_radius_m: Vec::new(),
+            object_meshes: BTreeMap::new(),
+            marker_mesh: 0,
+            axis_mesh: 0,
+            hand_root: 0,
+            views: Vec::new(),
+        }
+    }
+
     /// Everything to draw, opaque parts first, equal meshes side by side.
     ///
     /// `root_from_link` has one pose per link, `looks` one entry per channel; `object` is an id and a pose.

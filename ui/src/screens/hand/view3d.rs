@@ -163,37 +163,45 @@ impl ViewState {
     }
 
     fn steer(&mut self, ui: &egui::Ui, response: &egui::Response, rect: Rect) {
-        let Some(camera) = &mut self.camera else { return };
-        let before = *camera;
-        let (drag, shift) = (response.drag_delta() / rect.height(), ui.input(|input| input.modifiers.shift));
-        let pans = response.dragged_by(PointerButton::Secondary)
-            || response.dragged_by(PointerButton::Middle)
-            || shift;
-        if response.dragged() && pans {
-            camera.pan(-drag.x, drag.y);
-        } else if response.dragged() {
-            camera.orbit(-drag.x * ORBIT_RAD_PER_HEIGHT, drag.y * ORBIT_RAD_PER_HEIGHT);
-        }
-        if response.contains_pointer() {
-            let (scroll, pinch) = ui.input(|input| (input.smooth_scroll_delta().y, input.zoom_delta()));
-            camera.zoom((scroll * 0.0016).exp() * pinch);
-        }
-        if response.has_focus() {
-            ui.input(|input| {
-                let step = input.stable_dt * 1.5;
-                let held = |key| if input.key_down(key) { step } else { 0.0 };
-                camera.orbit(
-                    held(Key::ArrowRight) - held(Key::ArrowLeft),
-                    held(Key::ArrowUp) - held(Key::ArrowDown),
-                );
-                camera.zoom((held(Key::Plus) + held(Key::Equals) - held(Key::Minus)).exp());
-            });
-        }
-        if *camera != before {
+        if let Some(camera) = &mut self.camera
+            && steer(camera, ui, response, rect)
+        {
             self.flight = None;
-            ui.ctx().request_repaint();
         }
     }
+}
+
+/// Turns, moves and zooms by pointer, touch and keys; whether anything changed.
+pub(super) fn steer(camera: &mut Camera, ui: &egui::Ui, response: &egui::Response, rect: Rect) -> bool {
+    let before = *camera;
+    let (drag, shift) = (response.drag_delta() / rect.height(), ui.input(|input| input.modifiers.shift));
+    let pans =
+        response.dragged_by(PointerButton::Secondary) || response.dragged_by(PointerButton::Middle) || shift;
+    if response.dragged() && pans {
+        camera.pan(-drag.x, drag.y);
+    } else if response.dragged() {
+        camera.orbit(-drag.x * ORBIT_RAD_PER_HEIGHT, drag.y * ORBIT_RAD_PER_HEIGHT);
+    }
+    if response.contains_pointer() {
+        let (scroll, pinch) = ui.input(|input| (input.smooth_scroll_delta().y, input.zoom_delta()));
+        camera.zoom((scroll * 0.0016).exp() * pinch);
+    }
+    if response.has_focus() {
+        ui.input(|input| {
+            let step = input.stable_dt * 1.5;
+            let held = |key| if input.key_down(key) { step } else { 0.0 };
+            camera.orbit(
+                held(Key::ArrowRight) - held(Key::ArrowLeft),
+                held(Key::ArrowUp) - held(Key::ArrowDown),
+            );
+            camera.zoom((held(Key::Plus) + held(Key::Equals) - held(Key::Minus)).exp());
+        });
+    }
+    let changed = *camera != before;
+    if changed {
+        ui.ctx().request_repaint();
+    }
+    changed
 }
 
 /// The view that the screen opens with: hand and object from before and a little above, the fingers in sight.
@@ -270,19 +278,7 @@ pub(super) fn view3d_ui(
             "3-D view of the hand: drag to turn, shift-drag to move, wheel to zoom; arrow keys turn, plus and minus zoom",
         )
     });
-    if response.has_focus() {
-        // Arrow keys turn the hand; they must not move the focus away.
-        ui.memory_mut(|memory| {
-            memory.set_focus_lock_filter(
-                response.id,
-                egui::EventFilter {
-                    horizontal_arrows: true,
-                    vertical_arrows: true,
-                    ..egui::EventFilter::default()
-                },
-            );
-        });
-    }
+    keep_arrow_keys(ui, &response);
     let aspect = rect.width() / rect.height().max(1.0);
     state.advance(ui.ctx(), geometry, moment, aspect);
     state.steer(ui, &response, rect);
@@ -336,6 +332,22 @@ pub(super) fn view3d_ui(
         )
     });
     ViewResponse { hovered: picked, clicked: picked.filter(|_| response.clicked()), response: Some(response) }
+}
+
+/// Arrow keys turn what has the focus; they must not move the focus away.
+pub(super) fn keep_arrow_keys(ui: &egui::Ui, response: &egui::Response) {
+    if response.has_focus() {
+        ui.memory_mut(|memory| {
+            memory.set_focus_lock_filter(
+                response.id,
+                egui::EventFilter {
+                    horizontal_arrows: true,
+                    vertical_arrows: true,
+                    ..egui::EventFilter::default()
+                },
+            );
+        });
+    }
 }
 
 fn to_ndc(pos: Pos2, rect: Rect) -> [f32; 2] {
@@ -427,12 +439,12 @@ fn scene_colors(palette: &Palette) -> SceneColors {
     }
 }
 
-fn background(palette: &Palette) -> [f64; 4] {
+pub(super) fn background(palette: &Palette) -> [f64; 4] {
     let [r, g, b, _] = palette.surface.to_array();
     [r, g, b, 255].map(|value| f64::from(value) / 255.0)
 }
 
-fn globals(camera: &Camera, aspect: f32, palette: &Palette) -> Globals {
+pub(super) fn globals(camera: &Camera, aspect: f32, palette: &Palette) -> Globals {
     let four = |v: Vector3<f32>, w: f32| [v.x, v.y, v.z, w];
     let [right, up, back] = camera.axes();
     // The lamp stands over the left shoulder of whoever looks, but never below the table.

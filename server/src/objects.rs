@@ -1,0 +1,112 @@
+//! Objects that the binary carries and those of the data folder, as bodies.
+
+use std::{collections::BTreeMap, fs, sync::LazyLock};
+
+use base64::Engine as _;
+use palpate_robot_model::{ObjectGroup, ObjectModel};
+use palpate_sim::body::{RestPose, Solid};
+use palpate_wire::api::{ObjectDocument, ObjectEntry, ObjectTake, RestPoseDocument};
+
+use crate::{AppState, Error, assets};
+
+/// Those of the binary never change.
+static SHIPPED: LazyLock<Vec<ObjectEntry>> = LazyLock::new(|| {
+    let files = assets::object_files();
+    files
+        .map(|(name, text)| {
+            let read_mesh = |mesh: &str| {
+                assets::object_mesh(mesh).map(<[u8]>::to_vec).ok_or_else(|| "it is not shipped".to_owned())
+            };
+            entry(name, text.to_vec(), false, read_mesh)
+        })
+        .collect()
+});
+
+/// All objects, the binary's first, each with the takes that touched it. One that cannot be used says why.
+pub(crate) fn list(state: &AppState) -> Result<Vec<ObjectEntry>, Error> {
+    let mut objects = SHIPPED.clone();
+    for (name, path) in state.store().object_files()? {
+        let folder = path.parent().map(ToOwned::to_owned).unwrap_or_default();
+        let text = fs::read(&path).map_err(Error::io("read", &path))?;
+        let read_mesh = |mesh: &str| fs::read(folder.join(mesh)).map_err(|err| err.to_string());
+        let own = entry(&name, text, true, read_mesh);
+        // One's own replaces the binary's of the same id.
+        objects.retain(|object| object.own || object.id != own.id);
+        objects.push(own);
+    }
+    let mut takes = takes_by_object(state)?;
+    for object in &mut objects {
+        object.takes = takes.remove(&object.id).unwrap_or_default();
+    }
+    Ok(objects)
+}
+
+fn takes_by_object(state: &AppState) -> Result<BTreeMap<String, Vec<ObjectTake>>, Error> {
+    let mut takes: BTreeMap<String, Vec<ObjectTake>> = BTreeMap::new();
+    for (session, _) in state.store().sessions()? {
+        // What cannot be opened is listed with its error on the screen of sessions.
+        let Ok(detail) = state.store().session(&session).and_then(|opened| state.library().detail(&opened))
+        else {
+            continue;
+        };
+        for take in detail.takes {
+            let used = ObjectTake { session: session.clone(), take: take.id };
+            takes.entry(take.object).or_default().push(used);
+        }
+    }
+    Ok(takes)
+}
+
+fn entry(
+    file: &str,
+    text: Vec<u8>,
+    own: bool,
+    read_mesh: impl Fn(&str) -> Result<Vec<u8>, String>,
+) -> ObjectEntry {
+    let stem = file.strip_suffix(".toml").unwrap_or(file).to_owned();
+    match document(file, text, read_mesh) {
+        Ok((id, document)) => ObjectEntry { id, own, content: Ok(document), takes: Vec::new() },
+        Err(problem) => ObjectEntry { id: stem, own, content: Err(problem), takes: Vec::new() },
+    }
+}
+
+fn document(
+    file: &str,
+    text: Vec<u8>,
+    read_mesh: impl Fn(&str) -> Result<Vec<u8>, String>,
+) -> Result<(String, ObjectDocument), String> {
+    let text = String::from_utf8(text).map_err(|_| format!("{file}: not UTF-8, expected a text file"))?;
+    let mut meshes_base64 = BTreeMap::new();
+    let object = ObjectModel::from_toml(file, &text, |mesh| {
+        let bytes = read_mesh(mesh)?;
+        meshes_base64.insert(mesh.to_owned(), base64::engine::general_purpose::STANDARD.encode(&bytes));
+        Ok(bytes)
+    })
+    .map_err(|err| err.to_string())?;
+    let in_file = |problem: String| format!("{file}: object {:?}: {problem}", object.id);
+    let solid = Solid::new(&object.shape).map_err(in_file)?;
+    let rest_poses = solid.rest_poses().map_err(in_file)?;
+    let document = ObjectDocument {
+        label: object.label,
+        group: object.group.map(ObjectGroup::as_str).map(str::to_owned),
+        size_m: solid.size_m(),
+        volume_m3: solid.volume_m3(),
+        mass_kg: object.density_kg_m3.map(|density| solid.mass_properties(density).mass_kg),
+        com_m: solid.centroid_in_object().coords.into(),
+        rest_poses: rest_poses.iter().map(rest_pose).collect(),
+        object_toml: text,
+        meshes_base64,
+    };
+    Ok((object.id, document))
+}
+
+fn rest_pose(pose: &RestPose) -> RestPoseDocument {
+    let rotation = pose.table_from_object;
+    RestPoseDocument {
+        quaternion_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
+        origin_height_m: pose.origin_height_m,
+        com_height_m: pose.com_height_m,
+        weight: pose.weight,
+        barrier_m: pose.barrier_m,
+    }
+}
