@@ -122,6 +122,9 @@ pub struct Parameter {
     pub dose: f64,
 }
 
+/// Name of the parameter of an effect that is there or not.
+const PRESENCE: &str = "presence";
+
 impl Parameter {
     fn new(
         name: &str,
@@ -133,9 +136,15 @@ impl Parameter {
         Self { name: name.to_owned(), lower: *bounds.start(), upper: *bounds.end(), neutral, smallest, dose }
     }
 
+    /// Whether the parameter says how strong the effect is on a scale that might go on: it does not only shape an effect
+    /// whose size another one is, nor tell an effect that is there from one that is not.
+    pub fn is_size(&self) -> bool {
+        self.name != PRESENCE && self.smallest < self.upper - self.lower
+    }
+
     /// Of an effect that is there or not.
     fn presence() -> Vec<Self> {
-        vec![Self::new("presence", 0.0..=1.0, 0.0, 0.5, 1.0)]
+        vec![Self::new(PRESENCE, 0.0..=1.0, 0.0, 0.5, 1.0)]
     }
 }
 

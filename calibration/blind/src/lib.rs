@@ -125,10 +125,11 @@ pub fn tactile(
     let nominal =
         SensorModel::from_toml("nominal model of the station", &stage.station().nominal_model_toml)?;
     let rounds = config.first_seed..config.first_seed + config.seeds;
-    let all: Vec<_> = rounds
-        .flat_map(|seed| cases(&stage, config.nulls, seed))
-        .filter(|case| case.label.contains(&config.only))
-        .collect();
+    let mut all = Vec::new();
+    for seed in rounds {
+        all.extend(cases(&stage, config.nulls, seed)?);
+    }
+    all.retain(|case| case.label.contains(&config.only));
     let mut answers = Vec::new();
     for (idx, case) in all.iter().enumerate() {
         watch(idx, all.len(), &case.label, progress, cancel)?;

@@ -73,6 +73,27 @@ pub trait Domain: Sync {
     /// Unit of a row.
     fn unit(&self, row: usize) -> usize;
 
+    /// Number of kinds of rows: kinds of measurement (events, readings) of which an effect may change one and not
+    /// another.
+    fn num_kinds(&self) -> usize {
+        1
+    }
+
+    /// Kind of a row.
+    fn kind(&self, _row: usize) -> usize {
+        0
+    }
+
+    /// Which units the parameter `idx` of [`Self::base`] reaches.
+    fn base_support(&self, _idx: usize) -> Vec<bool> {
+        vec![true; self.num_units()]
+    }
+
+    /// Whether `effect` can change anything in `take`.
+    fn reaches_take(&self, _effect: &Effect, _take: usize) -> bool {
+        true
+    }
+
     /// Which units a parameter of `effect` can reach.
     fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool>;
 

@@ -341,6 +341,36 @@ impl Domain for TactileDomain<'_> {
         (row / 2) % self.num_units()
     }
 
+    fn num_kinds(&self) -> usize {
+        2
+    }
+
+    fn kind(&self, row: usize) -> usize {
+        row % 2
+    }
+
+    fn base_support(&self, idx: usize) -> Vec<bool> {
+        let layout = &self.station.layout;
+        let of = |holds: &dyn Fn(&palpate_robot_model::Channel) -> bool| {
+            layout.channels.iter().map(holds).collect()
+        };
+        let senses = |kind: SensorKind| of(&|channel| layout.streams[channel.stream].kind == kind);
+        match self.kinds[idx] {
+            Base::LambdaCon | Base::Band => senses(SensorKind::Proximity),
+            Base::Alpha | Base::LambdaPre => senses(SensorKind::Pressure),
+            Base::Width(stream) | Base::Exponent(stream) => of(&|channel| channel.stream == stream),
+            Base::Pattern(set, taxel) => of(&|channel| {
+                let patch = &layout.patches[channel.patch];
+                self.alike[set].contains(&channel.patch)
+                    && layout.channels[patch.channels.start + taxel].id == channel.id
+            }),
+        }
+    }
+
+    fn reaches_take(&self, effect: &Effect, take: usize) -> bool {
+        !matches!(&effect.place, Place::Object(id) if self.takes[take].object.id != *id)
+    }
+
     fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool> {
         let layout = &self.station.layout;
         let of_patch = |holds: &dyn Fn(&palpate_robot_model::Patch) -> bool| -> Vec<bool> {

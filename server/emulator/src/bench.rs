@@ -1,9 +1,11 @@
 //! The blind bench's catalogue: what is hidden, how strongly and where, drawn from a seed.
 
+use palpate_recording::Take;
 use palpate_robot_model::{ObjectShape, Place, SensorKind, Station};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::EmulationError;
 use crate::hidden::Hidden;
 use crate::secrets::limb_dofs;
 use crate::stage::Stage;
@@ -86,8 +88,16 @@ const PAIRS: &[[&str; 2]] = &[
 
 /// One round of the bench on `stage`: every effect at each of its strengths, pairs, effects outside any library, and as
 /// many sessions with nothing hidden as `nulls`. Places and noise are drawn from `seed`.
-pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Vec<Case> {
-    let mut draw = Draw { stage, station: stage.station(), rng: ChaCha8Rng::seed_from_u64(seed) };
+///
+/// What sits in one patch or channel is hidden where the session touches often enough for it to show
+/// ([`LEAST_TOUCHES`] in [`LEAST_TAKES`]), backlash in joints that the session turns by [`LEAST_TURN_RAD`].
+pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, EmulationError> {
+    let mut draw = Draw {
+        stage,
+        station: stage.station(),
+        exercised: Exercised::by(&stage.record(&[], seed)?, stage.station()),
+        rng: ChaCha8Rng::seed_from_u64(seed),
+    };
     let mut cases = Vec::new();
     for _ in 0..nulls {
         cases.push(draw.case("nothing".into(), Vec::new(), None, Expected::Nothing));
@@ -109,12 +119,55 @@ pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Vec<Case> {
         let hidden = pair.map(|id| draw.effect(id, Strength::Medium)).to_vec();
         cases.push(draw.case(pair.join(" and "), hidden, None, Expected::Named));
     }
-    cases
+    Ok(cases)
+}
+
+/// Onsets of touch that a channel needs in a session for what is hidden in it to show.
+const LEAST_TOUCHES: usize = 4;
+/// Takes that must hold some of them: a diagnosis keeps some takes back.
+const LEAST_TAKES: usize = 3;
+/// Turn of a joint within the session that shows its backlash, rad.
+const LEAST_TURN_RAD: f64 = 0.1;
+
+/// What a session exercises.
+struct Exercised {
+    /// Per channel.
+    touched: Vec<bool>,
+    /// Per degree of freedom.
+    turned: Vec<bool>,
+}
+
+impl Exercised {
+    fn by(takes: &[Take], station: &Station) -> Self {
+        let layout = &station.layout;
+        let touched = layout.channels.iter().enumerate().map(|(idx, channel)| {
+            let stream = &layout.streams[channel.stream];
+            let (width, at) = (stream.channels.len(), idx - stream.channels.start);
+            let onsets = |take: &Take| {
+                let active = &take.streams[channel.stream].active;
+                let own: Vec<bool> = active.iter().skip(at).step_by(width).copied().collect();
+                own.windows(2).filter(|pair| !pair[0] && pair[1]).count()
+            };
+            let onsets: Vec<usize> = takes.iter().map(onsets).collect();
+            onsets.iter().sum::<usize>() >= LEAST_TOUCHES
+                && onsets.iter().filter(|onsets| **onsets > 0).count() >= LEAST_TAKES
+        });
+        let num_dofs = station.robot.num_dofs();
+        let turned = (0..num_dofs).map(|dof| {
+            let angles =
+                takes.iter().flat_map(|take| take.joints.positions.iter().skip(dof).step_by(num_dofs));
+            let (least, most) =
+                angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(*x), b.max(*x)));
+            most - least >= LEAST_TURN_RAD
+        });
+        Self { touched: touched.collect(), turned: turned.collect() }
+    }
 }
 
 struct Draw<'a> {
     stage: &'a Stage,
     station: &'a Station,
+    exercised: Exercised,
     rng: ChaCha8Rng,
 }
 
@@ -143,7 +196,7 @@ impl Draw<'_> {
                 let size = self.sign() * of([0.006, 0.012, 0.025]);
                 (Place::Joint(self.joint()), one("offset", size))
             }
-            "joint_backlash" => (Place::Joint(self.joint()), one("width", of([0.010, 0.020, 0.040]))),
+            "joint_backlash" => (Place::Joint(self.turned_joint()), one("width", of([0.010, 0.020, 0.040]))),
             "object_pose_offset" => {
                 let object = self.object();
                 let shift = self.shift(&object, of([0.0005, 0.001, 0.002]));
@@ -192,8 +245,7 @@ impl Draw<'_> {
             "electrical_crosstalk" => (Place::Stream(stream), one("leak", of([0.05, 0.1, 0.2]))),
             "dead_channel" | "integer_wrap" => (Place::Channel(self.channel()), Vec::new()),
             "stuck_channel" => {
-                let channel = self.station.layout.channels.len();
-                let idx = self.below(channel);
+                let idx = self.channel_idx();
                 let stream = self.station.layout.channels[idx].stream;
                 let rise = 2.0 * self.station.streams[stream].on_threshold;
                 (Place::Channel(self.station.layout.channels[idx].id.clone()), one("rise_raw", rise))
@@ -247,33 +299,55 @@ impl Draw<'_> {
         let layout = &self.station.layout;
         let fits =
             |&idx: &usize| kind.is_none_or(|kind| layout.streams[layout.patches[idx].stream].kind == kind);
-        let fitting: Vec<usize> = (0..layout.patches.len()).filter(fits).collect();
+        let touched = |&idx: &usize| {
+            layout.patches[idx].channels.clone().any(|channel| self.exercised.touched[channel])
+        };
+        let fitting: Vec<usize> = (0..layout.patches.len()).filter(fits).filter(touched).collect();
         fitting.get(self.below(fitting.len())).copied().unwrap_or(0)
     }
 
     fn channel(&mut self) -> String {
-        let idx = self.below(self.station.layout.num_channels());
+        let idx = self.channel_idx();
         self.station.layout.channels[idx].id.clone()
+    }
+
+    fn channel_idx(&mut self) -> usize {
+        let touched: Vec<usize> =
+            (0..self.station.layout.num_channels()).filter(|&idx| self.exercised.touched[idx]).collect();
+        touched.get(self.below(touched.len())).copied().unwrap_or(0)
     }
 
     /// Two channels at one connector: taxels of a patch, or patches of one taxel each that share a board.
     fn pair(&mut self) -> Vec<String> {
         let layout = &self.station.layout;
         let channels = &layout.channels;
-        let first = self.below(channels.len());
+        let first = self.channel_idx();
         let alone = |idx: usize| layout.patches[channels[idx].patch].channels.len() == 1;
         let mates: Vec<usize> = (0..channels.len())
-            .filter(|&idx| idx != first && channels[idx].stream == channels[first].stream)
+            .filter(|&idx| idx != first && self.exercised.touched[idx])
+            .filter(|&idx| channels[idx].stream == channels[first].stream)
             .filter(|&idx| channels[idx].patch == channels[first].patch || (alone(idx) && alone(first)))
             .collect();
-        let second = mates[self.below(mates.len())];
+        // A channel that is touched alone of its connector changes places with one beside it.
+        let beside = if first + 1 < channels.len() { first + 1 } else { first.saturating_sub(1) };
+        let second = mates.get(self.below(mates.len())).copied().unwrap_or(beside);
         vec![channels[first].id.clone(), channels[second].id.clone()]
     }
 
     /// A joint of a limb that has pressure sensors, and the group that it moves.
     fn bending(&mut self) -> (String, String) {
+        self.joint_of_limb(|_| true)
+    }
+
+    fn turned_joint(&mut self) -> String {
+        let turned = self.exercised.turned.clone();
+        self.joint_of_limb(|dof| turned[dof]).0
+    }
+
+    fn joint_of_limb(&mut self, fits: impl Fn(usize) -> bool) -> (String, String) {
         let patch = self.patch(Some(SensorKind::Pressure));
-        let dofs = limb_dofs(self.station, &[patch]);
+        let mut dofs = limb_dofs(self.station, &[patch]);
+        dofs.retain(|&dof| fits(dof));
         let joints: Vec<&str> = self.station.robot.dofs().map(|joint| joint.name.as_str()).collect();
         let dof = dofs.get(self.below(dofs.len())).copied().unwrap_or(0);
         (joints[dof].to_owned(), self.station.layout.patches[patch].group.clone())

@@ -29,7 +29,7 @@ impl EffectKind for ElasticCrosstalk {
     }
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
-        vec![Parameter::new("decay_factor", 0.2..=5.0, 1.0, 0.15, -0.3)]
+        vec![Parameter::new("decay_factor", 0.2..=5.0, 1.0, 0.08, -0.3)]
     }
 
     fn places(&self, station: &Station) -> Vec<Place> {

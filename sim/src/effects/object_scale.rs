@@ -29,7 +29,7 @@ impl EffectKind for ObjectScale {
     }
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
-        vec![Parameter::new("factor", 0.8..=1.25, 1.0, 0.01, 0.02)]
+        vec![Parameter::new("factor", 0.8..=1.25, 1.0, 0.006, 0.02)]
     }
 
     fn places(&self, station: &Station) -> Vec<Place> {

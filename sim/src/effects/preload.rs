@@ -31,7 +31,7 @@ impl EffectKind for Preload {
     }
 
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
-        vec![Parameter::new("depth_m", 0.0..=0.006, 0.0, 2.5e-4, 4e-4)]
+        vec![Parameter::new("depth_m", 0.0..=0.002, 0.0, 2.5e-4, 4e-4)]
     }
 
     fn places(&self, station: &Station) -> Vec<Place> {

@@ -15,7 +15,98 @@ pub(crate) struct Fitted {
     pub(crate) assessment: Assessment,
     /// Loss that it removes on each take when fitted to the others.
     pub(crate) held_out_gains: Vec<f64>,
+    /// Kinds of rows that it changes.
+    pub(crate) changes: Vec<bool>,
+    /// Squares of residuals that it removes in each unit.
+    pub(crate) removed_by_unit: Vec<f64>,
 }
+
+/// A candidate with the model's own parameters fitted anew beside it.
+pub(crate) struct Profiled {
+    pub(crate) model: Model,
+    /// Loss that it removes on each take.
+    pub(crate) gains: Vec<f64>,
+}
+
+/// Sizes at which a candidate is tried with the model's own parameters fitted anew, as multiples of its dose.
+const PROFILED_DOSES: [f64; 4] = [1.0, -1.0, 2.5, -2.5];
+/// Steps of such a fit.
+const PROFILE_STEPS: usize = 3;
+
+/// Tries `effect` at large doses of its first parameter, and as it is, each time with those of the model's own parameters
+/// fitted anew that reach all that it reaches; the best of them.
+///
+/// Thresholds fitted to delayed touches account for most of the delay: beside them it is worth little, and only beside
+/// thresholds of its own does it show what it explains.
+pub(crate) fn profile<D: Domain>(
+    linear: &Linear<'_, D>,
+    effect: &Effect,
+    parameters: &[Parameter],
+) -> Result<Option<Profiled>, DiagnosisError> {
+    let Some(first) = parameters.first() else { return Ok(None) };
+    let domain = linear.domain;
+    let reach = domain.support(effect, &first.name);
+    let covers = |support: &[bool]| reach.iter().zip(support).all(|(reached, covered)| !reached || *covered);
+    let free: Vec<usize> =
+        (0..domain.base().len()).filter(|&idx| covers(&domain.base_support(idx))).collect();
+    let mut starts = vec![effect.clone()];
+    for dose in PROFILED_DOSES {
+        let value = first.neutral + dose * first.dose;
+        if (first.lower..=first.upper).contains(&value) {
+            let mut start = effect.clone();
+            start.parameters.insert(first.name.clone(), value);
+            starts.push(start);
+        }
+    }
+    let mut best: Option<Linear<'_, D>> = None;
+    for start in starts {
+        let mut tried = Linear::without_nuisances(domain, &linear.with(start), &linear.takes)?;
+        for _ in 0..PROFILE_STEPS {
+            let step = tried.assess(&tried.base_columns(&free)?, &tried.residual).step;
+            let Some(better) = descend(&tried, |scale| {
+                let mut model = tried.model.clone();
+                for (&idx, step) in free.iter().zip(step.iter()) {
+                    let bounds = &domain.base()[idx];
+                    model.base[idx] = (model.base[idx] + scale * step).clamp(bounds.lower, bounds.upper);
+                }
+                model
+            })?
+            else {
+                break;
+            };
+            let gained = tried.loss - better.loss;
+            tried = better;
+            if gained < LEAST_GAINED * tried.loss {
+                break;
+            }
+        }
+        if best.as_ref().is_none_or(|best| tried.loss < best.loss) {
+            best = Some(tried);
+        }
+    }
+    Ok(best.map(|best| {
+        let gains = linear.loss_by_take().iter().zip(best.loss_by_take()).map(|(a, b)| a - b).collect();
+        Profiled { model: best.model, gains }
+    }))
+}
+
+/// The first of ever shorter steps from `from` that lowers the loss; `None` if none does. `stepped` takes the share of the
+/// step.
+fn descend<'a, D: Domain>(
+    from: &Linear<'a, D>,
+    stepped: impl Fn(f64) -> Model,
+) -> Result<Option<Linear<'a, D>>, DiagnosisError> {
+    for scale in [1.0, 0.5, 0.2, 0.05] {
+        let tried = Linear::without_nuisances(from.domain, &stepped(scale), &from.takes)?;
+        if tried.loss < from.loss {
+            return Ok(Some(tried));
+        }
+    }
+    Ok(None)
+}
+
+/// A fit ends where a step gains less than this share of the loss.
+const LEAST_GAINED: f64 = 1e-3;
 
 /// Steps of Gauss and Newton for a candidate.
 const STEPS: usize = 3;
@@ -83,7 +174,21 @@ pub(crate) fn fit<D: Domain>(
         .zip(&assessment.held_out_gains)
         .map(|((before, after), of_step)| before - after + of_step)
         .collect();
-    Ok(Fitted { effect, parameters: parameters.to_vec(), assessment, held_out_gains })
+    let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
+    Ok(Fitted {
+        effect,
+        parameters: parameters.to_vec(),
+        assessment,
+        held_out_gains,
+        changes: linear.kinds_changed(&predicted),
+        removed_by_unit: linear.removed(&predicted).into_iter().fold(
+            vec![0.0; linear.domain.num_units()],
+            |mut sums, of_take| {
+                sums.iter_mut().zip(of_take).for_each(|(sum, removed)| *sum += removed);
+                sums
+            },
+        ),
+    })
 }
 
 /// Fits every parameter of `model`, its own and those of its effects, to `takes`.
@@ -99,19 +204,13 @@ pub(crate) fn refit<D: Domain>(
     for _ in 0..steps {
         let columns = linear.nuisance_columns()?;
         let step = linear.assess(&columns, &linear.residual).step;
-        let mut better = None;
-        for scale in [1.0, 0.5, 0.2, 0.05] {
-            let tried = moved(domain, &linear.model, step.as_slice(), scale);
-            let tried = Linear::without_nuisances(domain, &tried, takes)?;
-            if tried.loss < linear.loss {
-                better = Some(tried);
-                break;
-            }
-        }
-        let Some(tried) = better else { break };
-        let gained = linear.loss - tried.loss;
-        linear = tried;
-        if gained < 1e-3 * linear.loss.max(1.0) {
+        let Some(better) = descend(&linear, |scale| moved(domain, &linear.model, step.as_slice(), scale))?
+        else {
+            break;
+        };
+        let gained = linear.loss - better.loss;
+        linear = better;
+        if gained < LEAST_GAINED * linear.loss.max(1.0) {
             break;
         }
     }

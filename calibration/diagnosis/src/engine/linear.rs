@@ -34,6 +34,8 @@ pub(crate) struct Linear<'a, D: Domain> {
     pub(crate) blocks: Vec<(Range<usize>, usize)>,
     /// Huber's loss of the residuals.
     pub(crate) loss: f64,
+    /// The same by take and by kind of row, `[take * num_kinds + kind]`.
+    losses: Vec<f64>,
     nuisances: Nuisances,
     /// Of this model, with the nuisances projected out.
     pub(crate) residual: Residual,
@@ -71,10 +73,16 @@ pub(crate) struct Assessment {
     pub(crate) step: DVector<f64>,
     /// Standard error of each, robust against dependence within blocks.
     pub(crate) standard_errors: Vec<f64>,
-    /// Loss that steps fitted to the other takes remove, by take.
+    /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them.
     pub(crate) held_out_gains: Vec<f64>,
 }
 
+/// With fewer takes that see a parameter, fits are judged on blocks instead.
+const FEW_TAKES: usize = 3;
+/// A take that sees less than this share of what all see of a parameter does not see it.
+const LEAST_TAKE_SHARE: f64 = 0.02;
+/// Folds of blocks.
+const FEW_FOLDS: usize = 5;
 /// Share of the variance that independent rows of standard weight would give a parameter, below which none is believed.
 const LEAST_SPREAD: f64 = 0.01;
 
@@ -101,19 +109,19 @@ impl<'a, D: Domain> Linear<'a, D> {
         let num_rows = starts[starts.len() - 1];
         let (mut weights, mut residual) = (Vec::with_capacity(num_rows), Vec::with_capacity(num_rows));
         let mut blocks = Vec::new();
-        let mut loss = 0.0;
+        let num_kinds = domain.num_kinds();
+        let mut losses = vec![0.0; takes.len() * num_kinds];
         for (idx, (&take, prediction)) in takes.iter().zip(&predicted).enumerate() {
             let observed = domain.observed(take);
-            for ((weight, &predicted), &observed) in
-                domain.weights(take, prediction).into_iter().zip(prediction).zip(observed)
-            {
+            let rows = domain.weights(take, prediction).into_iter().zip(prediction).zip(observed);
+            for (row, ((weight, &predicted), &observed)) in rows.enumerate() {
                 if observed.is_nan() {
                     weights.push(0.0);
                     residual.push(0.0);
                     continue;
                 }
                 let deviation = (observed - predicted) * weight;
-                loss += huber(deviation);
+                losses[idx * num_kinds + domain.kind(row)] += huber(deviation);
                 // Reweighted least squares: an outlier pulls as hard as one at the limit.
                 let damped = (HUBER / deviation.abs()).min(1.0).sqrt();
                 weights.push(weight * damped);
@@ -138,24 +146,93 @@ impl<'a, D: Domain> Linear<'a, D> {
             predicted,
             weights,
             blocks,
-            loss,
+            loss: losses.iter().sum(),
+            losses,
             nuisances,
             residual: Residual { values: residual, along_nuisances },
         })
     }
 
+    /// Loss by take.
+    pub(crate) fn loss_by_take(&self) -> Vec<f64> {
+        self.losses.chunks_exact(self.domain.num_kinds()).map(|of_take| of_take.iter().sum()).collect()
+    }
+
+    /// Loss in the rows of `kinds`.
+    pub(crate) fn loss_in(&self, kinds: &[bool]) -> f64 {
+        let of_take = |losses: &[f64]| {
+            losses.iter().zip(kinds).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum::<f64>()
+        };
+        self.losses.chunks_exact(kinds.len()).map(of_take).sum()
+    }
+
+    /// Loss of `predicted` (by take) by kind of row, with the weights of this model's predictions: what a model is unsure
+    /// of weighs less, so that losses with weights of their own do not compare.
+    pub(crate) fn losses_of(&self, predicted: &[Vec<f64>]) -> Vec<f64> {
+        let mut losses = vec![0.0; self.domain.num_kinds()];
+        for ((&take, own), predicted) in self.takes.iter().zip(&self.predicted).zip(predicted) {
+            let weights = self.domain.weights(take, own);
+            let rows = self.domain.observed(take).iter().zip(predicted).zip(weights).enumerate();
+            for (row, ((observed, predicted), weight)) in rows {
+                if !observed.is_nan() {
+                    losses[self.domain.kind(row)] += huber((observed - predicted) * weight);
+                }
+            }
+        }
+        losses
+    }
+
+    /// Which kinds of rows `predicted` (by take) has otherwise than this model.
+    pub(crate) fn kinds_changed(&self, predicted: &[Vec<f64>]) -> Vec<bool> {
+        let mut changed = vec![false; self.domain.num_kinds()];
+        for ((before, after), start) in self.predicted.iter().zip(predicted).zip(&self.starts) {
+            for (row, (before, after)) in before.iter().zip(after).enumerate() {
+                let kind = self.domain.kind(row);
+                changed[kind] |= ((after - before) * self.weights[start + row]).abs() > NOTICEABLE;
+            }
+        }
+        changed
+    }
+
+    /// Which kinds of rows `columns` reach.
+    pub(crate) fn kinds_in(&self, columns: &[Column]) -> Vec<bool> {
+        let mut reached = vec![false; self.domain.num_kinds()];
+        for column in columns {
+            let mut take = 0;
+            for &row in &column.rows {
+                while row as usize >= self.starts[take + 1] {
+                    take += 1;
+                }
+                reached[self.domain.kind(row as usize - self.starts[take])] = true;
+            }
+        }
+        reached
+    }
+
+    /// Responses to the parameters `which` of the model's own.
+    pub(crate) fn base_columns(&self, which: &[usize]) -> Result<Vec<Column>, DiagnosisError> {
+        which
+            .iter()
+            .map(|&idx| {
+                let (model, step) = self.base_stepped(idx);
+                self.response(&model, step)
+            })
+            .collect()
+    }
+
+    /// The model with its own parameter `idx` moved by its dose, and by how much.
+    fn base_stepped(&self, idx: usize) -> (Model, f64) {
+        let (parameter, value) = (&self.domain.base()[idx], self.model.base[idx]);
+        let step = if value + parameter.dose <= parameter.upper { parameter.dose } else { -parameter.dose };
+        let mut model = self.model.clone();
+        model.base[idx] += step;
+        (model, step)
+    }
+
     /// Responses to the model's own parameters and to those of its effects.
     pub(crate) fn nuisance_columns(&self) -> Result<Vec<Column>, DiagnosisError> {
-        let base = self.domain.base();
-        let mut variants = Vec::new();
-        for (idx, parameter) in base.iter().enumerate() {
-            let value = self.model.base[idx];
-            let step =
-                if value + parameter.dose <= parameter.upper { parameter.dose } else { -parameter.dose };
-            let mut model = self.model.clone();
-            model.base[idx] += step;
-            variants.push((model, step));
-        }
+        let mut variants: Vec<(Model, f64)> =
+            (0..self.model.base.len()).map(|idx| self.base_stepped(idx)).collect();
         for (effect_idx, effect) in self.model.effects.iter().enumerate() {
             for parameter in self.domain.parameters(effect) {
                 let value = effect.parameter(&parameter.name);
@@ -236,6 +313,23 @@ impl<'a, D: Domain> Linear<'a, D> {
         self.nuisances = Nuisances { count, index, values, inverse: inverse(&normal), by_block };
         let values = std::mem::take(&mut self.residual.values);
         self.residual = self.projected(values);
+    }
+
+    /// By take and unit, how much smaller the squares of the residuals are with `predicted` (by take) in place of this
+    /// model's predictions, with these weights.
+    pub(crate) fn removed(&self, predicted: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let mut removed = vec![vec![0.0; self.domain.num_units()]; self.takes.len()];
+        for (idx, (&take, after)) in self.takes.iter().zip(predicted).enumerate() {
+            let rows = self.domain.observed(take).iter().zip(&self.predicted[idx]).zip(after).enumerate();
+            for (row, ((observed, before), after)) in rows {
+                let weight = self.weights[self.starts[idx] + row];
+                if weight > 0.0 && before != after {
+                    let squares = (observed - before).powi(2) - (observed - after).powi(2);
+                    removed[idx][self.domain.unit(row)] += weight * weight * squares;
+                }
+            }
+        }
+        removed
     }
 
     /// Residuals of `predicted` (by take) with these weights and nuisances: what a candidate leaves.
@@ -343,21 +437,20 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
         let covariance = &h_inverse * v * &h_inverse;
 
-        let num_takes = self.takes.len();
-        let mut of_take = vec![(DVector::<f64>::zeros(k), DMatrix::<f64>::zeros(k, k)); num_takes];
-        for ((_, take), (score, normal)) in
-            self.blocks.iter().zip(projected_scores.iter().zip(&projected_normals))
-        {
-            of_take[*take].0 += score;
-            of_take[*take].1 += normal;
+        let (folds, num_folds) = self.folds(&projected_normals);
+        let mut of_fold = vec![(DVector::<f64>::zeros(k), DMatrix::<f64>::zeros(k, k)); num_folds];
+        for (&fold, (score, normal)) in folds.iter().zip(projected_scores.iter().zip(&projected_normals)) {
+            of_fold[fold].0 += score;
+            of_fold[fold].1 += normal;
         }
-        let held_out_gains = of_take
-            .iter()
-            .map(|(score, normal)| {
-                let step = inverse(&(&h - normal)) * (&s - score);
-                2.0 * score.dot(&step) - step.dot(&(normal * &step))
-            })
-            .collect();
+        let steps: Vec<DVector<f64>> =
+            of_fold.iter().map(|(score, normal)| inverse(&(&h - normal)) * (&s - score)).collect();
+        let mut held_out_gains = vec![0.0; self.takes.len()];
+        for (block, (_, take)) in self.blocks.iter().enumerate() {
+            let step = &steps[folds[block]];
+            held_out_gains[*take] +=
+                2.0 * projected_scores[block].dot(step) - step.dot(&(&projected_normals[block] * step));
+        }
         Assessment {
             // What explains its rows perfectly leaves no spread to judge by, but no row is measured without error.
             standard_errors: covariance
@@ -371,6 +464,20 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
     }
 
+    /// Which blocks are judged together by a fit to all others, and the number of such folds: those of a take; or, where
+    /// so few takes see what is fitted that a fit without one of them would know nothing, every [`FEW_FOLDS`]-th block.
+    fn folds(&self, normals: &[DMatrix<f64>]) -> (Vec<usize>, usize) {
+        let mut seen = vec![0.0; self.takes.len()];
+        for ((_, take), normal) in self.blocks.iter().zip(normals) {
+            seen[*take] += normal.trace();
+        }
+        let least = LEAST_TAKE_SHARE * seen.iter().sum::<f64>();
+        if seen.iter().filter(|seen| **seen > least).count() >= FEW_TAKES {
+            return (self.blocks.iter().map(|(_, take)| *take).collect(), self.takes.len());
+        }
+        ((0..self.blocks.len()).map(|block| block % FEW_FOLDS).collect(), FEW_FOLDS)
+    }
+
     /// `model` with another effect.
     pub(crate) fn with(&self, effect: Effect) -> Model {
         let mut model = self.model.clone();
@@ -381,6 +488,9 @@ impl<'a, D: Domain> Linear<'a, D> {
 
 /// Responses to a whole dose below this many standard deviations are left out.
 const SMALLEST_RESPONSE: f64 = 5e-4;
+
+/// Changes of fewer standard deviations are not noticed.
+const NOTICEABLE: f64 = 0.05;
 
 /// Predictions for `takes`, side by side.
 pub(crate) fn predict<D: Domain>(

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 
-use super::fit::{fit, refit};
-use super::linear::Linear;
-use super::screen::screen;
+use super::fit::{Fitted, fit, profile, refit};
+use super::linear::{Linear, predict};
+use super::screen::{Screened, screen};
 use super::{Domain, Model};
 use crate::DiagnosisError;
 
@@ -19,7 +19,7 @@ pub struct NamingConfig {
     /// Evidence that an effect must reach: how far its estimate lies beyond the smallest size that matters, in standard
     /// errors, squared.
     pub bar: f64,
-    /// Share of the loss that an effect must remove on takes it was not fitted to.
+    /// Share of the loss, in the kinds of rows that an effect changes, that it must remove on takes it was not fitted to.
     pub least_share: f64,
     /// Candidates that are fitted in each round.
     pub num_fits: usize,
@@ -32,14 +32,31 @@ pub struct NamingConfig {
 pub struct Tried {
     /// The effect, fitted beside the model of its round.
     pub effect: Effect,
+    /// The model's own parameters beside it.
+    pub base: Vec<f64>,
     /// On the scale of [`NamingConfig::bar`].
     pub evidence: f64,
     /// Loss that it removes on takes it was not fitted to.
     pub held_out_gain: f64,
-    /// The same over the loss before.
+    /// The same over the loss before, in the kinds of rows that the effect changes.
     pub share: f64,
     /// Takes on which it lowers the loss when fitted to the others.
     pub takes_improved: usize,
+}
+
+impl Tried {
+    /// `effect` beside the base of `model`, which removes `gains` of the `loss` by take.
+    fn new(effect: Effect, model: &Model, evidence: f64, gains: &[f64], loss: f64) -> Self {
+        let held_out_gain = gains.iter().sum::<f64>();
+        Self {
+            effect,
+            base: model.base.clone(),
+            evidence,
+            held_out_gain,
+            share: held_out_gain / loss.max(f64::MIN_POSITIVE),
+            takes_improved: gains.iter().filter(|gain| **gain > 0.0).count(),
+        }
+    }
 }
 
 /// One round.
@@ -97,8 +114,18 @@ const MOST_DROPPED: usize = 2;
 const SIMILAR_COUNT: usize = 7;
 /// Steps of a fit without one effect, to see what it carries.
 const WEIGHING_STEPS: usize = 2;
+/// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
+const FEW: usize = 2;
+/// What such a trial must remove, over what the effect removes beside the thresholds that are there.
+const PROFILE_GAIN: f64 = 1.3;
 /// Share of the remaining loss that a named effect removes at least beside the others.
-const LEAST_CARRIED: f64 = 0.002;
+const LEAST_CARRIED: f64 = 0.004;
+/// Candidates that are fitted in a round for the share of the loss in what they change.
+const FITS_BY_SHARE: usize = 2;
+/// An effect of many parameters must remove this share of all that it removes in at least a third as many units.
+const NEARLY_ALL: f64 = 0.8;
+/// A fit that removes all but this share of what the best removes is as good.
+const AS_GOOD: f64 = 0.02;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -147,17 +174,8 @@ pub fn name<D: Domain>(
             known_gains
                 .insert((candidate.effect.id.clone(), candidate.effect.place.clone()), candidate.promise);
         }
-        let mut finalists: Vec<usize> = Vec::new();
-        for (idx, candidate) in screened.iter().enumerate() {
-            let same = finalists.iter().filter(|&&other| screened[other].effect.id == candidate.effect.id);
-            if finalists.len() < config.num_fits
-                && candidate.promise > 0.0
-                && same.count() < PLACES_PER_EFFECT
-            {
-                finalists.push(idx);
-            }
-        }
-        let mut tried = Vec::new();
+        let finalists = finalists(&screened, config.num_fits);
+        let (mut tried, mut absorbing) = (Vec::new(), Vec::new());
         for (done, &idx) in finalists.iter().enumerate() {
             let Some(candidate) = screened.get(idx) else { continue };
             report(
@@ -165,32 +183,45 @@ pub fn name<D: Domain>(
                 &format!("round {}: fitting {}", round_idx + 1, candidate.effect.id),
             )?;
             let fitted = fit(&linear, &candidate.effect, &candidate.parameters)?;
-            let held_out_gain = fitted.held_out_gains.iter().sum::<f64>();
-            tried.push(Tried {
-                evidence: evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors),
-                takes_improved: fitted.held_out_gains.iter().filter(|gain| **gain > 0.0).count(),
-                effect: fitted.effect,
-                held_out_gain,
-                share: held_out_gain / linear.loss.max(f64::MIN_POSITIVE),
+            let beside = beside_own_thresholds(&linear, &fitted.effect, &candidate.parameters)?;
+            let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
+                let evidence =
+                    evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
+                let loss = linear.loss_in(&fitted.changes);
+                Tried::new(fitted.effect, &model, evidence, &fitted.held_out_gains, loss)
             });
+            let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
+            match beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain) {
+                Some(better) => {
+                    absorbing.push(better.effect.place.clone());
+                    tried.push(better);
+                }
+                None => tried.extend(as_is),
+            }
+        }
+        // Where thresholds have absorbed one effect of a stream, no effect of that stream shows beside them.
+        for (idx, candidate) in screened.iter().enumerate() {
+            if absorbing.contains(&candidate.effect.place) && !finalists.contains(&idx) {
+                tried.extend(beside_own_thresholds(&linear, &candidate.effect, &candidate.parameters)?);
+            }
         }
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
         // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
         let best = tried.iter().position(passes).filter(|_| more);
-        let mut named = None;
-        let mut least_loss = f64::INFINITY;
+        let mut refitted = Vec::new();
         for contender in if more { contenders(&tried, best, config.least_share) } else { Vec::new() } {
-            let mut with = model.clone();
+            let mut with = Model { base: tried[contender].base.clone(), effects: model.effects.clone() };
             with.effects.push(tried[contender].effect.clone());
             let with = refit(domain, &with, takes, REFIT_STEPS)?;
             let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
-            if loss < least_loss && (passes(&tried[contender]) || founded(domain, &with, takes, config.bar)?)
-            {
-                (named, least_loss) = (Some((contender, with)), loss);
+            if passes(&tried[contender]) || founded(domain, &with, takes, config.bar)? {
+                refitted.push((loss, contender, with));
             }
         }
+        let named =
+            simplest_of_best(refitted, linear.loss, &tried).map(|(_, contender, with)| (contender, with));
         let (named, refitted) = named.unzip();
         let class = named.map_or_else(Vec::new, |named| {
             let least = RIVAL_SHARE * tried[0].held_out_gain;
@@ -207,6 +238,76 @@ pub fn name<D: Domain>(
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
 }
 
+/// `effect`, if it is of a whole stream and has few parameters, with the model's own parameters fitted anew beside it;
+/// `None` if that removes nothing. Its evidence is left to the full fit.
+fn beside_own_thresholds<D: Domain>(
+    linear: &Linear<'_, D>,
+    effect: &Effect,
+    parameters: &[Parameter],
+) -> Result<Option<Tried>, DiagnosisError> {
+    if !matches!(effect.place, Place::Stream(_)) || parameters.len() > FEW {
+        return Ok(None);
+    }
+    let Some(profiled) = profile(linear, effect, parameters)? else { return Ok(None) };
+    let Some(effect) = profiled.model.effects.last() else { return Ok(None) };
+    let beside = Model { base: profiled.model.base.clone(), effects: linear.model.effects.clone() };
+    let (with, without) = (&profiled.model, &beside);
+    let without = Linear::without_nuisances(linear.domain, without, &linear.takes)?;
+    let changes = without.kinds_changed(&predict(linear.domain, with, &linear.takes)?);
+    let tried = Tried::new(effect.clone(), with, 0.0, &profiled.gains, linear.loss_in(&changes));
+    Ok((tried.held_out_gain > 0.0 && changes.contains(&true)).then_some(tried))
+}
+
+/// Indices of candidates to fit: those that promise most, few places of each effect, and those that promise the largest
+/// share of the loss in the kinds of rows that they change.
+fn finalists(screened: &[Screened], num_fits: usize) -> Vec<usize> {
+    let mut finalists: Vec<usize> = Vec::new();
+    let mut by_share: Vec<usize> = (0..screened.len()).collect();
+    by_share.sort_by(|&a, &b| screened[b].promised_share.total_cmp(&screened[a].promised_share));
+    let mut admit = |order: &mut dyn Iterator<Item = usize>, most: usize| {
+        for idx in order {
+            let candidate = &screened[idx];
+            let places = finalists.iter().filter(|&&other| screened[other].effect.id == candidate.effect.id);
+            let places = places.count();
+            if finalists.len() == most {
+                break;
+            }
+            if candidate.promise > 0.0 && places < PLACES_PER_EFFECT && !finalists.contains(&idx) {
+                finalists.push(idx);
+            }
+        }
+    };
+    admit(&mut (0..screened.len()), num_fits);
+    admit(&mut by_share.into_iter(), num_fits + FITS_BY_SHARE);
+    finalists
+}
+
+/// Whether an effect of many parameters does what it does in few places only: it then stands in for one that acts there.
+fn stands_in(fitted: &Fitted) -> bool {
+    if fitted.parameters.len() <= SIMILAR_COUNT {
+        return false;
+    }
+    let mut removed: Vec<f64> =
+        fitted.removed_by_unit.iter().copied().filter(|removed| *removed > 0.0).collect();
+    removed.sort_unstable_by(|a, b| b.total_cmp(a));
+    let nearly_all = NEARLY_ALL * removed.iter().sum::<f64>();
+    let mut sum = 0.0;
+    let carriers = removed.iter().take_while(|removed| {
+        let before = sum;
+        sum += **removed;
+        before < nearly_all
+    });
+    carriers.count() < fitted.parameters.len() / 3
+}
+
+/// What a model loses without one of its effects.
+struct Carried {
+    /// Loss that comes back.
+    loss: f64,
+    /// The same in the kinds of rows that the effect changes, over the loss there.
+    share: f64,
+}
+
 /// Weighs every effect beyond the first `known` by the loss that comes back without it: drops what carries too little, or
 /// has lost its evidence, and puts the others in order, the weightiest first.
 fn finish<D: Domain>(
@@ -218,25 +319,35 @@ fn finish<D: Domain>(
     dropped: &mut Vec<Effect>,
 ) -> Result<(), DiagnosisError> {
     while model.effects.len() > known {
-        let after = Linear::without_nuisances(domain, model, takes)?.loss;
+        let after = Linear::without_nuisances(domain, model, takes)?;
         let (evidence, _) = joint_evidence(domain, model, takes)?;
         let mut carried = Vec::new();
         for idx in known..model.effects.len() {
             let mut without = model.clone();
             without.effects.remove(idx);
+            let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
             let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
-            carried.push((Linear::without_nuisances(domain, &without, takes)?.loss - after) / after);
+            let back = after.losses_of(&predict(domain, &without, takes)?);
+            let sum = |losses: &[f64], of: &[bool]| -> f64 {
+                losses.iter().zip(of).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum()
+            };
+            let before = after.losses_of(&after.predicted);
+            let gained = |of: &[bool]| sum(&back, of) - sum(&before, of);
+            carried.push(Carried {
+                loss: gained(&vec![true; kinds.len()]),
+                share: gained(&kinds) / sum(&before, &kinds).max(f64::MIN_POSITIVE),
+            });
         }
-        let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].total_cmp(&carried[b]));
+        let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].share.total_cmp(&carried[b].share));
         let Some(weakest) = weakest else { break };
         let unfounded = (0..carried.len()).find(|&idx| evidence[known + idx] < bar);
-        if let Some(idx) = unfounded.or((carried[weakest] < LEAST_CARRIED).then_some(weakest)) {
+        if let Some(idx) = unfounded.or((carried[weakest].share < LEAST_CARRIED).then_some(weakest)) {
             dropped.push(model.effects.remove(known + idx));
             *model = refit(domain, model, takes, REFIT_STEPS)?;
             continue;
         }
         let mut order: Vec<usize> = (0..carried.len()).collect();
-        order.sort_by(|&a, &b| carried[b].total_cmp(&carried[a]));
+        order.sort_by(|&a, &b| carried[b].loss.total_cmp(&carried[a].loss));
         let named = model.effects.split_off(known);
         model.effects.extend(order.into_iter().map(|idx| named[idx].clone()));
         break;
@@ -263,6 +374,21 @@ fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usi
         }
     }
     contenders
+}
+
+/// Of models with their losses and the index in `tried` of what each adds: the one with the least loss, or one with fewer
+/// parameters that is as good as that. `before` is the loss without any.
+fn simplest_of_best(
+    refitted: Vec<(f64, usize, Model)>,
+    before: f64,
+    tried: &[Tried],
+) -> Option<(f64, usize, Model)> {
+    let least = refitted.iter().map(|(loss, ..)| *loss).min_by(f64::total_cmp)?;
+    let as_good = least + AS_GOOD * (before - least).max(0.0);
+    refitted.into_iter().filter(|(loss, ..)| *loss <= as_good).min_by(|(one, a, _), (other, b, _)| {
+        let count = |idx: usize| tried[idx].effect.parameters.len();
+        count(*a).cmp(&count(*b)).then(one.total_cmp(other))
+    })
 }
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
@@ -310,8 +436,16 @@ fn joint_evidence<D: Domain>(
 }
 
 /// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. An effect
-/// of many parameters must have a third of them out there: else it stands in for one that acts in fewer places.
+/// of many parameters must have a third of them out there: else it stands in for one that acts in fewer places. None for
+/// an effect that is driven to the end of its range: it stands in for one of another kind.
 pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
+    let at_end = |parameter: &Parameter| {
+        let value = effect.parameter(&parameter.name);
+        value != parameter.neutral && (value == parameter.lower || value == parameter.upper)
+    };
+    if parameters.iter().any(|parameter| parameter.is_size() && at_end(parameter)) {
+        return 0.0;
+    }
     let mut strengths: Vec<f64> = parameters
         .iter()
         .zip(standard_errors)

@@ -17,6 +17,8 @@ pub(crate) struct Screened {
     pub(crate) parameters: Vec<Parameter>,
     /// Loss that it promises to remove.
     pub(crate) promise: f64,
+    /// The same over the loss in the kinds of rows that it changes.
+    pub(crate) promised_share: f64,
 }
 
 /// Screens `candidates` around `linear`; `done` hears the fraction of the work and may stop it.
@@ -61,13 +63,16 @@ pub(crate) fn screen<D: Domain>(
         }
     }
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
-    jobs.into_par_iter()
+    let mut screened: Vec<Screened> = jobs
+        .into_par_iter()
         .filter(|(_, columns)| columns.iter().any(|column| !column.rows.is_empty()))
         .map(|((effect, parameters), columns)| {
             let assessment = linear.assess(&columns, &linear.residual);
             let estimate = stepped(&effect, &parameters, assessment.step.as_slice());
-            let promise = assessment.held_out_gains.iter().sum();
-            let screened = Screened { effect: estimate, parameters, promise };
+            let promise = assessment.held_out_gains.iter().sum::<f64>();
+            let loss = linear.loss_in(&linear.kinds_in(&columns));
+            let promised_share = promise / loss.max(f64::MIN_POSITIVE);
+            let screened = Screened { effect: estimate, parameters, promise, promised_share };
             match &screened.effect.place {
                 Place::Stream(_) if screened.parameters.len() <= FEW => {
                     dosed_largely(linear, &effect, screened)
@@ -75,7 +80,9 @@ pub(crate) fn screen<D: Domain>(
                 _ => Ok(screened),
             }
         })
-        .collect()
+        .collect::<Result<_, DiagnosisError>>()?;
+    dose_places_largely(linear, &mut screened)?;
+    Ok(screened)
 }
 
 /// Parameters of an effect that is tried at large doses too.
@@ -106,6 +113,61 @@ fn dosed_largely<D: Domain>(
         }
     }
     Ok(screened)
+}
+
+/// Large doses of what acts on a patch or an object, as multiples of the standard one.
+const PLACED_DOSES: [f64; 4] = [2.0, -2.0, 4.0, -4.0];
+
+/// Replaces estimates for effects of patches and objects by large doses of one parameter where those remove more than the
+/// estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of which a small dose
+/// knows nothing. One simulation serves all patches, and all objects, of which no take has two.
+fn dose_places_largely<D: Domain>(
+    linear: &Linear<'_, D>,
+    screened: &mut [Screened],
+) -> Result<(), DiagnosisError> {
+    let (mut of_patches, mut of_objects) = (Vec::new(), BTreeMap::<_, Vec<_>>::new());
+    for (owner, candidate) in screened.iter().enumerate() {
+        for (idx, parameter) in candidate.parameters.iter().enumerate() {
+            for (dose_idx, step) in PLACED_DOSES.map(|share| share * parameter.dose).into_iter().enumerate() {
+                let value = parameter.neutral + step;
+                if !(parameter.lower..=parameter.upper).contains(&value) {
+                    continue;
+                }
+                let mut effect = neutral(&candidate.effect, &candidate.parameters);
+                effect.parameters.insert(parameter.name.clone(), value);
+                let item = Item { owner, parameter: idx, effect, step, name: parameter.name.clone() };
+                match candidate.effect.place {
+                    Place::Patch(_) => of_patches.push(item),
+                    Place::Object(_) => {
+                        let everywhere = vec![true; linear.domain.num_units()];
+                        let pass =
+                            of_objects.entry((candidate.effect.id.clone(), idx, dose_idx)).or_default();
+                        pass.push((item, everywhere));
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+    for pass in pack(linear.domain, of_patches).into_iter().chain(of_objects.into_values()) {
+        let mut model = linear.model.clone();
+        model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
+        let removed = linear.removed(&predict(linear.domain, &model, &linear.takes)?);
+        for (item, reach) in pass {
+            let mut of_item = 0.0;
+            for (of_take, &take) in removed.iter().zip(&linear.takes) {
+                if linear.domain.reaches_take(&item.effect, take) {
+                    let reached = of_take.iter().zip(&reach).filter(|(_, reached)| **reached);
+                    of_item += reached.map(|(removed, _)| removed).sum::<f64>();
+                }
+            }
+            let candidate = &mut screened[item.owner];
+            if of_item > candidate.promise {
+                (candidate.effect, candidate.promise) = (item.effect, of_item);
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Responses to each parameter of `effect` around its present values.

@@ -44,6 +44,8 @@ struct Line {
     bend: Option<crate::secrets::Bend>,
     /// Which sensor's line is plugged in here.
     line: usize,
+    /// The cable that it runs in: a patch of several taxels has one of its own, all others share one.
+    cable: Option<usize>,
 }
 
 impl Cabling {
@@ -73,6 +75,8 @@ impl Cabling {
                     gain: 1.0,
                     bend: channel.bend,
                     line: channel.line - channels.start,
+                    cable: Some(layout.channels[idx].patch)
+                        .filter(|&patch| layout.patches[patch].channels.len() > 1),
                 }
             })
             .collect();
@@ -145,10 +149,12 @@ impl Cabling {
         }));
         for (idx, line) in self.lines.iter().enumerate() {
             let own = self.scratch[line.line];
-            // Lines lie side by side in the order of the converter's inputs.
-            let before = line.line.checked_sub(1).and_then(|before| self.scratch.get(before));
-            let after = self.scratch.get(line.line + 1);
-            let leaked: f64 = before.into_iter().chain(after).map(|other| self.leak * (other - own)).sum();
+            // The lines of a cable lie side by side in the order of the converter's inputs.
+            let cable = self.lines[line.line].cable;
+            let beside = [line.line.checked_sub(1), Some(line.line + 1)].into_iter().flatten();
+            let others =
+                beside.filter(|&other| self.lines.get(other).is_some_and(|line| line.cable == cable));
+            let leaked: f64 = others.map(|other| self.leak * (self.scratch[other] - own)).sum();
             readings[idx] = own + leaked;
         }
     }
