@@ -50,6 +50,9 @@ pub struct LiveLanes {
     pub unsimulated: Vec<Event>,
 }
 
+/// One bit a channel.
+type Bits<'a> = &'a [u8];
+
 impl TouchHistory {
     /// Takes in the newest frame. What the twin says is of the moment that it looked at, which is a little earlier; what
     /// another model said before is forgotten.
@@ -103,7 +106,7 @@ impl TouchHistory {
     pub fn lanes(&self, num_channels: usize, streams: &[std::ops::Range<usize>]) -> LiveLanes {
         // Each moment with its real sample and the simulated one in effect; neither of them within a gap.
         let mut times_s = Vec::with_capacity(self.real.len());
-        let mut samples: Vec<(Option<&[u8]>, Option<&[u8]>)> = Vec::with_capacity(self.real.len());
+        let mut samples: Vec<(Option<Bits<'_>>, Option<Bits<'_>>)> = Vec::with_capacity(self.real.len());
         let newest_simulated_s = self.simulated.back().map_or(f64::NEG_INFINITY, |(time_s, _)| *time_s);
         let mut next = 0;
         let mut before_s = f64::INFINITY;
