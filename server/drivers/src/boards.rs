@@ -112,7 +112,7 @@ impl<'a> Reading<'a> {
                     understood_ns = now_ns;
                     self.context.link(Link::Ready, "");
                 }
-                samples.into_iter().for_each(|sample| self.tell(now_ns, sample));
+                samples.into_iter().for_each(|sample| self.tell(sample));
                 self.count();
             }
             if now_ns.saturating_sub(heard_ns) > SILENT_NS {
@@ -129,7 +129,8 @@ impl<'a> Reading<'a> {
         Ok(())
     }
 
-    fn tell(&mut self, received_ns: u64, sample: Sample) {
+    fn tell(&mut self, sample: Sample) {
+        let received_ns = sample.received_ns;
         let device_ns = sample.device_us.map(|device_us| device_us.saturating_mul(1000));
         let host_ns =
             device_ns.map_or(received_ns, |device_ns| self.clock_map.observe(device_ns, received_ns));

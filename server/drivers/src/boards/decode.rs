@@ -1,8 +1,9 @@
 //! Samples from the bytes of a board, with the time at which they came.
 //!
-//! The rows of a matrix have no number: which is the first only shows in the pause before it. A frame is therefore only
-//! believed between two pauses, and after a damaged row nothing is until the next pause. A wrong frame would be worse
-//! than a missing one: its readings would be those of other taxels.
+//! The rows of a matrix have no number: which is the first only shows in the pause before it. A frame right after a pause
+//! is believed at once. Those behind it, which came without one because nobody read for a while, are believed when the next
+//! pause shows that all of them were whole; after a damaged row nothing is until a pause. A wrong frame would be worse than a
+//! missing one: its readings would be those of other taxels.
 
 use palpate_device_protocol::framed::{self, SampleDecoder};
 use palpate_device_protocol::lines::LineDecoder;
@@ -15,6 +16,8 @@ const SHORTEST_PAUSE_NS: f64 = 1.5e6;
 const LONGEST_PAUSE_NS: f64 = 50e6;
 /// Times between lines that the mean of them is taken over.
 const MEAN_OVER: f64 = 64.0;
+/// Frames that may wait for a pause: fewer than the system buffers, so that none of their rows was thrown away.
+const MOST_WAITING: usize = 8;
 /// A sample later than this many usual intervals is a gap.
 const LATE_INTERVALS: f64 = 3.0;
 /// No board is faster than this, ns; samples that a busy computer reads all together only seem to be.
@@ -27,6 +30,8 @@ pub(crate) struct Sample {
     pub(crate) sequence: Option<u32>,
     /// The board's time, us.
     pub(crate) device_us: Option<u64>,
+    /// When the last of it was read, ns: before the newest bytes, if those were what showed that it is whole.
+    pub(crate) received_ns: u64,
     pub(crate) raw: Vec<f32>,
 }
 
@@ -60,9 +65,12 @@ struct Lines {
     rows_per_sample: usize,
     /// The line that was under way when the port was opened is over.
     has_begun: bool,
-    rows: Vec<Vec<f64>>,
-    /// Whether the next row is known to be number `rows.len()` of its frame.
+    /// Rows since the last pause or the frame right after it, with when they were read, ns.
+    rows: Vec<(u64, Vec<f64>)>,
+    /// Whether the first of `rows` is known to be the first of a frame.
     in_step: bool,
+    /// Whether there was a frame since the last pause, so that `rows` wait for the next.
+    is_late: bool,
     dropped_rows: u64,
     last_row_ns: Option<u64>,
     row_interval: Interval,
@@ -102,14 +110,14 @@ impl BoardDecoder {
 
     /// Takes bytes that came together and gives the samples that they complete.
     pub(crate) fn feed(&mut self, received_ns: u64, bytes: &[u8]) -> Vec<Sample> {
-        let (mut samples, num_lost) = self.framed.feed(bytes, self.num_channels);
+        let (mut samples, num_lost) = self.framed.feed(received_ns, bytes, self.num_channels);
         self.num_gaps += num_lost;
         if !self.framed.is_spoken {
             samples = self.lines.feed(received_ns, bytes);
         }
         for sample in &samples {
-            let Some(last_ns) = self.last_sample_ns.replace(received_ns) else { continue };
-            let since_ns = received_ns.saturating_sub(last_ns);
+            let Some(last_ns) = self.last_sample_ns.replace(sample.received_ns) else { continue };
+            let since_ns = sample.received_ns.saturating_sub(last_ns);
             if sample.sequence.is_none()
                 && let Some(mean_ns) = self.sample_interval.mean_ns()
                 && since_ns as f64 > LATE_INTERVALS * mean_ns
@@ -155,7 +163,7 @@ impl BoardDecoder {
 
 impl Framed {
     /// Samples, and how many are missing among them.
-    fn feed(&mut self, bytes: &[u8], num_channels: usize) -> (Vec<Sample>, u64) {
+    fn feed(&mut self, received_ns: u64, bytes: &[u8], num_channels: usize) -> (Vec<Sample>, u64) {
         let (mut samples, mut num_lost) = (Vec::new(), 0);
         for sample in self.decoder.feed(bytes) {
             self.is_spoken = true;
@@ -170,14 +178,15 @@ impl Framed {
                 let step = sample.sequence.wrapping_sub(last);
                 num_lost += u64::from(if step < u32::MAX / 2 { step.saturating_sub(1) } else { 0 });
             }
-            samples.push(of_framed(&sample));
+            samples.push(of_framed(received_ns, &sample));
         }
         (samples, num_lost)
     }
 }
 
-fn of_framed(sample: &framed::Sample) -> Sample {
+fn of_framed(received_ns: u64, sample: &framed::Sample) -> Sample {
     Sample {
+        received_ns,
         sequence: Some(sample.sequence),
         device_us: Some(sample.device_time_us),
         raw: sample.raw.iter().map(|&raw| f32::from(raw)).collect(),
@@ -194,6 +203,7 @@ impl Lines {
             has_begun: false,
             rows: Vec::new(),
             in_step: rows_per_sample == 1,
+            is_late: false,
             dropped_rows: 0,
             last_row_ns: None,
             row_interval: Interval::default(),
@@ -213,28 +223,34 @@ impl Lines {
             let row = self.decoder.feed(piece).pop();
             if self.decoder.counters().malformed > malformed {
                 // Which row that was nobody knows.
-                self.note_row(received_ns);
+                samples.extend(self.note_row(received_ns));
                 self.lose_step();
             } else if let Some(row) = row {
-                self.note_row(received_ns);
-                samples.extend(self.take(row));
+                samples.extend(self.note_row(received_ns));
+                samples.extend(self.take(received_ns, row));
             }
         }
         samples
     }
 
-    /// Some row came: was there a pause before it?
-    fn note_row(&mut self, received_ns: u64) {
-        let Some(last_ns) = self.last_row_ns.replace(received_ns) else { return };
+    /// Some row came: was there a pause before it? Gives the frames that waited for one.
+    fn note_row(&mut self, received_ns: u64) -> Vec<Sample> {
+        let Some(last_ns) = self.last_row_ns.replace(received_ns) else { return Vec::new() };
         if self.rows_per_sample == 1 {
-            return;
+            return Vec::new();
         }
         let since_ns = received_ns.saturating_sub(last_ns);
+        let mut waited = Vec::new();
         if since_ns as f64 > self.pause_ns() {
+            if self.in_step && self.is_late && self.rows.len().is_multiple_of(self.rows_per_sample) {
+                let rows = std::mem::take(&mut self.rows);
+                waited.extend(rows.chunks_exact(self.rows_per_sample).map(of_rows));
+            }
             self.lose_step();
             self.in_step = true;
         }
         self.row_interval.add(since_ns);
+        waited
     }
 
     fn pause_ns(&self) -> f64 {
@@ -246,22 +262,26 @@ impl Lines {
         self.dropped_rows += self.rows.len() as u64;
         self.rows.clear();
         self.in_step = self.rows_per_sample == 1;
+        self.is_late = false;
     }
 
-    fn take(&mut self, row: Vec<f64>) -> Option<Sample> {
+    fn take(&mut self, received_ns: u64, row: Vec<f64>) -> Option<Sample> {
         if !self.in_step {
             self.dropped_rows += 1;
             return None;
         }
-        self.rows.push(row);
-        if self.rows.len() < self.rows_per_sample {
+        self.rows.push((received_ns, row));
+        if self.rows.len() > MOST_WAITING * self.rows_per_sample {
+            self.lose_step();
             return None;
         }
-        // Frames that came without a pause, because nobody read for a while, cannot be told from those of a board that
-        // lost a row on the way.
-        self.in_step = self.rows_per_sample == 1;
-        let raw = self.rows.drain(..).flatten().map(|value| value as f32).collect();
-        Some(Sample { sequence: None, device_us: None, raw })
+        if self.is_late || self.rows.len() < self.rows_per_sample {
+            return None;
+        }
+        self.is_late = self.rows_per_sample > 1;
+        let sample = of_rows(&self.rows);
+        self.rows.clear();
+        Some(sample)
     }
 
     fn problem(&self) -> String {
@@ -282,6 +302,16 @@ impl Lines {
                 self.rows_per_sample
             )
         }
+    }
+}
+
+/// The rows of a frame as a sample.
+fn of_rows(rows: &[(u64, Vec<f64>)]) -> Sample {
+    Sample {
+        sequence: None,
+        device_us: None,
+        received_ns: rows.last().map_or(0, |(received_ns, _)| *received_ns),
+        raw: rows.iter().flat_map(|(_, row)| row).map(|value| *value as f32).collect(),
     }
 }
 

@@ -101,6 +101,33 @@ fn frames_that_come_all_at_once_give_only_the_one_that_is_sure() {
 }
 
 #[test]
+fn frames_that_come_all_at_once_are_believed_once_a_pause_shows_that_they_were_whole() {
+    let mut decoder = matrix();
+    // Where the first begins nobody knows.
+    decoder.feed(0, format!("\n{}", matrix_rows(9).concat()).as_bytes());
+    let mut samples = decoder.feed(25 * MS, matrix_rows(0).concat().as_bytes());
+    let rows: Vec<String> = (1..4).flat_map(matrix_rows).collect();
+    samples.extend(decoder.feed(100 * MS, rows.concat().as_bytes()));
+    assert_eq!(samples.len(), 2);
+    samples.extend(decoder.feed(125 * MS, matrix_rows(4).concat().as_bytes()));
+    assert!(are_whole(&samples));
+    let came: Vec<(f32, u64)> =
+        samples.iter().map(|sample| (sample.raw[0], sample.received_ns / MS)).collect();
+    assert_eq!(came, [(0.0, 25), (100.0, 100), (200.0, 100), (300.0, 100), (400.0, 125)]);
+    assert_eq!(decoder.num_bad(), 3);
+}
+
+#[test]
+fn frames_that_never_pause_are_not_kept_for_ever() {
+    let mut decoder = matrix();
+    // Where the first begins nobody knows.
+    decoder.feed(0, format!("\n{}", matrix_rows(9).concat()).as_bytes());
+    let rows: Vec<String> = (0..100).flat_map(matrix_rows).collect();
+    assert_eq!(decoder.feed(25 * MS, rows.concat().as_bytes()).len(), 1);
+    assert_eq!(decoder.num_bad(), 3 + 99 * 3);
+}
+
+#[test]
 fn evenly_spaced_rows_are_no_frames_and_the_reason_is_told() {
     let mut decoder = matrix();
     let mut num_samples = 0;
