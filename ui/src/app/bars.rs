@@ -208,6 +208,6 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Calibrate => "\u{2696}",
         Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
-        Screen::Objects => "\u{25a6}",
+        Screen::Objects => "\u{1f4e6}",
     }
 }
