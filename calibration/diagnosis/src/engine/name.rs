@@ -120,8 +120,9 @@ const FEW: usize = 2;
 const PROFILE_GAIN: f64 = 1.3;
 /// Share of the remaining loss that a named effect removes at least beside the others.
 const LEAST_CARRIED: f64 = 0.004;
-/// Rounds in which effects are tried at large sizes: what is large is named first.
-const LARGE_ROUNDS: usize = 3;
+/// Rounds in which effects are tried beside thresholds of their own: what thresholds absorb most of is large, and what is
+/// large is named first.
+const PROFILED_ROUNDS: usize = 3;
 /// Candidates that are fitted in a round for the share of the loss in what they change.
 const FITS_BY_SHARE: usize = 2;
 /// An effect of many parameters must remove this share of all that it removes in at least a third as many units.
@@ -153,7 +154,6 @@ pub fn name<D: Domain>(
             progress(fraction, stage)
         };
         report(0.0, &stage)?;
-        let largely = round_idx < LARGE_ROUNDS;
         let linear = Linear::new(domain, &model, takes)?;
         let mut candidates = domain.candidates();
         candidates.retain(|candidate| {
@@ -171,7 +171,7 @@ pub fn name<D: Domain>(
             candidates.sort_by(|a, b| known(b).total_cmp(&known(a)));
             candidates.truncate(PROMISING);
         }
-        let mut screened = screen(&linear, &candidates, largely, &|done| report(0.7 * done, &stage))?;
+        let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
         for candidate in &screened {
             known_gains
@@ -186,7 +186,7 @@ pub fn name<D: Domain>(
                 &format!("round {}: fitting {}", round_idx + 1, candidate.effect.id),
             )?;
             let fitted = fit(&linear, &candidate.effect, &candidate.parameters)?;
-            let beside = match largely {
+            let beside = match round_idx < PROFILED_ROUNDS {
                 true => beside_own_thresholds(&linear, &fitted.effect, &candidate.parameters)?,
                 false => None,
             };

@@ -21,14 +21,12 @@ pub(crate) struct Screened {
     pub(crate) promised_share: f64,
 }
 
-/// Screens `candidates` around `linear`, at large doses too where `largely`; `done` hears the fraction of the work and may
-/// stop it.
+/// Screens `candidates` around `linear`; `done` hears the fraction of the work and may stop it.
 ///
 /// One simulation serves every place of an effect that reaches other units: the response is split by unit.
 pub(crate) fn screen<D: Domain>(
     linear: &Linear<'_, D>,
     candidates: &[Effect],
-    largely: bool,
     done: &dyn Fn(f64) -> Result<(), DiagnosisError>,
 ) -> Result<Vec<Screened>, DiagnosisError> {
     let parameters: Vec<Vec<Parameter>> =
@@ -76,16 +74,14 @@ pub(crate) fn screen<D: Domain>(
             let promised_share = promise / loss.max(f64::MIN_POSITIVE);
             let screened = Screened { effect: estimate, parameters, promise, promised_share };
             match &screened.effect.place {
-                Place::Stream(_) if largely && screened.parameters.len() <= FEW => {
+                Place::Stream(_) if screened.parameters.len() <= FEW => {
                     dosed_largely(linear, &effect, screened)
                 }
                 _ => Ok(screened),
             }
         })
         .collect::<Result<_, DiagnosisError>>()?;
-    if largely {
-        dose_places_largely(linear, &mut screened)?;
-    }
+    dose_places_largely(linear, &mut screened)?;
     Ok(screened)
 }
 
