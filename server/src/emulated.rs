@@ -12,7 +12,7 @@ use std::{
 };
 
 use palpate_control::PlaceObject;
-use palpate_drivers::{PortOverride, Ports};
+use palpate_drivers::{PortOverride, Ports, priority};
 use palpate_emulator::devices::{
     ArmPorts, DevicePorts, EmulatedStation, Faults, PortsConfig, StationControl, serve_devices,
 };
@@ -47,6 +47,8 @@ impl EmulatedDevices {
         let stopped = stop.clone();
         let (found_there, found) = mpsc::channel();
         let run = move || {
+            // Real devices wait for nobody.
+            priority::real_time();
             let ready = found_there.clone();
             let served = serve_devices(
                 &mut emulated,

@@ -20,6 +20,9 @@ const RECONNECT_AFTER_S: f64 = 2.0;
 const CONTROL_REPAINT: std::time::Duration = std::time::Duration::from_millis(50);
 /// Seconds between writes of the cursor's time to the address bar: browsers refuse more than a few a second.
 const ADDRESS_EVERY_S: f64 = 0.5;
+/// The space bar still means STOP this long after torque went off, s: a station that disarms by itself may do so just
+/// before the hand of whoever saw the trouble comes down.
+const STOP_AFTER_ARMED_S: f64 = 2.0;
 
 /// What the frame needs of the window it runs in.
 pub trait Platform {
@@ -65,6 +68,7 @@ pub struct StudioApp {
     title: String,
     next_connect_s: f64,
     next_control_s: f64,
+    last_armed_s: f64,
     surface_format: Option<wgpu::TextureFormat>,
     overlays: overlays::Overlays,
     strip: strip::StripState,
@@ -99,6 +103,7 @@ impl StudioApp {
             title: String::new(),
             next_connect_s: 0.0,
             next_control_s: 0.0,
+            last_armed_s: f64::NEG_INFINITY,
             surface_format,
             overlays: overlays::Overlays::default(),
             strip: strip::StripState::default(),
@@ -139,7 +144,11 @@ impl StudioApp {
 
         let mut go_to = None;
         let commandable = self.store.is_commandable();
-        if Command::stop_pressed(&ctx, commandable && self.store.is_armed()) {
+        if self.store.is_armed() {
+            self.last_armed_s = now_s;
+        }
+        let space_stops = now_s - self.last_armed_s < STOP_AFTER_ARMED_S;
+        if Command::stop_pressed(&ctx, commandable && space_stops) {
             self.store.control.stop();
         }
         let mut commands =

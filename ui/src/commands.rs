@@ -174,11 +174,11 @@ impl Command {
         }
     }
 
-    /// The stop of the space bar while motors have torque. It comes before everything, a focused button included; only
-    /// a text field keeps its spaces.
-    pub fn stop_pressed(ctx: &egui::Context, armed: bool) -> bool {
+    /// The stop of the space bar, while it `stops`: when motors have torque. It comes before everything, a focused button
+    /// included; only a text field keeps its spaces.
+    pub fn stop_pressed(ctx: &egui::Context, stops: bool) -> bool {
         let typing = ctx.text_edit_focused();
-        armed
+        stops
             && !typing
             && ctx.input_mut(|input| {
                 // Whatever else is held: a hand that reaches for the space bar may rest on Shift.

@@ -6,7 +6,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use palpate_drivers::{Devices, Ports};
+use palpate_drivers::{Devices, Ports, priority};
 use palpate_robot_model::{JointKind, Station};
 use palpate_safety::Supervisor;
 use palpate_wire::api::Source;
@@ -120,7 +120,10 @@ impl Control {
         };
         let thread = thread::Builder::new()
             .name("control".to_owned())
-            .spawn(move || control_loop.run())
+            .spawn(move || {
+                priority::real_time();
+                control_loop.run();
+            })
             .map_err(failed("control"))?;
         Ok(Self { handle, thread: Some(thread) })
     }

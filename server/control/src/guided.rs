@@ -10,6 +10,7 @@ use std::{
 };
 
 use nalgebra::Isometry3;
+use palpate_drivers::priority;
 use palpate_motion::{MotionLimits, Plan, Primitives, TakeMotion, plan_approach};
 use palpate_recording::PlannedStep;
 use palpate_robot_model::{JointKind, Station};
@@ -223,6 +224,7 @@ impl Guided {
         let station = Arc::clone(&self.station);
         let (say, planned) = channel();
         let plan_it = move || {
+            priority::ordinary();
             let mut limits = MotionLimits::of(&station);
             limits.velocity.iter_mut().for_each(|velocity| *velocity *= CALM_SHARE);
             let way = plan_approach(&station, &plan, &Primitives::new(), step, &from, Some(&limits));

@@ -10,6 +10,7 @@ use crate::clock::{BackOff, HostClock, Stop};
 use crate::error::DriverError;
 use crate::event::{DeviceEvent, Link};
 use crate::health::SharedHealth;
+use crate::priority;
 
 /// A connection that lasted this long was good: the next attempt comes soon again, ns.
 const GOOD_CONNECTION_NS: u64 = 2_000_000_000;
@@ -91,7 +92,10 @@ impl DeviceContext {
         let stop = self.stop.clone();
         let thread = Builder::new()
             .name(format!("device {id}"))
-            .spawn(move || run(self))
+            .spawn(move || {
+                priority::real_time();
+                run(self);
+            })
             .map_err(|source| DriverError::Thread { device: id.to_string(), source })?;
         Ok(BusHandle { stop, thread: Some(thread) })
     }

@@ -19,6 +19,7 @@ mod emulated;
 mod error;
 mod event;
 mod health;
+pub mod priority;
 mod probe;
 mod rate;
 mod servo_bus;

@@ -28,6 +28,9 @@ const LETTING_GO_NS: u64 = 2_000_000_000;
 /// Disarming begins this long before `disarm_after_s` is over, ns: until torque is off a turn of the loop, a cycle of the
 /// bus and the arm's own steps of stopping and switching off go by.
 const DISARM_AHEAD_NS: u64 = 100_000_000;
+/// Torque stays on this long after all goals have come to rest when disarming, ns: soft servos lag behind their goals, and a
+/// joint that is let go while it moves runs on until friction or its stop ends that.
+const CATCH_UP_NS: u64 = 100_000_000;
 /// Who the audit log names for what nobody asked for.
 const STATION: &str = "station";
 
@@ -74,6 +77,8 @@ pub struct Supervisor {
     last_tick_ns: Option<u64>,
     /// Since when setpoints have had no torque; `None` while they have.
     limp_since_ns: Option<u64>,
+    /// Since when no goal has moved.
+    goals_stand_since_ns: Option<u64>,
     /// Whether the audit log knows that joints were moved since they were armed.
     moved: bool,
     audit: Audit,
@@ -177,6 +182,7 @@ impl Supervisor {
             telemetry: Telemetry::new(num_dofs),
             last_tick_ns: None,
             limp_since_ns: Some(0),
+            goals_stand_since_ns: None,
             moved: false,
             audit: Audit::default(),
             station: Arc::new(station.clone()),
@@ -368,9 +374,11 @@ impl Supervisor {
             self.hands = self.lead != Lead::Off;
             self.follow_hands();
             self.step(step_ns as f64 * 1e-9);
-            if matches!(self.state, State::Disarming)
-                && self.joints.iter().all(|joint| joint.motion.velocity == 0.0)
-            {
+            let stand = self.joints.iter().all(|joint| joint.motion.velocity == 0.0);
+            self.goals_stand_since_ns = stand.then(|| self.goals_stand_since_ns.unwrap_or(self.now_ns));
+            let caught_up = self.goals_stand_since_ns.is_some_and(|since| self.now_ns - since >= CATCH_UP_NS);
+            // Where it may not be held, an arm that was led there is let go at once.
+            if matches!(self.state, State::Disarming) && (caught_up || self.outside_limits().is_some()) {
                 self.state = State::Disarmed;
             }
         }

@@ -9,6 +9,7 @@ const station = await openStation(url, shots);
 const { context, page, errors, button, shot, live, until, step } = station;
 
 const JOINT = "index_mcp_forward";
+const armed = page.getByText("ARMED", { exact: true });
 const slider = (on = page) => on.getByRole("slider", { name: JOINT, exact: true });
 
 await step("the page says that the station is emulated and that nobody commands it", async () => {
@@ -25,26 +26,23 @@ await step("the page says that the station is emulated and that nobody commands 
 await step("the operator takes control and arms", async () => {
   await station.takeControl("Ada");
   assert.equal((await live()).holder, "Ada");
-  await station.arm();
-  await page.getByText("ARMED", { exact: true }).waitFor();
+  await until("shown as armed", async () => {
+    await station.arm();
+    return armed.isVisible();
+  });
 });
 
 await step("a finger follows its slider, moved by keys", async () => {
   const before = (await live()).joints[JOINT];
   const follows = (state) =>
     state.joints[JOINT] > before + 0.1 && Math.abs(state.joints[JOINT] - state.commanded[JOINT]) < 0.03;
-  // Where the machine was too slow for the station, it holds or disarms, and the operator goes on after that.
-  const state = await until("moved", follows, async () => {
-    const state = await live();
-    if (state.phase === "disarmed") await station.arm();
-    if (!follows(state)) {
-      await slider().focus();
-      for (let press = 0; press < 4; press += 1) await page.keyboard.press("ArrowRight");
-      await page.waitForTimeout(700);
-    }
-    return live();
-  });
-  console.log(`     ${JOINT} went from ${before.toFixed(3)} to ${state.joints[JOINT].toFixed(3)} rad`);
+  const pressRight = async () => {
+    await slider().focus();
+    for (let press = 0; press < 4; press += 1) await page.keyboard.press("ArrowRight");
+  };
+  await station.whileArmed("moved", pressRight, follows);
+  const after = (await live()).joints[JOINT];
+  console.log(`     ${JOINT} went from ${before.toFixed(3)} to ${after.toFixed(3)} rad`);
   await shot("operate-armed");
 });
 
@@ -66,10 +64,12 @@ await step("a second page sees who commands, and cannot", async () => {
 
 await step("the space bar stops, and the stop is confirmed and latched", async () => {
   await page.bringToFront();
-  await station.arm();
-  await page.getByText("ARMED", { exact: true }).waitFor();
-  await page.keyboard.press("Space");
-  await until("stopped", (state) => state.phase === "stopped" && state.stop_confirmed);
+  const pressSpace = async () => {
+    // It is for playing until the page knows that the station is armed.
+    if (await armed.isVisible()) await page.keyboard.press("Space");
+  };
+  await station.whileArmed("stopped", pressSpace, (state) => state.phase === "stopped");
+  await until("confirmed", (state) => state.phase === "stopped" && state.stop_confirmed);
   await page.getByText("STOPPED", { exact: true }).first().waitFor();
   await shot("operate-stopped");
   assert.ok(await slider().isDisabled(), "a slider moves a stopped station");

@@ -20,7 +20,7 @@ export async function openStation(url, shots) {
     const start = Date.now();
     for (;;) {
       const state = await ask();
-      if (wanted(state)) return state;
+      if (await wanted(state)) return state;
       assert.ok(Date.now() - start < patience_ms, `never ${what}: ${JSON.stringify(state)}`);
       await page.waitForTimeout(50);
     }
@@ -43,8 +43,7 @@ export async function openStation(url, shots) {
 
   /** Arms; where the machine was too slow for the station, again. */
   async function arm() {
-    await until("armed", async () => {
-      const state = await live();
+    await until("armed", async (state) => {
       if (state.phase === "armed") return true;
       if (state.phase === "disarmed" && (await button("Arm").isVisible()) && !(await disabled(button("Arm")))) {
         await button("Arm").click({ timeout: 2000 }).catch(() => {});
@@ -59,7 +58,18 @@ export async function openStation(url, shots) {
     await page.getByText("You have control").waitFor();
   }
 
-  return { context, page, errors, button, shot, get, live, until, step, allReady, arm, takeControl };
+  /** Arms, and does `act` until the station is as `wanted`: where the machine was too slow for the station, again. */
+  async function whileArmed(what, act, wanted) {
+    await until(what, async (state) => {
+      if (wanted(state)) return true;
+      await arm();
+      await act();
+      await page.waitForTimeout(700);
+      return wanted(await live());
+    });
+  }
+
+  return { context, page, errors, button, shot, get, live, until, step, allReady, arm, whileArmed, takeControl };
 }
 
 /** Whether a button or a field can be used now. */

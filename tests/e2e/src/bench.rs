@@ -12,6 +12,7 @@ use std::{
 };
 
 use anyhow::{Context as _, bail};
+use palpate_drivers::priority;
 use palpate_emulator::devices::{
     ArmPorts, DevicePorts, EmulatedStation, Faults, LoggedStep, PortsConfig, StationControl, StationSnapshot,
     serve_devices,
@@ -53,6 +54,8 @@ impl Bench {
         let stopped = Arc::clone(&stop);
         let (found_there, found) = mpsc::channel();
         let thread = thread::spawn(move || {
+            // Real devices wait for nobody.
+            priority::real_time();
             // Nobody waits any more if the test gave up.
             let mut ready = |ports: &DevicePorts| drop(found_there.send(ports.clone()));
             let mut notice = |text: String| eprintln!("emulation: {text}");

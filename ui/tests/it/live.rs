@@ -198,6 +198,26 @@ fn space_stops_while_armed_whatever_has_the_focus_and_plays_otherwise() {
 }
 
 #[test]
+fn space_that_comes_just_after_the_station_disarmed_by_itself_still_stops() {
+    let mut bench = Bench::at("#/timelines/bench-1?take=take-01");
+    bench.take_control_and_arm();
+    bench.phase(Phase::Disarmed);
+    bench.harness.key_press(Key::Space);
+    bench.harness.run_steps(2);
+    assert!(matches!(bench.commands()[..], [(4, Command::Stop(_))]));
+    assert!(!app(&bench.harness).playback.playing);
+
+    bench.harness.run_steps(150);
+    bench.commands();
+    bench.harness.key_press(Key::Space);
+    bench.harness.run_steps(2);
+    assert!(
+        bench.commands().is_empty() && app(&bench.harness).playback.playing,
+        "three seconds later it plays"
+    );
+}
+
+#[test]
 fn stop_is_at_hand_on_every_screen_for_everybody() {
     let mut bench = Bench::at("#/hand");
     bench.state.holder = "Bo".to_owned();
