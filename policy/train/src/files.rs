@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectModel, Station};
 use palpate_sim::SensorModel;
@@ -12,6 +12,9 @@ use crate::SceneArgs;
 
 /// Reads everything that `args` names, and starts its threads.
 pub(crate) fn open(args: &SceneArgs) -> anyhow::Result<(Arc<GraspScene>, Script)> {
+    if args.threads == Some(0) {
+        bail!("--threads is 0, expected at least 1");
+    }
     if let Some(threads) = args.threads {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -22,7 +25,13 @@ pub(crate) fn open(args: &SceneArgs) -> anyhow::Result<(Arc<GraspScene>, Script)
     let name = args.station.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
     let read = |path: &str| std::fs::read(folder.join(path)).map_err(|err| err.to_string());
     let station = Arc::new(Station::read(name, read)?);
-    let config = GraspConfig::from_toml(&shown(&args.world), &text(&args.world)?, &station.robot)?;
+    let mut config = GraspConfig::from_toml(&shown(&args.world), &text(&args.world)?, &station.robot)?;
+    if let Some(start_cm) = args.start_cm {
+        if !(start_cm.is_finite() && start_cm >= 0.0) {
+            bail!("--start-cm is {start_cm}, expected a number that is not negative");
+        }
+        config.task.half_width_m = 0.01 * start_cm;
+    }
     let script = Script::from_toml(&shown(&args.script), &text(&args.script)?, &station.robot, &config)?;
     let model = match &args.model {
         Some(path) => SensorModel::from_toml(&shown(path), &text(path)?)?,
@@ -34,18 +43,38 @@ pub(crate) fn open(args: &SceneArgs) -> anyhow::Result<(Arc<GraspScene>, Script)
 
 fn object(name: &str) -> anyhow::Result<ObjectModel> {
     let given = PathBuf::from(name);
-    let path = if given.is_file() { given } else { Path::new("assets/objects").join(format!("{name}.toml")) };
+    let path = if given.is_file() { given } else { Path::new(OBJECTS).join(format!("{name}.toml")) };
+    if !path.is_file() {
+        bail!("--object is {name:?}, which is no file and no object in {OBJECTS}: {}", known_objects());
+    }
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
     let read_mesh = |mesh: &str| std::fs::read(folder.join(mesh)).map_err(|err| err.to_string());
     Ok(ObjectModel::from_toml(&shown(&path), &text(&path)?, read_mesh)?)
 }
 
-fn text(path: &Path) -> anyhow::Result<String> {
+const OBJECTS: &str = "assets/objects";
+
+fn known_objects() -> String {
+    let Ok(entries) = std::fs::read_dir(OBJECTS) else {
+        return "there is no such folder here; run the command in the folder that holds it".to_owned();
+    };
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| {
+            let path = entry.ok()?.path();
+            let name = path.file_stem()?.to_str()?.to_owned();
+            path.extension().is_some_and(|extension| extension == "toml").then_some(name)
+        })
+        .collect();
+    names.sort();
+    names.join(", ")
+}
+
+pub(crate) fn text(path: &Path) -> anyhow::Result<String> {
     std::fs::read_to_string(path).with_context(|| {
         format!("failed to read {path:?}; paths are relative to the folder that the command runs in")
     })
 }
 
-fn shown(path: &Path) -> String {
+pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
 }

@@ -1,8 +1,11 @@
-//! The `palpate-train` command: grasping in simulation. It scores scripts and measures the grasp world's speed.
+//! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, and measures the grasp
+//! world's speed.
 
 mod bench;
 mod files;
+mod progress;
 mod script;
+mod tune;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -20,6 +23,8 @@ struct Args {
 enum Command {
     /// Run trials of a script that feels nothing, and score them
     Script(script::ScriptArgs),
+    /// Tune a script on one object by the cross-entropy method
+    Tune(tune::TuneArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
 }
@@ -42,6 +47,9 @@ pub(crate) struct SceneArgs {
     /// Object: a file, or a name in `assets/objects`
     #[arg(long, default_value = "cube")]
     object: String,
+    /// Half the edge length of the square that objects start in, cm [default: as the world's file says]
+    #[arg(long, allow_negative_numbers = true)]
+    start_cm: Option<f64>,
     /// Threads [default: all cores]
     #[arg(long)]
     threads: Option<usize>,
@@ -53,6 +61,7 @@ pub(crate) struct SceneArgs {
 fn main() -> ExitCode {
     let done = match Args::parse().command {
         Command::Script(args) => script::run(&args),
+        Command::Tune(args) => tune::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match done {

@@ -1,6 +1,7 @@
-//! What the emulator takes from the planner of motions.
+//! What the emulator takes from the planner of motions and from kinematics.
 
-pub(crate) use palpate_motion::{Goal as ReachGoal, TakeMotion, chain_dofs, solve as reach};
+pub(crate) use palpate_motion::TakeMotion;
+pub(crate) use palpate_robot_model::ik::{Goal as ReachGoal, chain_dofs, solve as reach};
 
 use palpate_motion::{Primitives, Scene, plan_in};
 

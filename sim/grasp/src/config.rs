@@ -124,6 +124,9 @@ pub struct TaskConfig {
     pub half_width_m: f64,
     /// Largest deviation of a hand joint's start position, rad.
     pub start_noise_rad: f64,
+    /// For how long the object may roll or tip before an episode begins, s; it begins as soon as the object rests. An
+    /// offset centre of mass turns round objects, and they would roll away before the hand is there.
+    pub settle_s: f64,
     /// Longest episode, the final holding included, s.
     pub episode_s: f64,
     /// How far above its start height the object counts as lifted, m.
@@ -252,6 +255,7 @@ impl GraspConfig {
         let mut not_negative = vec![
             ("task.half_width_m", task.half_width_m),
             ("task.start_noise_rad", task.start_noise_rad),
+            ("task.settle_s", task.settle_s),
             ("randomisation.object_com_offset_m", self.randomisation.object_com_offset_m),
         ];
         for servo in &self.servos {

@@ -1,8 +1,9 @@
 //! An environment for policies: targets in, joints and touch out, at the control rate.
 
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::{ObjectModel, ObjectShape, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::body::{MassProperties, RestPose, Solid};
@@ -21,6 +22,7 @@ pub struct GraspScene {
     config: GraspConfig,
     object: ObjectModel,
     mass: MassProperties,
+    solid: Solid,
     rest_poses: Vec<RestPose>,
     live: Arc<LiveScene>,
     start: Vec<f64>,
@@ -40,8 +42,8 @@ impl GraspScene {
         model: &SensorModel,
     ) -> Result<Self, GraspError> {
         let mass = MassProperties::of(object).map_err(GraspError::Scene)?;
-        let rest_poses =
-            Solid::new(&object.shape).and_then(|solid| solid.rest_poses()).map_err(GraspError::Scene)?;
+        let solid = Solid::new(&object.shape).map_err(GraspError::Scene)?;
+        let rest_poses = solid.rest_poses().map_err(GraspError::Scene)?;
         let table = &config.table;
         let center_m =
             Translation3::new(table.center_m[0], table.center_m[1], table.top_m - 0.5 * table.size_m[2]);
@@ -50,7 +52,7 @@ impl GraspScene {
         let start = config.start_positions(&station.robot);
         let link_in_hand = links_of_hand(&station.robot, &config);
         let in_hand = station.robot.dofs().map(|joint| link_in_hand[joint.child_link]).collect();
-        Ok(Self { object: object.clone(), mass, rest_poses, live, start, in_hand, station, config })
+        Ok(Self { object: object.clone(), mass, solid, rest_poses, live, start, in_hand, station, config })
     }
 
     /// Its station.
@@ -76,6 +78,24 @@ impl GraspScene {
     /// The text that MuJoCo loads.
     pub fn mjcf(&self, randomisation: &Randomisation) -> Result<String, GraspError> {
         mjcf(&self.station.robot, &self.config, &self.object, &self.mass, randomisation)
+    }
+
+    /// A world at `start`, its object at rest.
+    pub fn world(&self, start: &Start) -> Result<World, GraspError> {
+        let mut world = World::new(&self.mjcf(&start.randomisation)?, &self.station.robot, &self.config)?;
+        self.place(&mut world, start)?;
+        Ok(world)
+    }
+
+    /// Begins an episode in `world`, which has the randomisation of `start`.
+    fn place(&self, world: &mut World, start: &Start) -> Result<(), GraspError> {
+        world.reset(&start.positions, &start.base_from_object);
+        world.settle(&start.positions, self.config.task.settle_s)
+    }
+
+    /// By degree of freedom, whether it is one of the hand's.
+    pub fn dofs_in_hand(&self) -> &[bool] {
+        &self.in_hand
     }
 
     /// Length of [`GraspEnv::observe`].
@@ -108,10 +128,21 @@ impl Start {
     /// As the task has it (paper, appendix "Evaluation Protocol" and table "Domain Randomization Parameters"): the object
     /// within the region, on any stable side, turned anyhow; noise on the hand's joints; randomised physics.
     pub fn draw(scene: &GraspScene, rng: &mut ChaCha8Rng) -> Self {
+        Self::draw_within(scene, scene.config.task.half_width_m, false, rng)
+    }
+
+    /// The same in a region of another half width. With `any_orientation` the object is turned anyhow in space, as the
+    /// experts' episodes have it, with its lowest point on the table, and finds its side when the world settles.
+    pub fn draw_within(
+        scene: &GraspScene,
+        half_width_m: f64,
+        any_orientation: bool,
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
         let task = &scene.config.task;
         let randomisation = Randomisation::draw(&scene.config.randomisation, rng);
         let mut around = |reach: f64| reach * (2.0 * rng.random::<f64>() - 1.0);
-        let offset_m = [around(task.half_width_m), around(task.half_width_m)];
+        let offset_m = [around(half_width_m), around(half_width_m)];
         let positions = scene
             .station
             .robot
@@ -123,9 +154,28 @@ impl Start {
                 joint.limits.map_or(noisy, |limits| noisy.clamp(limits.lower, limits.upper))
             })
             .collect();
-        let (side, yaw_rad) = (rng.random::<f64>(), std::f64::consts::TAU * rng.random::<f64>());
-        Self { randomisation, positions, base_from_object: on_table(scene, side, offset_m, yaw_rad) }
+        let (side, yaw_rad) = (rng.random::<f64>(), TAU * rng.random::<f64>());
+        let mut base_from_object = on_table(scene, side, offset_m, yaw_rad);
+        if any_orientation {
+            base_from_object.rotation = any_rotation(rng);
+            let down_in_object = base_from_object.rotation.inverse() * -Vector3::z();
+            base_from_object.translation.z =
+                scene.config.table.top_m + scene.solid.farthest_along(&down_in_object);
+        }
+        Self { randomisation, positions, base_from_object }
     }
+}
+
+/// A uniformly distributed rotation (Shoemake, "Uniform random rotations", 1992).
+fn any_rotation(rng: &mut ChaCha8Rng) -> UnitQuaternion<f64> {
+    let [u, v, w] = [rng.random::<f64>(), TAU * rng.random::<f64>(), TAU * rng.random::<f64>()];
+    let (one, other) = ((1.0 - u).sqrt(), u.sqrt());
+    UnitQuaternion::from_quaternion(Quaternion::new(
+        other * w.cos(),
+        one * v.sin(),
+        one * v.cos(),
+        other * w.sin(),
+    ))
 }
 
 /// The object on the stable side that `side` (0 to 1) falls on, `offset_m` from the middle of the region.
@@ -136,9 +186,16 @@ fn on_table(scene: &GraspScene, side: f64, offset_m: [f64; 2], yaw_rad: f64) -> 
     // Every solid has a stable pose: the lowest that its centre of mass can be.
     let rest = RestPose::pick(&scene.rest_poses, side).map(|pose| pose.at(at_m, yaw_rad));
     up * rest.unwrap_or_else(|| {
-        let upright = UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), yaw_rad);
+        let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
         Isometry3::from_parts(Translation3::new(at_m[0], at_m[1], 0.0), upright)
     })
+}
+
+/// Random numbers of environment or trial number `idx` of those that share `seed`.
+pub(crate) fn stream(seed: u64, idx: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(idx);
+    rng
 }
 
 /// One environment. Its random numbers are its own: what it does depends on its seed and the targets it gets, on nothing
@@ -160,25 +217,22 @@ pub struct GraspEnv {
 impl GraspEnv {
     /// Environment number `env_idx` of those that share `seed`, at the nominal start.
     pub fn new(scene: Arc<GraspScene>, seed: u64, env_idx: u64) -> Result<Self, GraspError> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(env_idx);
+        let rng = stream(seed, env_idx);
         let start = Start::nominal(&scene);
-        let world = World::new(&scene.mjcf(&start.randomisation)?, &scene.station.robot, &scene.config)?;
+        let world = scene.world(&start)?;
         let mut touch = LiveTouch::new(Arc::clone(&scene.live));
-        let readings = touch.feel(0.0, &start.positions, &start.base_from_object)?;
-        let mut env = Self {
+        let readings = touch.feel(0.0, &start.positions, &world.base_from_object())?;
+        Ok(Self {
             world,
-            randomisation: start.randomisation.clone(),
+            randomisation: start.randomisation,
             touch,
             rng,
             num_steps: 0,
             positions: start.positions.clone(),
-            targets: start.positions.clone(),
+            targets: start.positions,
             readings,
             scene,
-        };
-        env.begin(&start)?;
-        Ok(env)
+        })
     }
 
     /// Begins a new episode with a drawn start, which it returns.
@@ -191,18 +245,24 @@ impl GraspEnv {
     /// Begins a new episode at `start`.
     pub fn begin(&mut self, start: &Start) -> Result<(), GraspError> {
         let scene = &self.scene;
-        if self.randomisation != start.randomisation {
-            let text = scene.mjcf(&start.randomisation)?;
-            self.world = World::new(&text, &scene.station.robot, &scene.config)?;
+        if self.randomisation == start.randomisation {
+            scene.place(&mut self.world, start)?;
+        } else {
+            self.world = scene.world(start)?;
             self.randomisation = start.randomisation.clone();
         }
-        self.world.reset(&start.positions, &start.base_from_object);
         self.touch.restart();
         self.num_steps = 0;
         self.positions.copy_from_slice(&start.positions);
         self.targets.copy_from_slice(&start.positions);
         self.readings = self.touch.feel(0.0, &self.positions, &self.world.base_from_object())?;
         Ok(())
+    }
+
+    /// Pushes the object with `force_n` at its centre of mass, along the axes of the base, until told otherwise; a new episode
+    /// begins without a push.
+    pub fn push(&mut self, force_n: &Vector3<f64>) {
+        self.world.set_push(force_n);
     }
 
     /// One control step towards `targets`, one per degree of freedom, rad or m.
@@ -245,6 +305,11 @@ impl GraspEnv {
     /// Readings after the last step.
     pub fn readings(&self) -> &Readings {
         &self.readings
+    }
+
+    /// Targets of the last step; the start positions before the first.
+    pub fn targets(&self) -> &[f64] {
+        &self.targets
     }
 
     /// Positions after the last step.

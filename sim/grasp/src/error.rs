@@ -28,6 +28,16 @@ pub enum GraspError {
         /// Which joint, or the object.
         what: String,
     },
+    /// An action is NaN or infinite.
+    #[error("action {name:?} of environment {env} is {value}, expected a finite number")]
+    Action {
+        /// Number of the environment.
+        env: usize,
+        /// Which of its actions.
+        name: String,
+        /// What it is.
+        value: f32,
+    },
     /// Touch could not be computed.
     #[error(transparent)]
     Touch(#[from] palpate_sim::replay::ReplayError),

@@ -3,16 +3,18 @@
 //! [`GraspConfig`] is the file that says what the robot's own file leaves open (servos, friction, table, task);
 //! [`scene::mjcf`] turns both and an object into the text that MuJoCo loads. With the `mujoco` feature, [`World`] is the
 //! physics, [`GraspEnv`] an environment whose observations are joint positions, targets and touch, [`GraspBatch`] many
-//! of them on every core, and [`trial`] the grasping task with its verdicts.
+//! of them on every core, and [`trial`] the grasping task with its verdicts. [`tune`] makes scripts better by trial.
 //!
 //! Touch is not computed here: [`palpate_sim::live`] gives the same readings from the same sensor model file as replays
-//! do. Nothing here reads a clock or a file, learns, or knows a particular robot.
+//! do. Nothing here reads a clock or a file, trains a network, or knows a particular robot.
 
 mod config;
 mod error;
+mod hand;
 mod randomisation;
 pub mod scene;
 mod script;
+pub mod tune;
 
 #[cfg(feature = "mujoco")]
 mod batch;
@@ -29,7 +31,7 @@ pub use config::{
 };
 pub use error::GraspError;
 pub use randomisation::Randomisation;
-pub use script::Script;
+pub use script::{Script, ScriptKey};
 
 #[cfg(feature = "mujoco")]
 pub use {

@@ -56,6 +56,24 @@ pub fn links_of_hand(robot: &Robot, config: &GraspConfig) -> Vec<bool> {
     in_hand
 }
 
+/// Per link, the number of the digit it belongs to: those that hang from the hand's root by a joint that moves, numbered
+/// in the order of the robot's file. `None` for the root and everything else.
+pub fn digits(robot: &Robot, config: &GraspConfig) -> Vec<Option<usize>> {
+    let in_hand = links_of_hand(robot, config);
+    let mut digits = vec![None; robot.links.len()];
+    let mut num_digits = 0;
+    for joint in &robot.joints {
+        digits[joint.child_link] = match digits[joint.parent_link] {
+            None if in_hand[joint.parent_link] && joint.dof.is_some() => {
+                num_digits += 1;
+                Some(num_digits - 1)
+            }
+            of_parent => of_parent,
+        };
+    }
+    digits
+}
+
 struct Scene<'a> {
     robot: &'a Robot,
     config: &'a GraspConfig,

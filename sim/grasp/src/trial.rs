@@ -1,11 +1,10 @@
 //! Trials of the grasping task and their verdicts.
 
-use std::sync::Arc;
-
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{GraspEnv, GraspError, GraspScene, Script};
+use crate::env::stream;
+use crate::{Contacts, GraspConfig, GraspError, GraspScene, Script, Start, World};
 
 /// How a trial ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -25,39 +24,44 @@ pub enum Outcome {
 #[derive(Clone, Debug)]
 pub struct Judge {
     start_height_m: f64,
+    longest_s: f64,
     lifted_for_s: f64,
     was_touched: bool,
     was_lifted: bool,
 }
 
 impl Judge {
-    /// Of an episode that `env` has just begun.
-    pub fn new(env: &GraspEnv) -> Self {
-        let start_height_m = env.world().base_from_object().translation.z;
-        Self { start_height_m, lifted_for_s: 0.0, was_touched: false, was_lifted: false }
+    /// Of an episode that has just begun in `world` and lasts `longest_s` at most.
+    pub fn new(world: &World, longest_s: f64) -> Self {
+        let start_height_m = world.base_from_object().translation.z;
+        Self { start_height_m, longest_s, lifted_for_s: 0.0, was_touched: false, was_lifted: false }
     }
 
-    /// Looks at `env` after a step; the verdict as soon as there is one. Success needs touch by the robot, the object's
-    /// origin `lift_m` above where it began, and that for `hold_s` without a break (paper, "Evaluation Protocol").
-    pub fn look(&mut self, env: &GraspEnv) -> Option<Outcome> {
-        let config = env.scene().config();
-        let contacts = env.world().contacts();
+    /// How far the object's origin is above where it began, m.
+    pub fn lift_m(&self, world: &World) -> f64 {
+        world.base_from_object().translation.z - self.start_height_m
+    }
+
+    /// Looks at `world`, which has these `contacts`, after a control step; the verdict as soon as there is one. Success
+    /// needs touch by the robot, the object's origin `lift_m` above where it began, and that for `hold_s` without a break
+    /// (paper, "Evaluation Protocol").
+    pub fn look(&mut self, config: &GraspConfig, world: &World, contacts: &Contacts) -> Option<Outcome> {
+        let step_s = 1.0 / config.control_rate_hz;
         if contacts.robot_table_n > config.task.max_table_force_n {
             return Some(Outcome::EmergencyStop);
         }
         self.was_touched |= contacts.robot_object_n > 0.0;
-        let height_m = env.world().base_from_object().translation.z - self.start_height_m;
-        if height_m >= config.task.lift_m && self.was_touched {
+        if self.lift_m(world) >= config.task.lift_m && self.was_touched {
             self.was_lifted = true;
-            self.lifted_for_s += 1.0 / config.control_rate_hz;
+            self.lifted_for_s += step_s;
         } else {
             self.lifted_for_s = 0.0;
         }
-        // A step's rounding is no reason to hold for a step longer.
-        if self.lifted_for_s >= config.task.hold_s - 0.5 / config.control_rate_hz {
+        // A step's rounding is no reason to hold, or to last, for a step longer.
+        if self.lifted_for_s >= config.task.hold_s - 0.5 * step_s {
             return Some(Outcome::Success);
         }
-        (env.time_s() >= config.task.episode_s).then_some(if self.was_lifted {
+        (world.time_s() >= self.longest_s - 0.5 * step_s).then_some(if self.was_lifted {
             Outcome::Slip
         } else {
             Outcome::EmptyGrasp
@@ -112,25 +116,60 @@ fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     [(center - half).max(0.0), (center + half).min(1.0)]
 }
 
-/// One trial of `script`: number `trial` of those with `seed`.
-pub fn run(scene: &Arc<GraspScene>, script: &Script, seed: u64, trial: u64) -> Result<Outcome, GraspError> {
-    let mut env = GraspEnv::new(Arc::clone(scene), seed, trial)?;
-    env.reset()?;
-    let mut judge = Judge::new(&env);
-    loop {
-        match env.step(&script.targets_at(env.time_s())) {
-            Err(GraspError::Diverged { .. }) => return Ok(Outcome::EmergencyStop),
+/// What happened in a trial.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrialReport {
+    /// Its verdict.
+    pub outcome: Outcome,
+    /// How far the object was above its start at the end, m.
+    pub lift_m: f64,
+    /// Digits that touched the object at the end.
+    pub num_digits: u32,
+    /// For how long the robot touched the table, s.
+    pub table_s: f64,
+}
+
+/// One trial of `script`: number `trial` of those with `seed`, cut off after `longest_s`. Scripts feel nothing, so touch is
+/// not computed; the physics is to the bit that of a [`crate::GraspEnv`] with the same numbers.
+pub fn watch(
+    scene: &GraspScene,
+    script: &Script,
+    seed: u64,
+    trial: u64,
+    longest_s: f64,
+) -> Result<TrialReport, GraspError> {
+    let config = scene.config();
+    let start = Start::draw(scene, &mut stream(seed, trial));
+    let mut world = scene.world(&start)?;
+    let mut judge = Judge::new(&world, longest_s);
+    let mut report =
+        TrialReport { outcome: Outcome::EmergencyStop, lift_m: 0.0, num_digits: 0, table_s: 0.0 };
+    for step in 0_u32.. {
+        world.set_targets(&script.targets_at(f64::from(step) / config.control_rate_hz));
+        match world.step() {
+            Err(GraspError::Diverged { .. }) => return Ok(report),
             other => other?,
         }
-        if let Some(outcome) = judge.look(&env) {
-            return Ok(outcome);
+        let contacts = world.contacts();
+        report.lift_m = judge.lift_m(&world);
+        report.num_digits = contacts.digits.count_ones();
+        report.table_s += if contacts.robot_table_n > 0.0 { 1.0 / config.control_rate_hz } else { 0.0 };
+        if let Some(outcome) = judge.look(config, &world, &contacts) {
+            report.outcome = outcome;
+            break;
         }
     }
+    Ok(report)
+}
+
+/// The verdict on one trial of `script`: number `trial` of those with `seed`.
+pub fn run(scene: &GraspScene, script: &Script, seed: u64, trial: u64) -> Result<Outcome, GraspError> {
+    Ok(watch(scene, script, seed, trial, scene.config().task.episode_s)?.outcome)
 }
 
 /// `trials` trials of `script` on every core, in order.
 pub fn run_all(
-    scene: &Arc<GraspScene>,
+    scene: &GraspScene,
     script: &Script,
     seed: u64,
     trials: u64,

@@ -1,12 +1,13 @@
 //! The physics: a scene in MuJoCo, in the robot's joint order and the base frame.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mujoco_rs::prelude::{MjData, MjModel, MjtObjBase};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::Robot;
 
-use crate::scene::{OBJECT, TABLE};
+use crate::scene::{OBJECT, TABLE, digits};
 use crate::{GraspConfig, GraspError};
 
 /// One scene in motion.
@@ -23,14 +24,19 @@ pub struct World {
     dof_qvel: Vec<usize>,
     object_qpos: usize,
     object_qvel: usize,
+    object_body: usize,
     /// What each geom belongs to.
     owners: Vec<Owner>,
     num_substeps: usize,
+    timestep_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
-    Robot,
+    /// With the bit of its digit in [`Contacts::digits`].
+    Robot {
+        digit: u64,
+    },
     Object,
     Table,
 }
@@ -44,6 +50,8 @@ pub struct Contacts {
     pub robot_table_n: f64,
     /// Between object and table.
     pub object_table_n: f64,
+    /// Bit i is set when digit i (see [`crate::scene::digits`]) touches the object.
+    pub digits: u64,
     /// Deepest penetration of any two, m; zero or positive.
     pub deepest_m: f64,
 }
@@ -61,15 +69,26 @@ impl World {
         };
         let ids = robot.dofs().map(|joint| joint_id(&joint.name)).collect::<Result<Vec<_>, _>>()?;
         let object = joint_id(OBJECT)?;
-        let object_body = model.name_to_id(MjtObjBase::mjOBJ_BODY, OBJECT);
+        let object_body = model
+            .name_to_id(MjtObjBase::mjOBJ_BODY, OBJECT)
+            .ok_or_else(|| GraspError::Physics("the scene has no object".to_owned()))?;
         let table = model.name_to_id(MjtObjBase::mjOBJ_GEOM, TABLE);
+        let digit_of_body: BTreeMap<usize, u64> = robot
+            .links
+            .iter()
+            .zip(digits(robot, config))
+            .filter_map(|(link, digit)| {
+                let body = model.name_to_id(MjtObjBase::mjOBJ_BODY, &link.name)?;
+                Some((body, digit.map_or(0, |digit| 1_u64.checked_shl(digit as u32).unwrap_or(0))))
+            })
+            .collect();
         let owner = |(geom, body): (usize, &i32)| {
             if Some(geom) == table {
                 Owner::Table
-            } else if object_body == Some(*body as usize) {
+            } else if object_body == *body as usize {
                 Owner::Object
             } else {
-                Owner::Robot
+                Owner::Robot { digit: digit_of_body.get(&(*body as usize)).copied().unwrap_or(0) }
             }
         };
         Ok(Self {
@@ -78,8 +97,10 @@ impl World {
             dof_qvel: ids.iter().map(|&id| model.jnt_dofadr()[id] as usize).collect(),
             object_qpos: model.jnt_qposadr()[object] as usize,
             object_qvel: model.jnt_dofadr()[object] as usize,
+            object_body,
             owners: model.geom_bodyid().iter().enumerate().map(owner).collect(),
             num_substeps: config.num_substeps(),
+            timestep_s: config.physics.timestep_s,
             data,
         })
     }
@@ -97,6 +118,34 @@ impl World {
         qpos[self.object_qpos..self.object_qpos + 7].copy_from_slice(&[t.x, t.y, t.z, q.w, q.i, q.j, q.k]);
         self.set_targets(positions);
         self.data.forward();
+    }
+
+    /// Lets the object come to rest, for at most `longest_s`, and then begins as [`Self::reset`] does with the robot at
+    /// `positions` and the object as it rests, moved back to the place above which it started.
+    ///
+    /// The object moves as in syrup, so that a ball turns its heavy side down instead of rolling there and back.
+    pub fn settle(&mut self, positions: &[f64], longest_s: f64) -> Result<(), GraspError> {
+        const SYRUP_PER_S: f64 = 10.0;
+        const AT_LEAST_S: f64 = 0.1;
+        const REST_M_PER_S: f64 = 1e-3;
+        const REST_RAD_PER_S: f64 = 1e-2;
+        let start = self.base_from_object().translation;
+        let keep = (-SYRUP_PER_S * self.timestep_s).exp();
+        while self.data.time() < longest_s {
+            self.data.step();
+            let (linear, angular) = self.object_velocity();
+            self.set_object_velocity(&(linear * keep), &(angular * keep));
+            let rests = linear.norm() < REST_M_PER_S && angular.norm() < REST_RAD_PER_S;
+            if rests && self.data.time() > AT_LEAST_S {
+                break;
+            }
+        }
+        self.check_finite()?;
+        let mut rest = self.base_from_object();
+        rest.translation.x = start.x;
+        rest.translation.y = start.y;
+        self.reset(positions, &rest);
+        Ok(())
     }
 
     /// Where the servos go from now on, one per degree of freedom; beyond a joint's limits they stop there.
@@ -169,6 +218,11 @@ impl World {
         v[3..6].copy_from_slice(angular.as_slice());
     }
 
+    /// A force on the object's centre of mass, along the axes of the base, N; it stays until it is set again.
+    pub fn set_push(&mut self, force_n: &Vector3<f64>) {
+        self.data.xfrc_applied_mut()[self.object_body][..3].copy_from_slice(force_n.as_slice());
+    }
+
     /// Potential and kinetic energy of everything, J.
     pub fn energy_j(&mut self) -> [f64; 2] {
         self.data.energy_pos();
@@ -180,16 +234,20 @@ impl World {
     pub fn contacts(&self) -> Contacts {
         let mut contacts = Contacts::default();
         for (idx, contact) in self.data.contact().iter().enumerate() {
-            let pair = contact.geom.map(|geom| self.owners[geom as usize]);
             let normal_n = self.data.contact_force(idx)[0];
             contacts.deepest_m = contacts.deepest_m.max(-contact.dist);
-            let between = |one: Owner, other: Owner| pair == [one, other] || pair == [other, one];
-            if between(Owner::Robot, Owner::Object) {
-                contacts.robot_object_n += normal_n;
-            } else if between(Owner::Robot, Owner::Table) {
-                contacts.robot_table_n += normal_n;
-            } else if between(Owner::Object, Owner::Table) {
-                contacts.object_table_n += normal_n;
+            match contact.geom.map(|geom| self.owners[geom as usize]) {
+                [Owner::Robot { digit }, Owner::Object] | [Owner::Object, Owner::Robot { digit }] => {
+                    contacts.robot_object_n += normal_n;
+                    contacts.digits |= if normal_n > 0.0 { digit } else { 0 };
+                }
+                [Owner::Robot { .. }, Owner::Table] | [Owner::Table, Owner::Robot { .. }] => {
+                    contacts.robot_table_n += normal_n;
+                }
+                [Owner::Object, Owner::Table] | [Owner::Table, Owner::Object] => {
+                    contacts.object_table_n += normal_n;
+                }
+                _ => (),
             }
         }
         contacts

@@ -2,10 +2,10 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use palpate_robot_model::JointKind;
+use palpate_robot_model::ik::{self, Goal};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use crate::ik::{self, Goal};
 use crate::scene::{Scene, tangents};
 
 /// Other links stay this far from the object while one touches, m.

@@ -10,7 +10,6 @@ mod plan;
 mod primitive;
 
 mod contact;
-mod ik;
 mod limits;
 mod path;
 mod planner;
@@ -22,7 +21,6 @@ mod error;
 
 pub use coverage::{ChannelCoverage, coverage};
 pub use error::PlanError;
-pub use ik::{Goal, chain_dofs, range, solve};
 pub use limits::MotionLimits;
 pub use plan::{MotionConfig, Plan, PlannedTake, channel_named};
 pub use planner::{TakeMotion, plan_approach, plan_in, plan_take};

@@ -1,7 +1,7 @@
 //! From a take of a plan to joint positions over time.
 
 use palpate_recording::{Span, SpanKind};
-use palpate_robot_model::{JointKind, Station};
+use palpate_robot_model::{JointKind, Station, ik};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -10,7 +10,7 @@ use crate::limits::outside;
 use crate::path::{JointPath, Segment};
 use crate::primitive::{Actuator, Primitive, Primitives};
 use crate::touch::{Strokes, travel_s};
-use crate::{MotionLimits, Plan, PlanError, PlannedTake, Scene, channel_named, ik};
+use crate::{MotionLimits, Plan, PlanError, PlannedTake, Scene, channel_named};
 
 /// Postures that are tried for one touch before giving up.
 const MOST_POSTURES: usize = 12;

@@ -1,9 +1,9 @@
 //! The motion of one touch: in, along, out, for a primitive at a posture.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use palpate_robot_model::ik::{self, Goal};
 
 use crate::contact::{Contact, limb_dofs};
-use crate::ik::{self, Goal};
 use crate::path::{PEAK_OVER_MEAN, Segment};
 use crate::primitive::{Actuator, Motion, Primitive, Speed};
 use crate::scene::Scene;

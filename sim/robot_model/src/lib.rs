@@ -1,6 +1,6 @@
 //! The robot and its sense of touch as data: URDF kinematics, tactile layouts, objects and stations.
 //!
-//! The main types are [`Robot`] (forward kinematics), [`TactileLayout`] (which channels exist and where their
+//! The main types are [`Robot`] (forward kinematics; [`ik`] goes back), [`TactileLayout`] (which channels exist and where their
 //! surface nodes and taxels sit), [`ObjectModel`] (what is touched) and [`Station`] (which of these belong
 //! together, with limits and rates). Everything is parsed from text that the caller read: this crate opens no
 //! file and knows no particular robot, so it runs in the browser too.
@@ -8,6 +8,7 @@
 mod config;
 mod error;
 pub mod hardware;
+pub mod ik;
 mod layout;
 mod object;
 mod place;

@@ -31,6 +31,7 @@ fn what_is_wrong_with_a_world_is_named() {
         ("object_mass_factor = [0.8, 1.2]", "object_mass_factor = [1.2, 0.8]", "object_mass_factor"),
         ("hold_s = 1.0", "hold_s = 1.0\nlfit_m = 1.0", "unknown field `lfit_m`"),
         ("half_width_m = 0.02", "half_width_m = -0.02", "task.half_width_m is -0.02"),
+        ("settle_s = 2.0", "settle_s = -2.0", "task.settle_s is -2"),
     ] {
         let message = refusal(from, to);
         assert!(message.starts_with("world.toml: ") && message.contains(expected), "{to}: {message}");

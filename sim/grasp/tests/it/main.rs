@@ -5,6 +5,7 @@ mod episodes;
 mod files;
 #[cfg(feature = "mujoco")]
 mod physics;
+mod tuning;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

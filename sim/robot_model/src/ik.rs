@@ -1,7 +1,8 @@
 //! Inverse kinematics by damped least squares.
 
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
-use palpate_robot_model::{JointKind, Robot};
+
+use crate::{JointKind, Robot};
 
 /// A metre of position counts as this many radians of rotation.
 const RAD_PER_M: f64 = 10.0;
