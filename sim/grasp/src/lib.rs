@@ -3,7 +3,8 @@
 //! [`GraspConfig`] is the file that says what the robot's own file leaves open (servos, friction, table, task);
 //! [`scene::mjcf`] turns both and an object into the text that MuJoCo loads. With the `mujoco` feature, [`World`] is the
 //! physics, [`GraspEnv`] an environment whose observations are joint positions, targets and touch, [`GraspBatch`] many
-//! of them on every core, and [`trial`] the grasping task with its verdicts. [`tune`] makes scripts better by trial.
+//! of them on every core, and [`trial`] the grasping task with its verdicts. [`tune`] makes scripts better by trial,
+//! [`learn`] is the task with actions, observations and rewards for whoever learns.
 //!
 //! Touch is not computed here: [`palpate_sim::live`] gives the same readings from the same sensor model file as replays
 //! do. Nothing here reads a clock or a file, trains a network, or knows a particular robot.
@@ -11,6 +12,7 @@
 mod config;
 mod error;
 mod hand;
+pub mod learn;
 mod randomisation;
 pub mod scene;
 mod script;

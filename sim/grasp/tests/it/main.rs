@@ -3,6 +3,7 @@
 #[cfg(feature = "mujoco")]
 mod episodes;
 mod files;
+mod learning;
 #[cfg(feature = "mujoco")]
 mod physics;
 mod tuning;
