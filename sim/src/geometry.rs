@@ -1,6 +1,7 @@
 //! Signed distance from points to the touched object, and clearance of robot links (parry).
 
 mod clearance;
+mod convex;
 mod mesh;
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -28,7 +29,7 @@ enum Shape {
     Cylinder { radius: f64, half_height: f64 },
     Capsule { radius: f64, half_length: f64 },
     Cuboid { half_extents: Vector3<f64> },
-    Convex(mesh::Convex),
+    Convex(convex::Convex),
     Mesh(TriMesh),
     Union(Vec<Part>),
 }
@@ -76,8 +77,8 @@ impl SignedDistance {
             }
             ObjectShape::ConvexParts { parts } => {
                 let convex_part = |(i, points): (usize, &Vec<Point3<f64>>)| {
-                    let convex =
-                        mesh::Convex::new(points).map_err(|problem| format!("convex part {i}: {problem}"))?;
+                    let convex = convex::Convex::new(points)
+                        .map_err(|problem| format!("convex part {i}: {problem}"))?;
                     let bounding_radius_m = mesh::radius_about_origin(points);
                     Ok(Part {
                         object_from_part: Isometry3::identity(),
@@ -139,6 +140,19 @@ impl SignedDistance {
         }
     }
 
+    /// A value that the distance is not below, and that takes no search over a surface.
+    fn lower_bound_m(&self, pos_in_object: &Point3<f64>) -> f64 {
+        match &self.shape {
+            Shape::Mesh(_) => pos_in_object.coords.norm() - self.bounding_radius_m,
+            Shape::Union(parts) => parts
+                .iter()
+                .map(|part| part.shape.lower_bound_m(&(part.part_from_object * pos_in_object)))
+                .fold(f64::INFINITY, f64::min),
+            Shape::Convex(convex) => convex.farthest_plane(pos_in_object),
+            _ => self.distance_m(pos_in_object),
+        }
+    }
+
     /// Calls `visit(i, distance)` for every point, as [`Self::distance_below_m`] has it. The shape is looked at once
     /// and the pose is turned into a matrix, so that the loop over the points is plain arithmetic.
     pub(crate) fn for_each_distance_below(
@@ -179,8 +193,19 @@ impl SignedDistance {
     ) -> f64 {
         let mut smallest = limit_m;
         if matches!(self.shape, Shape::Convex(_) | Shape::Mesh(_) | Shape::Union(_)) {
-            for p in points_in_frame {
-                smallest = smallest.min(self.distance_below_m(&(object_from_frame * p), smallest));
+            // What is cheap to tell says where to look first and what need not be looked at.
+            let points: Vec<(Point3<f64>, f64)> = points_in_frame
+                .iter()
+                .map(|p| {
+                    let pos_in_object = object_from_frame * p;
+                    (pos_in_object, self.lower_bound_m(&pos_in_object))
+                })
+                .collect();
+            let nearest = points.iter().min_by(|(_, one), (_, other)| one.total_cmp(other));
+            for (pos_in_object, bound_m) in nearest.into_iter().chain(&points) {
+                if *bound_m < smallest {
+                    smallest = smallest.min(self.distance_below_m(pos_in_object, smallest));
+                }
             }
         } else {
             self.for_each_distance_below(object_from_frame, points_in_frame, limit_m, |_, distance| {

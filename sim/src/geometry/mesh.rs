@@ -1,19 +1,15 @@
-//! Closed triangle meshes and convex hulls with an inside.
+//! Closed triangle meshes with an inside.
 
 use std::collections::HashMap;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use parry3d_f64::query::{PointQuery, PointQueryWithLocation};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
-use parry3d_f64::transformation::try_convex_hull;
 
 use super::parry_vector;
 
 /// A triangle smaller than this has no normal that could tell inside from outside, m^2.
 const MIN_TRIANGLE_AREA_M2: f64 = 1e-16;
-
-/// A hull thinner than this is flat, m^3.
-const MIN_VOLUME_M3: f64 = 1e-15;
 
 /// Largest distance of `points` from the origin.
 pub(super) fn radius_about_origin(points: &[Point3<f64>]) -> f64 {
@@ -94,7 +90,7 @@ fn check_closed(mesh: &TriMesh) -> Result<(), String> {
     Ok(())
 }
 
-fn signed_volume(mesh: &TriMesh) -> f64 {
+pub(super) fn signed_volume(mesh: &TriMesh) -> f64 {
     mesh.triangles().map(|t| t.a.dot(t.b.cross(t.c)) / 6.0).sum()
 }
 
@@ -113,62 +109,4 @@ pub(super) fn distance_below(mesh: &TriMesh, p: &Point3<f64>, limit: f64) -> f64
     let (projection, _) = mesh.project_local_point_and_get_location(p, false);
     let distance = (projection.point - p).length();
     if projection.is_inside { -distance } else { distance }
-}
-
-/// A convex hull: half-spaces for the inside, its surface for the outside.
-#[derive(Clone, Debug)]
-pub(super) struct Convex {
-    /// Outward unit normal and offset of each face: `normal . p <= offset` inside.
-    planes: Vec<(Vector3<f64>, f64)>,
-    surface: TriMesh,
-}
-
-impl Convex {
-    pub(super) fn new(points: &[Point3<f64>]) -> Result<Self, String> {
-        if let Some(i) = points.iter().position(|v| !v.iter().all(|c| c.is_finite())) {
-            return Err(format!(
-                "point {i} is {:?}, expected finite coordinates in m",
-                points[i].coords.as_slice()
-            ));
-        }
-        if points.len() < 4 {
-            return Err(format!(
-                "has {} points; expected at least four that are not in one plane",
-                points.len()
-            ));
-        }
-        let flat = "its points lie in one plane or nearly so; expected a body with a volume, in m";
-        let points: Vec<_> = points.iter().map(parry_vector).collect();
-        let (vertices, triangles) = try_convex_hull(&points).map_err(|err| format!("{flat} ({err})"))?;
-        let surface = TriMesh::new(vertices, triangles).map_err(|err| format!("{flat} ({err})"))?;
-        if signed_volume(&surface) < MIN_VOLUME_M3 {
-            return Err(flat.to_owned());
-        }
-        let mut planes = Vec::new();
-        for triangle in surface.triangles() {
-            // A sliver has no usable normal, and its neighbours bound the hull there anyway.
-            let Some(normal) = triangle.normal() else { continue };
-            // The supporting plane, so that no rounding of the normal cuts into the hull.
-            let offset = surface.vertices().iter().map(|v| normal.dot(*v)).fold(f64::NEG_INFINITY, f64::max);
-            planes.push((Vector3::new(normal.x, normal.y, normal.z), offset));
-        }
-        Ok(Self { planes, surface })
-    }
-
-    pub(super) fn surface(&self) -> &TriMesh {
-        &self.surface
-    }
-
-    /// As [`distance_below`]. Inside, the distance is that to the nearest face plane; outside, that plane distance is a
-    /// lower bound on it.
-    pub(super) fn distance_below(&self, p: &Point3<f64>, limit: f64) -> f64 {
-        let beyond = |(normal, offset): &(Vector3<f64>, f64)| normal.dot(&p.coords) - offset;
-        let farthest_plane = self.planes.iter().map(beyond).fold(f64::NEG_INFINITY, f64::max);
-        if farthest_plane <= 0.0 || farthest_plane >= limit {
-            return farthest_plane;
-        }
-        let p = parry_vector(p);
-        let nearest = self.surface.project_local_point_with_max_dist(p, false, limit.min(f64::MAX));
-        nearest.map_or(limit, |projection| (projection.point - p).length().max(farthest_plane))
-    }
 }

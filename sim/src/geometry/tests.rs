@@ -205,6 +205,17 @@ proptest! {
     }
 
     #[test]
+    fn smallest_distance_has_the_bits_of_a_full_query(
+        shape in any_shape(), points in prop::collection::vec(point(0.1), 12), limit in -0.01..0.08,
+    ) {
+        let distance = new(&shape);
+        // In the object's own frame: loops and single queries round a pose differently.
+        let here = Isometry3::identity();
+        let full = points.iter().map(|p| distance.distance_m(p)).fold(limit, f64::min);
+        prop_assert_eq!(distance.min_distance_below_m(&here, &points, limit).to_bits(), full.to_bits());
+    }
+
+    #[test]
     fn everything_is_within_the_bounding_radius(shape in any_shape(), direction in point(1.0)) {
         prop_assume!(direction.coords.norm() > 0.1);
         let object = new(&shape);
