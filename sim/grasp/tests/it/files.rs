@@ -39,6 +39,24 @@ fn what_is_wrong_with_a_world_is_named() {
 }
 
 #[test]
+fn the_shipped_ranges_are_those_of_the_paper() {
+    // Table "Domain Randomization Parameters", and the text above it.
+    let config = config(&station());
+    let ranges = &config.randomisation;
+    assert_eq!(ranges.fingertip_friction, [0.5, 1.0]);
+    assert_eq!(ranges.object_mass_factor, [0.8, 1.2]);
+    assert_eq!(ranges.object_com_offset_m, 0.005);
+    assert_eq!(ranges.friction_loss_factor, [0.5, 2.0]);
+    assert_eq!(ranges.stiffness_factor, [0.8, 1.2]);
+    assert_eq!(ranges.joint_damping_factor, [0.8, 1.2]);
+    assert_eq!(ranges.link_mass_factor, [0.9, 1.1]);
+    assert_eq!(config.task.start_noise_rad, 0.05);
+    // Evaluation: 4 x 4 cm, 10 s, 1.5 cm, 1 s.
+    let task = &config.task;
+    assert_eq!([task.half_width_m, task.episode_s, task.lift_m, task.hold_s], [0.02, 10.0, 0.015, 1.0]);
+}
+
+#[test]
 fn a_script_is_linear_between_its_keys_and_its_faults_are_named() {
     let station = station();
     let config = config(&station);

@@ -240,6 +240,58 @@ mod episodes {
     }
 
     #[test]
+    fn objects_start_on_any_side_and_at_rest() {
+        let task = task(true, |config| config.push.probability = 0.0);
+        let mut batch = LearnBatch::new(Arc::clone(&task), 8, 5).expect("environments");
+        let mut told = batch.reset(0).expect("starts");
+        let (critic_dim, still) = (batch.critic_dim(), vec![0.0; 8 * batch.action_dim()]);
+        let layout = task.layout().clone();
+        let of = |told: &LearnStep, env: usize, name: &str| {
+            let range = segment(&layout.privileged, name).range.clone();
+            told.critic[env * critic_dim..][range].to_vec()
+        };
+        let first: Vec<_> = (0..8).map(|env| of(&told, env, "object_rotation")).collect();
+        // The largest part of the first axis says which way it points: up or to a side.
+        let up = first.iter().filter(|axes| axes[2].abs() > 0.9).count();
+        assert!(up > 0 && up < 8, "{first:?}");
+        for _ in 0..4 {
+            told = batch.step(&still).expect("a step");
+        }
+        for (env, first) in first.iter().enumerate() {
+            let turned = of(&told, env, "object_rotation")
+                .iter()
+                .zip(first)
+                .map(|(now, then)| now - then)
+                .fold(0.0, |most: f32, by| most.max(by.abs()));
+            assert!(turned < 0.02, "environment {env} turned by {turned}");
+            assert!(of(&told, env, "object_lift")[0].abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_push_moves_the_object_and_the_critic_is_told() {
+        let task = task(true, |config| {
+            quiet(config);
+            config.push.probability = 1.0;
+            config.push.force_n = 3.0;
+        });
+        let mut batch = LearnBatch::new(Arc::clone(&task), 2, 5).expect("environments");
+        batch.reset(0).expect("starts");
+        let told = batch.step(&vec![0.0; 2 * batch.action_dim()]).expect("a step");
+        let critic = &told.critic[..batch.critic_dim()];
+        let read = |name: &str| &critic[segment(&task.layout().privileged, name).range.clone()];
+        assert!(read("push").iter().all(|force_n| *force_n != 0.0 && force_n.abs() <= 3.0));
+        assert!(
+            read("object_velocity").iter().any(|speed| speed.abs() > 1e-3),
+            "{:?}",
+            read("object_velocity")
+        );
+        // Calm again when an episode begins.
+        let told = batch.reset(1).expect("starts");
+        assert_eq!(told.critic[segment(&task.layout().privileged, "push").range.clone()], [0.0; 3]);
+    }
+
+    #[test]
     fn an_action_that_is_not_finite_is_named() {
         let task = task(true, |_| ());
         let mut batch = LearnBatch::new(Arc::clone(&task), 2, 1).expect("environments");

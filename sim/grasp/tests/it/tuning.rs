@@ -135,6 +135,29 @@ mod search {
         );
     }
 
+    #[test]
+    fn every_tuned_script_grasps_the_object_it_was_tuned_on() {
+        for id in [
+            "ball",
+            "big_egg",
+            "box",
+            "cross",
+            "cube",
+            "cubeball",
+            "egg",
+            "h_shape",
+            "hollow_cube",
+            "hourglass",
+        ] {
+            let scene = scene(id);
+            let file = format!("grasp/scripts/{id}.toml");
+            let robot = &scene.station().robot;
+            let script = Script::from_toml(&file, &text(&file), robot, scene.config()).expect("a script");
+            let score = trial::Score::of(&trial::run_all(&scene, &script, 77, 8).expect("trials"));
+            assert!(score.successes >= 6, "{id}: {score:?}");
+        }
+    }
+
     /// Cancels as soon as `at` trials are done.
     struct CancelAfter<'a>(f64, &'a Cancel);
 
