@@ -9,6 +9,7 @@ use crate::root;
 /// The level of each crate: a crate uses only crates of lower levels, also in its tests.
 const LEVELS: &[(&str, u32)] = &[
     ("palpate_device_protocol", 0),
+    ("palpate_ppo", 0),
     ("palpate_robot_model", 0),
     ("palpate_safety", 1),
     ("palpate_wire", 1),
@@ -107,7 +108,7 @@ fn a_crate_uses_only_crates_of_lower_levels() {
 
 #[test]
 fn the_server_draws_nothing_and_learns_nothing() {
-    let learning = ["burn", "candle-core", "tch", "ort"];
+    let learning = ["burn", "burn-tensor", "candle-core", "tch", "ort"];
     let drawing = ["egui", "eframe", "wgpu", "winit"];
     assert_reaches_none(&metadata(&host()), "palpate_server", &[&learning[..], &drawing[..]].concat());
 }

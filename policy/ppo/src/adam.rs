@@ -1,0 +1,85 @@
+//! Adam (Kingma and Ba 2015) on plain arrays.
+
+const BETA_1: f64 = 0.9;
+const BETA_2: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// The optimiser's memory of a list of arrays.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Adam {
+    /// Steps taken.
+    pub(crate) steps: u64,
+    /// Running means of gradients, one array for each of the parameters.
+    pub(crate) first: Vec<Vec<f32>>,
+    /// Running means of squared gradients.
+    pub(crate) second: Vec<Vec<f32>>,
+}
+
+impl Adam {
+    /// An optimiser for arrays of these lengths.
+    pub(crate) fn new(lengths: impl Iterator<Item = usize>) -> Self {
+        let zeros: Vec<Vec<f32>> = lengths.map(|len| vec![0.0; len]).collect();
+        Self { steps: 0, first: zeros.clone(), second: zeros }
+    }
+
+    /// Moves `parameters` against `gradients`, both as long as the arrays this was made for.
+    pub(crate) fn step<'a>(
+        &mut self,
+        parameters: impl Iterator<Item = &'a mut Vec<f32>>,
+        gradients: &[Vec<f32>],
+        learning_rate: f64,
+    ) {
+        self.steps += 1;
+        let steps = self.steps as f64;
+        // The bias corrections of both means, drawn into the step size and into epsilon.
+        let second_correction = (1.0 - BETA_2.powf(steps)).sqrt();
+        let rate = (learning_rate * second_correction / (1.0 - BETA_1.powf(steps))) as f32;
+        let epsilon = (EPSILON * second_correction) as f32;
+        let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
+        let memory = self.first.iter_mut().zip(&mut self.second);
+        for ((values, gradient), (first, second)) in parameters.zip(gradients).zip(memory) {
+            for (((value, &slope), first), second) in values.iter_mut().zip(gradient).zip(first).zip(second) {
+                *first = beta_1 * *first + (1.0 - beta_1) * slope;
+                *second = beta_2 * *second + (1.0 - beta_2) * slope * slope;
+                *value -= rate * *first / (second.sqrt() + epsilon);
+            }
+        }
+    }
+}
+
+/// Scales `gradients` down to a norm of at most `max_norm`, over all arrays; gives the norm before.
+pub(crate) fn clip_norm(gradients: &mut [Vec<f32>], max_norm: f64) -> f64 {
+    let norm = gradients.iter().flatten().map(|&slope| f64::from(slope).powi(2)).sum::<f64>().sqrt();
+    if norm > max_norm {
+        let scale = (max_norm / norm) as f32;
+        gradients.iter_mut().flatten().for_each(|slope| *slope *= scale);
+    }
+    norm
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_steps_worked_by_hand() {
+        let mut adam = Adam::new([1].into_iter());
+        let mut parameters = [vec![1.0_f32]];
+        // The first step has the size of the rate, whatever the slope.
+        adam.step(parameters.iter_mut(), &[vec![40.0]], 0.1);
+        assert!((parameters[0][0] - 0.9).abs() < 1e-6);
+        // m = 0.1 * (0.9 * 40 - 20) = 1.6, corrected 1.6 / 0.19; v = 1e-3 * (0.999 * 1600 + 400), corrected / 1.999e-3.
+        adam.step(parameters.iter_mut(), &[vec![-20.0]], 0.1);
+        let expected = 0.9 - 0.1 * (1.6 / 0.19) / (1.9984_f64 / 1.999e-3).sqrt();
+        assert!((f64::from(parameters[0][0]) - expected).abs() < 1e-6, "{parameters:?}");
+    }
+
+    #[test]
+    fn gradients_longer_than_allowed_keep_their_direction() {
+        let mut gradients = [vec![3.0], vec![0.0, 4.0]];
+        assert_eq!(clip_norm(&mut gradients, 10.0), 5.0);
+        assert_eq!(gradients, [vec![3.0], vec![0.0, 4.0]]);
+        assert_eq!(clip_norm(&mut gradients, 1.0), 5.0);
+        assert_eq!(gradients, [vec![0.6], vec![0.0, 0.8]]);
+    }
+}

@@ -1,0 +1,6 @@
+//! Learning in small worlds, and the laws of checkpoints.
+
+mod checkpoints;
+mod learning;
+mod refusals;
+mod worlds;
