@@ -1,4 +1,5 @@
-//! Measures the grasp world: bare physics, the same by MuJoCo's own `rollout`, and whole environment steps, in turns.
+//! Measures the grasp world: bare physics, the same by MuJoCo's own `rollout`, and whole environment
+//! steps and whole steps of the learning task, in turns.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::PathBuf;
@@ -7,6 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
+use palpate_grasp::learn::{LearnBatch, LearnConfig, LearnTask};
 use palpate_grasp::{GraspBatch, GraspScene, Randomisation, Script, Start, World, scene};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -32,6 +34,9 @@ pub(crate) struct BenchArgs {
     /// Rounds; the fastest counts
     #[arg(long, default_value_t = 5)]
     rounds: usize,
+    /// Learning task, measured as an episode of it with actions
+    #[arg(long, default_value = "assets/grasp/xarm6_leap_learning.toml")]
+    learning: PathBuf,
     /// Python with the `mujoco` package to compare with; without it there is no comparison
     #[arg(long)]
     python: Option<PathBuf>,
@@ -49,6 +54,8 @@ struct BenchReport {
     rollout_steps_per_s: Option<f64>,
     env_steps_per_s: f64,
     control_steps_per_s: f64,
+    /// Control steps of the learning task: actions, observations, rewards, and new episodes in worlds of their own.
+    learning_steps_per_s: f64,
     /// Bare physics over MuJoCo's `rollout`, at least 0.95 wanted.
     physics_over_rollout: Option<f64>,
     /// Whole environment steps over bare physics, at least 0.6 wanted.
@@ -89,7 +96,9 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         args.python.as_ref().map(|python| Peer::start(python, &bench.peer_inputs()?)).transpose()?;
     let mut worlds = bench.worlds()?;
     let mut batch = GraspBatch::new(Arc::clone(&bench.scene), args.envs, 1)?;
-    let mut fastest = [Spent::MAX; 3];
+    let mut learn = bench.learn(args, script)?;
+    let num_learning_steps = bench.num_learning_steps();
+    let mut fastest = [Spent::MAX; 4];
     let mut peer_differs_m = peer.is_some().then_some(0.0_f64);
     for _ in 0..args.rounds.max(1) {
         fastest[0].keep_least(bench.physics(&mut worlds)?);
@@ -103,6 +112,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
             }
         }
         fastest[2].keep_least(bench.env(&mut batch)?);
+        fastest[3].keep_least(bench.learning(&mut learn)?);
     }
     let num_steps = bench.controls.len() * bench.scene.config().num_substeps() * args.envs;
     let per_s = fastest.map(|spent| num_steps as f64 / spent.clock_s);
@@ -118,6 +128,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
             rollout_steps_per_s: peer.as_ref().map(|_| per_s[1]),
             env_steps_per_s: per_s[2],
             control_steps_per_s: per_s[2] / bench.scene.config().num_substeps() as f64,
+            learning_steps_per_s: (num_learning_steps * args.envs) as f64 / fastest[3].clock_s,
             physics_over_rollout: peer.as_ref().map(|_| per_s[0] / per_s[1]),
             env_over_physics: per_s[2] / per_s[0],
             physics_over_rollout_cpu: peer.as_ref().map(|_| fastest[1].cpu_s / fastest[0].cpu_s),
@@ -148,6 +159,10 @@ fn report(json: bool, report: &BenchReport) -> anyhow::Result<()> {
         report.env_steps_per_s, report.env_over_physics, report.control_steps_per_s
     );
     println!("                   by processor time {:.2} of bare physics", report.env_over_physics_cpu);
+    println!(
+        "learning task      {:>9.0} control steps/s, new episodes included",
+        report.learning_steps_per_s
+    );
     Ok(())
 }
 
@@ -240,6 +255,32 @@ impl Bench {
             targets.clear();
             self.starts.iter().for_each(|_| targets.extend_from_slice(of_all));
             batch.step(&targets, &mut observations)?;
+        }
+        Ok(began.spent())
+    }
+
+    fn learn(&self, args: &BenchArgs, script: Script) -> anyhow::Result<LearnBatch> {
+        let (shown, text) = (files::shown(&args.learning), files::text(&args.learning)?);
+        let config = LearnConfig::from_toml(&shown, &text, &self.scene.station().robot)?;
+        let task = LearnTask::new(Arc::clone(&self.scene), Some(script), config)?;
+        Ok(LearnBatch::new(Arc::new(task), args.envs, 1)?)
+    }
+
+    /// Steps of the longest episode.
+    fn num_learning_steps(&self) -> usize {
+        let config = self.scene.config();
+        (config.task.episode_s * config.control_rate_hz).round().max(1.0) as usize
+    }
+
+    /// As many steps of the learning task as its longest episode has, from new starts and with actions that move everything.
+    fn learning(&self, batch: &mut LearnBatch) -> anyhow::Result<Spent> {
+        let num_actions = batch.num_envs() * batch.action_dim();
+        let began = Began::now();
+        batch.reset(0)?;
+        for step in 0..self.num_learning_steps() {
+            let actions: Vec<f32> =
+                (0..num_actions).map(|idx| 0.2 * ((7 * idx + step) as f32).sin()).collect();
+            batch.step(&actions)?;
         }
         Ok(began.spent())
     }

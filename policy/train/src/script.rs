@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use anyhow::bail;
 use palpate_grasp::trial::{self, Score};
 use serde::Serialize;
 
@@ -12,7 +13,7 @@ pub(crate) struct ScriptArgs {
     #[command(flatten)]
     scene: SceneArgs,
     /// Number of trials
-    #[arg(long, default_value_t = 50)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 50)]
     trials: u64,
     /// Seed of starts and randomised physics
     #[arg(long, default_value_t = 1)]
@@ -25,6 +26,9 @@ struct ScriptReport {
 }
 
 pub(crate) fn run(args: &ScriptArgs) -> anyhow::Result<()> {
+    if args.trials == 0 {
+        bail!("--trials is 0, expected at least 1");
+    }
     let (scene, script) = files::open(&args.scene)?;
     let score = Score::of(&trial::run_all(&scene, &script, args.seed, args.trials)?);
     let object = scene.object();

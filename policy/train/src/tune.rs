@@ -22,19 +22,19 @@ pub(crate) struct TuneArgs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Rounds of candidates
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 8)]
     generations: usize,
     /// Scripts drawn in each
-    #[arg(long, default_value_t = 64)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 64)]
     candidates: usize,
     /// The best of them, which the next ones are drawn around
-    #[arg(long, default_value_t = 10)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 10)]
     elite: usize,
     /// Trials of each candidate
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 4)]
     trials: usize,
     /// Trials that choose the best generation; no candidate sees their worlds
-    #[arg(long, default_value_t = 50)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 50)]
     check_trials: usize,
     /// The tuned script; it is written whenever a better one is found
     #[arg(long)]
@@ -56,7 +56,8 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<()> {
         check_trials: args.check_trials,
     };
     let (bar, cancel, began) = (Bar::new(), cancel_on_ctrl_c(), Instant::now());
-    let header = header(args, &scene.object().label, scene.config().task.half_width_m);
+    let header =
+        |generation| header(args, &scene.object().label, scene.config().task.half_width_m, generation);
     let mut failed = None;
     let on_generation = |generation: &Generation, best: &Script| {
         if let Err(err) = tell(args, &bar, generation, began) {
@@ -64,7 +65,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<()> {
             cancel.cancel();
         }
         if generation.best
-            && let Err(err) = write(&args.out, &header, best)
+            && let Err(err) = write(&args.out, &header(generation.generation), best)
         {
             failed.get_or_insert(err);
             cancel.cancel();
@@ -129,8 +130,8 @@ fn tell(args: &TuneArgs, bar: &Bar, generation: &Generation, began: Instant) -> 
     Ok(())
 }
 
-/// What a tuned script says of itself.
-fn header(args: &TuneArgs, object: &str, half_width_m: f64) -> String {
+/// What a tuned script says of itself, found in this generation: a search that ends there gives the same script.
+fn header(args: &TuneArgs, object: &str, half_width_m: f64, generation: usize) -> String {
     format!(
         "# A closing script tuned on one object, {object}, started within {:.1} cm. It feels nothing. Made by\n\
          #   palpate-train tune --object {} --start-cm {} --seed {} --generations {} --candidates {} --elite {} \\\n\
@@ -140,7 +141,7 @@ fn header(args: &TuneArgs, object: &str, half_width_m: f64) -> String {
         args.scene.object,
         100.0 * half_width_m,
         args.seed,
-        args.generations,
+        generation.max(1),
         args.candidates,
         args.elite,
         args.trials,

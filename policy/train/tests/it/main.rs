@@ -24,6 +24,7 @@ fn what_is_wrong_with_a_call_is_named_before_anything_starts() {
             "--object is \"cueb\", which is no file and no object in assets/objects: ball, big_egg",
         ),
         (["--trials", "0"], "--trials is 0, expected at least 1"),
+        (["--trials", "-1"], "invalid value '-1' for '--trials <TRIALS>'"),
         (["--check-trials", "0"], "--check-trials is 0"),
         (["--generations", "0"], "--generations is 0"),
         (["--elite", "65"], "--elite is 65, expected at most the 64 of --candidates"),
