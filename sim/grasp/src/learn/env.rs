@@ -6,7 +6,6 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::reward::phase;
 use super::{Facts, LearnTask, REWARD_TERMS};
 use crate::hand::{HandMove, bring};
 use crate::trial::{Judge, Outcome};
@@ -249,7 +248,7 @@ impl LearnEnv {
             .chain(self.env.readings().active.iter().map(|&active| on(active)))
             .chain(self.past_touch.iter().copied())
             .chain(self.action.iter().copied())
-            .chain([phase(&self.task.scene.config().task, self.env.time_s())]);
+            .chain([(self.env.time_s() / self.task.scene.config().task.episode_s).clamp(0.0, 1.0)]);
         actor.iter_mut().zip(of_actor).for_each(|(into, value)| *into = value as f32);
 
         let (shared, privileged) = critic.split_at_mut(actor.len());

@@ -30,8 +30,11 @@ pub struct ObservationLayout {
 }
 
 impl ObservationLayout {
-    /// For a station whose hand has these joints and digits.
-    pub(super) fn new(station: &Station, hand_dofs: &[usize], digits: &[String]) -> Self {
+    /// For a station whose hand has these degrees of freedom and digits, by the names of their tips.
+    ///
+    /// # Panics
+    /// If there is no such degree of freedom: a caller's bug.
+    pub fn new(station: &Station, hand_dofs: &[usize], digits: &[String]) -> Self {
         let joints: Vec<String> = station.robot.dofs().map(|joint| joint.name.clone()).collect();
         let channels: Vec<String> =
             station.layout.channels.iter().map(|channel| channel.id.to_string()).collect();

@@ -1,7 +1,6 @@
 //! What a step is worth, term by term.
 
 use super::RewardConfig;
-use crate::config::TaskConfig;
 
 /// Names of the terms, in their order. The reward is their sum.
 pub const REWARD_TERMS: [&str; 7] = ["tips", "grasp", "lift", "action", "table", "success", "stop"];
@@ -46,11 +45,6 @@ impl RewardConfig {
         ]
         .map(|term| self.scale * term)
     }
-}
-
-/// Share of a task's time that has passed at `time_s`, 0 to 1.
-pub(super) fn phase(task: &TaskConfig, time_s: f64) -> f64 {
-    (time_s / task.episode_s).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
