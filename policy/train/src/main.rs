@@ -1,8 +1,9 @@
-//! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, and measures the grasp
-//! world's speed.
+//! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
+//! they, and measures the grasp world's speed.
 
 mod bench;
 mod files;
+mod ppo;
 mod progress;
 mod script;
 mod tune;
@@ -25,6 +26,8 @@ enum Command {
     Script(script::ScriptArgs),
     /// Tune a script on one object by the cross-entropy method
     Tune(tune::TuneArgs),
+    /// Learn to grasp one object by touch: what a policy adds to a script, or all of it
+    Ppo(ppo::PpoArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
 }
@@ -62,6 +65,7 @@ fn main() -> ExitCode {
     let done = match Args::parse().command {
         Command::Script(args) => script::run(&args),
         Command::Tune(args) => tune::run(&args),
+        Command::Ppo(args) => ppo::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match done {
