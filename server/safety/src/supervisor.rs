@@ -31,6 +31,8 @@ const DISARM_AHEAD_NS: u64 = 100_000_000;
 /// Torque stays on this long after all goals have come to rest when disarming, ns: soft servos lag behind their goals, and a
 /// joint that is let go while it moves runs on until friction or its stop ends that.
 const CATCH_UP_NS: u64 = 100_000_000;
+/// The same where a device has a fault or is not read: a line that loses answers carries goals late too, ns.
+const CATCH_UP_UNSEEN_NS: u64 = 300_000_000;
 /// Who the audit log names for what nobody asked for.
 const STATION: &str = "station";
 
@@ -108,8 +110,10 @@ enum State {
     Armed {
         since_ns: u64,
     },
-    /// Brakes, then torque goes off.
-    Disarming,
+    /// Brakes, then torque goes off, `catch_up_ns` after the last goal came to rest.
+    Disarming {
+        catch_up_ns: u64,
+    },
     Stopped {
         since_ns: u64,
         who: String,
@@ -248,7 +252,7 @@ impl Supervisor {
         let ready = match &self.state {
             State::Armed { .. } | State::Arming { .. } | State::LettingGo => return Ok(()),
             State::Stopped { who, .. } => Err(Refusal::Stopped { who: who.clone() }),
-            State::Disarming => {
+            State::Disarming { .. } => {
                 Err(Refusal::NotArmed { phase: "just being disarmed", todo: "wait a moment, then arm" })
             }
             State::Disarmed => match self.not_ready(self.now_ns) {
@@ -376,10 +380,13 @@ impl Supervisor {
             self.step(step_ns as f64 * 1e-9);
             let stand = self.joints.iter().all(|joint| joint.motion.velocity == 0.0);
             self.goals_stand_since_ns = stand.then(|| self.goals_stand_since_ns.unwrap_or(self.now_ns));
-            let caught_up = self.goals_stand_since_ns.is_some_and(|since| self.now_ns - since >= CATCH_UP_NS);
-            // Where it may not be held, an arm that was led there is let go at once.
-            if matches!(self.state, State::Disarming) && (caught_up || self.outside_limits().is_some()) {
-                self.state = State::Disarmed;
+            if let State::Disarming { catch_up_ns } = self.state {
+                let caught_up =
+                    self.goals_stand_since_ns.is_some_and(|since| self.now_ns - since >= catch_up_ns);
+                // Where it may not be held, an arm that was led there is let go at once.
+                if caught_up || self.outside_limits().is_some() {
+                    self.state = State::Disarmed;
+                }
             }
         }
         if self.energised() {
@@ -408,7 +415,7 @@ impl Supervisor {
 
     /// Whether motors are to hold or move their joints.
     fn energised(&self) -> bool {
-        matches!(self.state, State::Arming { .. } | State::Armed { .. } | State::Disarming)
+        matches!(self.state, State::Arming { .. } | State::Armed { .. } | State::Disarming { .. })
     }
 
     /// Whether the operator wants joints to hold or move.
@@ -520,7 +527,8 @@ impl Supervisor {
         for joint in &mut self.joints {
             joint.target = None;
         }
-        self.state = if self.energised() { State::Disarming } else { State::Disarmed };
+        let catch_up_ns = if self.sees_all() { CATCH_UP_NS } else { CATCH_UP_UNSEEN_NS };
+        self.state = if self.energised() { State::Disarming { catch_up_ns } } else { State::Disarmed };
         (self.hold, self.lead) = (None, Lead::Off);
         self.lead_notice.clear();
         self.disarmed_because = because;

@@ -3,7 +3,7 @@
 use palpate_robot_model::JointKind;
 
 use super::{ARMING_NS, Hold, Lead, State, Supervisor};
-use crate::Refusal;
+use crate::{Refusal, measured::JointTelemetry};
 
 /// A joint that turns may be found this much outside its limits and still be armed, rad: encoders are not perfect.
 pub const OUTSIDE_TOLERANCE_RAD: f64 = 0.05;
@@ -120,12 +120,19 @@ impl Supervisor {
         if self.operator_gone || self.now_ns - self.heartbeat_ns >= self.times.heartbeat_ttl {
             return Some(Hold::Heartbeat);
         }
-        let late = |joint: &crate::measured::JointTelemetry| {
-            joint.fresh(self.now_ns, self.times.telemetry_ttl).is_none()
-        };
-        let dof = self.telemetry.joints.iter().position(late)?;
-        let name = self.joint_name(dof);
+        let name = self.joint_name(self.unseen()?);
         Some(Hold::Telemetry(format!("nothing is read of joint {name:?}; check its device")))
+    }
+
+    /// The first joint of which nothing is read.
+    fn unseen(&self) -> Option<usize> {
+        let late = |joint: &JointTelemetry| joint.fresh(self.now_ns, self.times.telemetry_ttl).is_none();
+        self.telemetry.joints.iter().position(late)
+    }
+
+    /// Whether all joints are read and no device has a fault.
+    pub(super) fn sees_all(&self) -> bool {
+        self.unseen().is_none() && self.telemetry.faults.is_empty()
     }
 
     pub(super) fn check_targets(&self, sequence: u64, targets: &[(usize, f64)]) -> Result<(), Refusal> {
@@ -163,7 +170,7 @@ impl Supervisor {
         match &self.state {
             State::Stopped { who, .. } => return Err(Refusal::Stopped { who: who.clone() }),
             State::Disarmed => return Err(Refusal::NotArmed { phase: "disarmed", todo: "arm it first" }),
-            State::Disarming => {
+            State::Disarming { .. } => {
                 return Err(Refusal::NotArmed {
                     phase: "just being disarmed",
                     todo: "wait a moment, then arm",

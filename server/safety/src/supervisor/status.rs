@@ -49,7 +49,7 @@ impl Supervisor {
             _ if self.wanted() && self.hold.is_some() => Phase::Holding,
             State::LettingGo | State::Arming { .. } => Phase::Arming,
             State::Armed { .. } => Phase::Armed,
-            State::Disarming => Phase::Disarming,
+            State::Disarming { .. } => Phase::Disarming,
             State::Stopped { .. } => Phase::Stopped,
         };
         let stop_confirmed = self.stop_confirmed(now_ns);
@@ -76,7 +76,7 @@ impl Supervisor {
                     "stopped by {who:?}, but not every joint has shown yet that it is off or stands still"
                 )
             }
-            State::Disarming => self.disarmed_because.clone(),
+            State::Disarming { .. } => self.disarmed_because.clone(),
             State::Disarmed => {
                 let problem = self.not_ready(now_ns).map(|problem| format!("cannot be armed: {problem}"));
                 let reasons = [self.disarmed_because.clone(), problem.unwrap_or_default()];
