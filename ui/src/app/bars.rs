@@ -8,6 +8,7 @@ use super::{
     strip::{STOP_WIDTH, STRIP_HEIGHT},
 };
 use crate::{
+    playback::HandSource,
     route::{Route, Screen},
     store::{Connection, Loadable},
     theme::Palette,
@@ -126,7 +127,12 @@ impl StudioApp {
         ui.horizontal_centered(|ui| {
             self.station_ui(ui, palette);
             ui.separator();
-            if let Some(session) = &self.playback.session {
+            let live = matches!(self.route.screen, Screen::Hand | Screen::Timelines)
+                && self.playback.hand_source == HandSource::Live;
+            if live {
+                ui.label(RichText::new("Live station").strong());
+                ui.separator();
+            } else if let Some(session) = &self.playback.session {
                 ui.label(RichText::new(session).strong());
                 if let Some(take) = &self.playback.take {
                     ui.label(take);

@@ -540,3 +540,12 @@ fn spaces_can_be_typed_while_armed() {
     bench.harness.run_steps(2);
     assert!(matches!(bench.commands()[..], [(0, Command::Stop(_))]), "anybody may stop");
 }
+
+#[test]
+fn the_bar_names_what_is_shown_the_live_station_or_a_take() {
+    let live = Bench::at("#/hand?source=live");
+    live.harness.get_by_label("Live station");
+    let recorded = Bench::at("#/timelines/bench-1?take=take-01");
+    assert!(recorded.harness.query_by_label("Live station").is_none());
+    recorded.harness.get_by_label("bench-1");
+}
