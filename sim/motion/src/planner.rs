@@ -16,6 +16,8 @@ use crate::{MotionLimits, Plan, PlanError, PlannedTake, Scene, channel_named};
 const MOST_POSTURES: usize = 12;
 /// Every link stays this far from the object between touches, m.
 const TRANSIT_CLEARANCE_M: f64 = 0.003;
+/// A way may begin with the skin pressed this far into the object, m: more than a touch presses it in.
+const DEEPEST_START_M: f64 = 0.005;
 
 /// The motion of one take, from rest to rest.
 #[derive(Clone, Debug)]
@@ -432,20 +434,25 @@ impl<'a> Planner<'a> {
         Some(Segment { duration_s, waypoints: vec![from.to_vec(), to.to_vec()] })
     }
 
+    /// The straight way, if it is clear all along. One that begins too close to the object, as where a touch was broken
+    /// off, has to get away from it at every step until it is clear; deep inside there is no telling which way is out.
     fn straight_if_clear(&self, from: &[f64], to: &[f64]) -> Option<Segment> {
         let robot = &self.scene.station.robot;
         let farthest = from.iter().zip(to).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        let steps = ((farthest / 0.06).ceil() as usize).clamp(4, 60);
+        let steps = ((farthest / 0.06).ceil() as usize).clamp(8, 60);
         let mut frames = Vec::new();
+        let mut needed_m = None;
         for step in 0..=steps {
             let fraction = step as f64 / steps as f64;
             let positions: Vec<f64> = from.iter().zip(to).map(|(a, b)| a + (b - a) * fraction).collect();
             robot.forward_kinematics(&positions, &mut frames);
-            let clearance = self.scene.clearance(&frames, None);
-            if clearance.others_m < TRANSIT_CLEARANCE_M {
+            let clearance_m = self.scene.clearance(&frames, None).others_m;
+            if clearance_m < needed_m.unwrap_or(-DEEPEST_START_M) {
                 return None;
             }
+            needed_m = Some(clearance_m.min(TRANSIT_CLEARANCE_M));
         }
+        needed_m.filter(|ends_m| *ends_m >= TRANSIT_CLEARANCE_M)?;
         self.straight(from, to)
     }
 

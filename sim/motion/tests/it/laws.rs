@@ -222,14 +222,17 @@ fn ways_to_the_start_are_clear_of_the_object() {
     let motion = planned(&station, &plan, 0, Some(&limits));
     let mut from = motion.start().to_vec();
     let (mut found, mut refused) = (0, 0);
-    for left_s in (0..motion.duration_s() as usize * 2).map(|half| 0.5 * half as f64) {
+    // As it was left, and pushed into the object by somebody.
+    let moments = (0..motion.duration_s() as usize * 2).map(|half| 0.5 * half as f64);
+    for (left_s, pushed_rad) in moments.flat_map(|left_s| [(left_s, 0.0), (left_s, 0.3)]) {
         motion.at(left_s, &mut from);
+        from[1] += pushed_rad;
         let way = match plan_approach(&station, &plan, &Primitives::new(), 0, &from, Some(&limits)) {
             Ok(way) => way,
             Err(error) => {
                 let mut frames = Vec::new();
                 station.robot.forward_kinematics(&from, &mut frames);
-                assert!(scene.clearance_m(&frames) < 0.012, "refused at {left_s} s, clear of the object");
+                assert!(scene.clearance_m(&frames) < 0.0 && pushed_rad > 0.0, "refused at {left_s} s");
                 assert!(error.to_string().contains("take 1: found no way to the start"), "{error}");
                 refused += 1;
                 continue;
@@ -239,6 +242,7 @@ fn ways_to_the_start_are_clear_of_the_object() {
         assert_eq!(way.start(), from);
         let (mut before, mut last, mut now) = (from.clone(), from.clone(), from.clone());
         let mut frames = Vec::new();
+        let mut cleared_m = f64::NEG_INFINITY;
         for step in -3..(way.duration_s() / DT_S).ceil() as i64 + 3 {
             way.at(step as f64 * DT_S, &mut now);
             for dof in 0..now.len() {
@@ -248,13 +252,16 @@ fn ways_to_the_start_are_clear_of_the_object() {
                 assert!(acceleration.abs() <= 0.905 * limits.acceleration[dof], "{left_s} s: {acceleration}");
             }
             station.robot.forward_kinematics(&now, &mut frames);
-            assert!(scene.clearance_m(&frames) > 0.0, "left at {left_s} s: through the object");
+            let clearance_m = scene.clearance_m(&frames);
+            assert!(clearance_m > cleared_m.min(0.0) - 1e-5, "left at {left_s} s: through the object");
+            // What touched when the take was left gets away, and comes no closer again.
+            cleared_m = cleared_m.max(clearance_m);
             before.clone_from(&last);
             last.clone_from(&now);
         }
         assert_eq!(now, motion.start());
     }
-    assert!(found > 10 && refused > 0, "{found} found, {refused} refused");
+    assert!(found > 20 && refused > 0, "{found} found, {refused} refused");
 
     from[0] = f64::NAN;
     let error = plan_approach(&station, &plan, &Primitives::new(), 0, &from, None).unwrap_err().to_string();
