@@ -11,6 +11,7 @@ pub struct Actor {
     normaliser: Normaliser,
     action_dim: usize,
     observation_clip: f64,
+    memory: String,
 }
 
 impl Actor {
@@ -19,8 +20,9 @@ impl Actor {
         normaliser: Normaliser,
         action_dim: usize,
         observation_clip: f64,
+        memory: String,
     ) -> Self {
-        Self { networks, normaliser, action_dim, observation_clip }
+        Self { networks, normaliser, action_dim, observation_clip, memory }
     }
 
     /// Width of an observation.
@@ -31,6 +33,11 @@ impl Actor {
     /// Width of an action.
     pub fn action_dim(&self) -> usize {
         self.action_dim
+    }
+
+    /// What the environments remembered in which it learned ([`crate::VectorEnv::memory`]).
+    pub fn memory(&self) -> &str {
+        &self.memory
     }
 
     /// The likeliest actions, `[any, action_dim]`, for `observations` as the environment gives them, `[any, actor_dim]`.

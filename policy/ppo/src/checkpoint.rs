@@ -187,7 +187,7 @@ impl Actor {
             *values = file.floats(name, *shape)?;
         }
         let normaliser = file.normaliser("actor", actor)?;
-        Ok(Self::new(networks, normaliser, action, config.observation_clip))
+        Ok(Self::new(networks, normaliser, action, config.observation_clip, file.state.memory))
     }
 }
 

@@ -165,6 +165,7 @@ impl Trainer {
             self.normalisers.actor.clone(),
             self.dims.action,
             self.config.observation_clip,
+            self.memory.clone(),
         )
     }
 

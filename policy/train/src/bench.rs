@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
+use crate::files::Sources;
 use crate::{SceneArgs, files};
 
 /// The peer's program: MuJoCo's Python bindings on the same scene, starts and controls.
@@ -90,7 +91,7 @@ struct PeerRound {
 }
 
 pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
-    let (scene, script) = files::open(&args.scene)?;
+    let (scene, script) = files::open(&args.scene, &Sources::default())?;
     let bench = Bench::new(scene, &script, args);
     let mut peer =
         args.python.as_ref().map(|python| Peer::start(python, &bench.peer_inputs()?)).transpose()?;

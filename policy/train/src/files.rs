@@ -1,5 +1,6 @@
-//! From paths to scenes.
+//! From paths to scenes, and which files they were made from.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -7,11 +8,54 @@ use anyhow::{Context as _, bail};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectModel, Station};
 use palpate_sim::SensorModel;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
 use crate::SceneArgs;
 
+/// A file that was read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Source {
+    /// What for: "station", "world", "script", "model", "object", "learning", "policy".
+    pub(crate) role: String,
+    pub(crate) path: String,
+    pub(crate) sha256: String,
+}
+
+/// Files in the order in which they were read.
+#[derive(Default)]
+pub(crate) struct Sources(RefCell<Vec<Source>>);
+
+impl Sources {
+    pub(crate) fn text(&self, role: &str, path: &Path) -> anyhow::Result<String> {
+        let text = text(path)?;
+        self.add(role, path, text.as_bytes());
+        Ok(text)
+    }
+
+    pub(crate) fn add(&self, role: &str, path: &Path, bytes: &[u8]) {
+        self.0.borrow_mut().push(Source { role: role.to_owned(), path: shown(path), sha256: sha256(bytes) });
+    }
+
+    fn beside(&self, role: &str, folder: &Path, name: &str) -> Result<Vec<u8>, String> {
+        let path = folder.join(name);
+        let bytes = std::fs::read(&path).map_err(|err| err.to_string())?;
+        self.add(role, &path, &bytes);
+        Ok(bytes)
+    }
+
+    pub(crate) fn into_list(self) -> Vec<Source> {
+        self.0.into_inner()
+    }
+}
+
+/// In hexadecimal digits, as `sha256sum` prints it.
+pub(crate) fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// Reads everything that `args` names, and starts its threads.
-pub(crate) fn open(args: &SceneArgs) -> anyhow::Result<(Arc<GraspScene>, Script)> {
+pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<GraspScene>, Script)> {
     if args.threads == Some(0) {
         bail!("--threads is 0, expected at least 1");
     }
@@ -23,33 +67,39 @@ pub(crate) fn open(args: &SceneArgs) -> anyhow::Result<(Arc<GraspScene>, Script)
     }
     let folder = args.station.parent().unwrap_or(Path::new("")).to_owned();
     let name = args.station.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
-    let read = |path: &str| std::fs::read(folder.join(path)).map_err(|err| err.to_string());
+    let read = |path: &str| sources.beside("station", &folder, path);
     let station = Arc::new(Station::read(name, read)?);
-    let mut config = GraspConfig::from_toml(&shown(&args.world), &text(&args.world)?, &station.robot)?;
+    let mut config =
+        GraspConfig::from_toml(&shown(&args.world), &sources.text("world", &args.world)?, &station.robot)?;
     if let Some(start_cm) = args.start_cm {
         if !(start_cm.is_finite() && start_cm >= 0.0) {
             bail!("--start-cm is {start_cm}, expected a number that is not negative");
         }
         config.task.half_width_m = 0.01 * start_cm;
     }
-    let script = Script::from_toml(&shown(&args.script), &text(&args.script)?, &station.robot, &config)?;
+    let script = Script::from_toml(
+        &shown(&args.script),
+        &sources.text("script", &args.script)?,
+        &station.robot,
+        &config,
+    )?;
     let model = match &args.model {
-        Some(path) => SensorModel::from_toml(&shown(path), &text(path)?)?,
+        Some(path) => SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?,
         None => SensorModel::from_toml("nominal model", &station.nominal_model_toml)?,
     };
-    let scene = GraspScene::new(station, config, &object(&args.object)?, &model)?;
+    let scene = GraspScene::new(station, config, &object(&args.object, sources)?, &model)?;
     Ok((Arc::new(scene), script))
 }
 
-fn object(name: &str) -> anyhow::Result<ObjectModel> {
+fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
     let given = PathBuf::from(name);
     let path = if given.is_file() { given } else { Path::new(OBJECTS).join(format!("{name}.toml")) };
     if !path.is_file() {
         bail!("--object is {name:?}, which is no file and no object in {OBJECTS}: {}", known_objects());
     }
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-    let read_mesh = |mesh: &str| std::fs::read(folder.join(mesh)).map_err(|err| err.to_string());
-    Ok(ObjectModel::from_toml(&shown(&path), &text(&path)?, read_mesh)?)
+    let read_mesh = |mesh: &str| sources.beside("object", &folder, mesh);
+    Ok(ObjectModel::from_toml(&shown(&path), &sources.text("object", &path)?, read_mesh)?)
 }
 
 const OBJECTS: &str = "assets/objects";

@@ -1,11 +1,14 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, and measures the grasp world's speed.
+//! they, scores what was learned, and measures the grasp world's speed.
 
 mod bench;
+mod evaluate;
 mod files;
+mod policy;
 mod ppo;
 mod progress;
 mod script;
+mod task;
 mod tune;
 
 use std::path::PathBuf;
@@ -28,6 +31,8 @@ enum Command {
     Tune(tune::TuneArgs),
     /// Learn to grasp one object by touch: what a policy adds to a script, or all of it
     Ppo(ppo::PpoArgs),
+    /// Run trials of a policy, and score them
+    Evaluate(evaluate::EvaluateArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
 }
@@ -66,6 +71,7 @@ fn main() -> ExitCode {
         Command::Script(args) => script::run(&args),
         Command::Tune(args) => tune::run(&args),
         Command::Ppo(args) => ppo::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match done {

@@ -2,27 +2,21 @@
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use anyhow::Context as _;
-use palpate_grasp::learn::{Curriculum, LearnBatch, LearnConfig, LearnTask, REWARD_TERMS};
+use palpate_grasp::learn::{LearnBatch, REWARD_TERMS};
 use palpate_grasp::trial::Outcome;
 use palpate_ppo::{Ending, EnvError, Finish, Observations, PpoConfig, Start, StepResult, VectorEnv};
 use palpate_sim::job::{Cancel, Progress as _};
 
 use crate::progress::{Bar, cancel_on_ctrl_c};
-use crate::{SceneArgs, files};
+use crate::task::{Memory, TaskArgs, TaskRecord};
+use crate::{files, task};
 
 #[derive(clap::Args)]
 pub(crate) struct PpoArgs {
     #[command(flatten)]
-    scene: SceneArgs,
-    /// Actions, observations, rewards and starts
-    #[arg(long, default_value = "assets/grasp/xarm6_leap_learning.toml")]
-    learning: PathBuf,
-    /// Learn the whole motion instead of what is added to the script
-    #[arg(long)]
-    without_script: bool,
+    task: TaskArgs,
     /// How to learn: `quick` or `paper`
     #[arg(long, default_value = "quick", conflicts_with = "config")]
     preset: String,
@@ -51,13 +45,9 @@ pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
     config.seed = args.seed.unwrap_or(config.seed);
     config.total_steps = args.total_steps.unwrap_or(config.total_steps);
     config.validate()?;
-    let (scene, script) = files::open(&args.scene)?;
-    let learning = &args.learning;
-    let learning =
-        LearnConfig::from_toml(&files::shown(learning), &files::text(learning)?, &scene.station().robot)?;
-    let script = (!args.without_script).then_some(script);
-    let task = Arc::new(LearnTask::new(scene, script, learning)?);
-    let batch = LearnBatch::new(task, config.num_envs, config.seed)?;
+    let opened = task::open(&args.task)?;
+    let batch = LearnBatch::new(opened.task, config.num_envs, config.seed)?;
+    let mut envs = GraspEnvs { batch, record: opened.record };
 
     let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
     let start = if args.resume { Start::Resume } else { Start::Fresh };
@@ -65,7 +55,7 @@ pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
     let mut watch = |progress: &palpate_ppo::Progress| {
         bar.report(progress.fraction, "learning");
         bar.line(&summary(progress));
-        if args.scene.json {
+        if args.task.scene.json {
             match serde_json::to_string(&progress.metrics) {
                 Ok(line) => println!("{line}"),
                 Err(err) => failed = Some(err),
@@ -76,7 +66,7 @@ pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
         }
         ControlFlow::Continue(())
     };
-    let result = palpate_ppo::train(&args.out, start, config, &mut GraspEnvs { batch }, &mut watch);
+    let result = palpate_ppo::train(&args.out, start, config, &mut envs, &mut watch);
     drop(bar);
     let (trainer, finish) = result?;
     if let Some(err) = failed {
@@ -112,6 +102,7 @@ fn summary(progress: &palpate_ppo::Progress) -> String {
 /// The environments of the grasping task, as the learner wants them.
 struct GraspEnvs {
     batch: LearnBatch,
+    record: TaskRecord,
 }
 
 impl VectorEnv for GraspEnvs {
@@ -157,24 +148,28 @@ impl VectorEnv for GraspEnvs {
         })
     }
 
-    /// How wide the region of starts is, as TOML, whose numbers come back with the same bits.
     fn memory(&self) -> String {
-        toml::to_string(self.batch.curriculum()).unwrap_or_default()
+        Memory { curriculum: self.batch.curriculum().clone(), task: self.record.clone() }.to_toml()
     }
 
     fn restore(&mut self, memory: &str) -> Result<(), EnvError> {
-        self.batch.set_curriculum(toml::from_str::<Curriculum>(memory)?);
+        let Memory { curriculum, task } = Memory::from_toml(memory)?;
+        task.check(&self.record)?;
+        self.batch.set_curriculum(curriculum);
         Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write as _;
     use std::path::Path;
 
+    use palpate_grasp::learn::Curriculum;
     use palpate_ppo::{CHECKPOINT_FILE, NetworksConfig};
 
     use super::*;
+    use crate::SceneArgs;
 
     /// Two environments that widen their starts after every episode, so that there is something to remember.
     fn envs() -> GraspEnvs {
@@ -189,13 +184,21 @@ mod tests {
             threads: None,
             json: false,
         };
-        let (scene, script) = files::open(&scene).expect("a scene");
-        let learning = root.join("assets/grasp/xarm6_leap_learning.toml");
-        let text = files::text(&learning).expect("a file");
-        let mut learning = LearnConfig::from_toml("learning", &text, &scene.station().robot).expect("a task");
-        (learning.start.window, learning.start.widen_at, learning.start.widen_m) = (1, 0.0, 0.001);
-        let task = LearnTask::new(scene, Some(script), learning).expect("a task");
-        GraspEnvs { batch: LearnBatch::new(Arc::new(task), 2, 3).expect("environments") }
+        let shipped = files::text(&root.join("assets/grasp/xarm6_leap_learning.toml")).expect("a file");
+        let mut changed = tempfile::NamedTempFile::new().expect("a file");
+        for line in shipped.lines() {
+            let line = match line.split(" = ").next() {
+                Some("window") => "window = 1",
+                Some("widen_at") => "widen_at = 0.0",
+                Some("widen_m") => "widen_m = 0.001",
+                _ => line,
+            };
+            writeln!(changed, "{line}").expect("room");
+        }
+        let learning = changed.path().to_owned();
+        let opened = task::open(&TaskArgs { scene, learning, without_script: false }).expect("a task");
+        let batch = LearnBatch::new(opened.task, 2, 3).expect("environments");
+        GraspEnvs { batch, record: opened.record }
     }
 
     #[test]

@@ -1,11 +1,13 @@
-//! Scores a script.
+//! Scores a script; prints scores.
 
 use std::collections::BTreeMap;
 
 use anyhow::bail;
+use palpate_grasp::GraspScene;
 use palpate_grasp::trial::{self, Score};
 use serde::Serialize;
 
+use crate::files::Sources;
 use crate::{SceneArgs, files};
 
 #[derive(clap::Args)]
@@ -29,10 +31,15 @@ pub(crate) fn run(args: &ScriptArgs) -> anyhow::Result<()> {
     if args.trials == 0 {
         bail!("--trials is 0, expected at least 1");
     }
-    let (scene, script) = files::open(&args.scene)?;
+    let (scene, script) = files::open(&args.scene, &Sources::default())?;
     let score = Score::of(&trial::run_all(&scene, &script, args.seed, args.trials)?);
+    print(&scene, score, args.scene.json)
+}
+
+/// Prints what was scored in `scene`.
+pub(crate) fn print(scene: &GraspScene, score: Score, json: bool) -> anyhow::Result<()> {
     let object = scene.object();
-    if args.scene.json {
+    if json {
         let report = ScriptReport { objects: [(object.id.clone(), score)].into() };
         println!("{}", serde_json::to_string_pretty(&report)?);
         return Ok(());

@@ -8,6 +8,7 @@ use palpate_grasp::tune::{Generation, TuneParams, TuningConfig, tune};
 use palpate_grasp::{GraspError, Script};
 use palpate_sim::job::Cancel;
 
+use crate::files::Sources;
 use crate::progress::{Bar, cancel_on_ctrl_c};
 use crate::{SceneArgs, files};
 
@@ -43,7 +44,7 @@ pub(crate) struct TuneArgs {
 
 pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<()> {
     check(args)?;
-    let (scene, script) = files::open(&args.scene)?;
+    let (scene, script) = files::open(&args.scene, &Sources::default())?;
     let shown = files::shown(&args.tuning);
     let text = files::text(&args.tuning)?;
     let tuning = TuningConfig::from_toml(&shown, &text, &scene.station().robot, script.keys().len())?;

@@ -29,6 +29,6 @@ pub use reward::{Facts, REWARD_TERMS};
 #[cfg(feature = "mujoco")]
 pub use {
     batch::{Ending, LearnBatch, LearnStep},
-    env::LearnEnv,
+    env::{Conditions, LearnEnv},
     task::LearnTask,
 };

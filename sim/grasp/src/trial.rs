@@ -1,7 +1,7 @@
 //! Trials of the grasping task and their verdicts.
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::env::stream;
 use crate::{Contacts, GraspConfig, GraspError, GraspScene, Script, Start, World};
@@ -70,7 +70,7 @@ impl Judge {
 }
 
 /// Outcomes of trials, counted.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Trials run.
     pub trials: usize,

@@ -1,6 +1,8 @@
 //! The command as people call it.
 #![cfg(feature = "mujoco")]
 
+mod policies;
+
 use std::path::Path;
 use std::process::{Command, Output};
 

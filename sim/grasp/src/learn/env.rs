@@ -7,6 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::{Facts, LearnTask, REWARD_TERMS};
+use crate::env::stream;
 use crate::hand::{HandMove, bring};
 use crate::trial::{Judge, Outcome};
 use crate::{Contacts, GraspEnv, GraspError, Start};
@@ -32,8 +33,19 @@ pub struct LearnEnv {
     /// What is left of touches before the current one, 0 to 1.
     past_touch: Vec<f64>,
     push: Push,
+    /// Whether pushes begin.
+    is_pushed: bool,
     privileged: Privileged,
     terms: [f64; REWARD_TERMS.len()],
+}
+
+/// What a trial of a policy is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Conditions {
+    /// That of [`crate::trial`]: the object begins on a stable side, and nothing pushes it.
+    Evaluation,
+    /// That of training: orientations and pushes are those of [`super::LearnConfig`].
+    Training,
 }
 
 /// A force that lasts.
@@ -72,6 +84,7 @@ impl LearnEnv {
             read_positions: vec![0.0; num_dofs],
             past_touch: vec![0.0; task.scene.station().layout.num_channels()],
             push: Push::default(),
+            is_pushed: true,
             privileged: Privileged { velocities: vec![0.0; num_dofs], ..Privileged::default() },
             terms: [0.0; REWARD_TERMS.len()],
             env,
@@ -79,6 +92,23 @@ impl LearnEnv {
         };
         this.forget();
         Ok(this)
+    }
+
+    /// An environment for trials, which has not begun yet: [`Self::begin_trial`] comes first.
+    pub fn for_trials(task: Arc<LearnTask>) -> Result<Self, GraspError> {
+        Self::new(task, stream(0, 0))
+    }
+
+    /// Begins trial number `trial` of those with `seed`, whatever happened before. The region of starts is that of the grasp
+    /// world's task. Under [`Conditions::Evaluation`] it is the world in which [`crate::trial::run`] tries a script.
+    pub fn begin_trial(&mut self, seed: u64, trial: u64, conditions: Conditions) -> Result<(), GraspError> {
+        let task = Arc::clone(&self.task);
+        let half_width_m = task.scene.config().task.half_width_m;
+        self.rng = stream(seed, trial);
+        self.is_pushed = conditions == Conditions::Training;
+        let any_orientation = self.is_pushed && task.config.start.any_orientation;
+        let start = Start::draw_within(&task.scene, half_width_m, any_orientation, &mut self.rng);
+        self.begin(&start)
     }
 
     /// Draws from `rng` from now on.
@@ -194,6 +224,9 @@ impl LearnEnv {
 
     /// Begins and ends pushes.
     fn disturb(&mut self) {
+        if !self.is_pushed {
+            return;
+        }
         let config = &self.task.config.push;
         if self.push.left_s > 0.0 {
             self.push.left_s -= 1.0 / self.task.scene.config().control_rate_hz;
@@ -283,6 +316,11 @@ impl LearnEnv {
     /// How far each target moved in the last step, rad or m: what demonstrations record as the action.
     pub fn target_increments(&self) -> Vec<f64> {
         self.env.targets().iter().zip(&self.targets_before).map(|(now, before)| now - before).collect()
+    }
+
+    /// The last action, each number within -1 to 1; zeros before the first.
+    pub fn action(&self) -> &[f64] {
+        &self.action
     }
 
     /// The grasp environment inside.

@@ -1,0 +1,87 @@
+//! A policy that has been learned, and what it does in a trial.
+
+use std::ops::Range;
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use palpate_grasp::learn::{LearnEnv, LearnTask, ObservationLayout};
+use palpate_grasp::trial::Outcome;
+use palpate_ppo::{Actor, CHECKPOINT_FILE};
+
+use crate::task::{Memory, OpenTask};
+
+/// A policy that always does what it thinks best.
+pub(crate) struct Policy {
+    actor: Actor,
+    /// What it sees as zeros.
+    silenced: Vec<Range<usize>>,
+    layout: ObservationLayout,
+}
+
+/// Sees every step of a trial.
+pub(crate) trait Watch {
+    /// What the policy sees, and what it does next. `critic` begins with what it would see of everything.
+    fn before(&mut self, env: &LearnEnv, actor: &[f32], critic: &[f32]);
+    /// What came of it.
+    fn after(&mut self, env: &LearnEnv);
+}
+
+impl Watch for () {
+    fn before(&mut self, _: &LearnEnv, _: &[f32], _: &[f32]) {}
+    fn after(&mut self, _: &LearnEnv) {}
+}
+
+impl Policy {
+    /// The policy of a checkpoint, or of a training's folder, if it was trained in `opened`.
+    pub(crate) fn open(path: &Path, opened: &OpenTask) -> anyhow::Result<Self> {
+        let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
+        let bytes = std::fs::read(&file).with_context(|| {
+            format!("failed to read {file:?}; --policy is a training's folder or a checkpoint")
+        })?;
+        let actor = Actor::from_checkpoint(&file, &bytes)?;
+        let error = |problem: String| anyhow::anyhow!("policy {} does not fit: {problem}", file.display());
+        let memory = Memory::from_toml(actor.memory()).map_err(error)?;
+        memory.task.check(&opened.record).map_err(error)?;
+        let layout = opened.task.layout().clone();
+        let dims = [
+            ("observations", actor.actor_dim(), layout.actor_dim()),
+            ("actions", actor.action_dim(), layout.action_dim()),
+        ];
+        if let Some((what, found, expected)) = dims.iter().find(|(_, found, expected)| found != expected) {
+            return Err(error(format!("its {what} have {found} numbers, those of the task {expected}")));
+        }
+        Ok(Self { actor, silenced: Vec::new(), layout })
+    }
+
+    /// The same policy, for which every touch is zero.
+    pub(crate) fn without_touch(mut self, task: &LearnTask) -> Self {
+        self.silenced = task.layout().touch_inputs().collect();
+        self
+    }
+
+    /// Runs the trial that has just begun in `env` to its verdict.
+    pub(crate) fn run(&self, env: &mut LearnEnv, watch: &mut impl Watch) -> anyhow::Result<Outcome> {
+        let mut actor = vec![0.0; self.layout.actor_dim()];
+        let mut critic = vec![0.0; self.layout.critic_dim()];
+        loop {
+            env.observe(&mut actor, &mut critic);
+            for silenced in &self.silenced {
+                actor[silenced.clone()].fill(0.0);
+            }
+            let action = self.actor.actions(&actor)?;
+            if let Some(idx) = action.iter().position(|value| !value.is_finite()) {
+                bail!(
+                    "the policy's action {:?} is {}, expected a finite number",
+                    self.layout.action[idx],
+                    action[idx]
+                );
+            }
+            watch.before(env, &actor, &critic);
+            let outcome = env.step(&action)?;
+            watch.after(env);
+            if let Some(outcome) = outcome {
+                return Ok(outcome);
+            }
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Policies: trainings of one update, and what comes of them.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::Path;
+
+use safetensors::{SafeTensors, tensor::TensorView};
+use serde_json::Value;
+
+use super::palpate_train;
+
+/// Trains in `folder` for the few steps of one update.
+fn train(folder: &Path) {
+    let config = folder.join("small.toml");
+    let text = "num_envs = 1\nunroll_length = 4\nbatch_size = 1\nnum_minibatches = 1\nnum_epochs = 1\n\
+                total_steps = 4\ncheckpoint_updates = 1\n[networks]\nactor = [8]\ncritic = [8]\n";
+    std::fs::write(&config, text).expect("a file");
+    let run = folder.join("run");
+    let output = palpate_train(&[
+        "ppo",
+        "--config",
+        config.to_str().expect("a path"),
+        "--out",
+        run.to_str().expect("a path"),
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Of the shipped station: what touch is in an observation, after three numbers of each joint.
+const TOUCH: Range<usize> = 66..154;
+
+/// The checkpoint of a training, every weight of whose actor is zero: a policy that leaves the script alone, or with a
+/// `touch_weight` one that opens the hand as soon as it feels something.
+fn zeroed(checkpoint: &[u8], touch_weight: f32) -> Vec<u8> {
+    let (_, header) = SafeTensors::read_metadata(checkpoint).expect("a header");
+    let state = header.metadata().as_ref().expect("metadata")["state"].clone();
+    let mut state: Value = serde_json::from_str(&state).expect("JSON");
+    let file = SafeTensors::deserialize(checkpoint).expect("tensors");
+    let mut tensors: Vec<(String, _, Vec<usize>, Vec<u8>)> = Vec::new();
+    for (name, view) in file.tensors() {
+        let mut bytes = view.data().to_vec();
+        if name.starts_with("actor.") && !name.ends_with("log_std") {
+            let mut values = vec![0.0; bytes.len() / 4];
+            if name == "actor.0.weight" {
+                let num_out = view.shape()[1];
+                values[TOUCH.start * num_out..TOUCH.end * num_out].fill(touch_weight);
+            } else if name == "actor.1.weight" {
+                values.fill(-touch_weight);
+            }
+            bytes = values.into_iter().flat_map(f32::to_le_bytes).collect();
+            state["checksums"][&name] = crc32fast::hash(&bytes).into();
+        }
+        tensors.push((name, view.dtype(), view.shape().to_vec(), bytes));
+    }
+    let state = state.to_string();
+    for (name, _, _, bytes) in &mut tensors {
+        if name == "state.crc32" {
+            *bytes = crc32fast::hash(state.as_bytes()).to_le_bytes().to_vec();
+        }
+    }
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor"))
+    });
+    safetensors::serialize(views, Some(HashMap::from([("state".to_owned(), state)]))).expect("a file")
+}
+
+/// What a command that must succeed prints.
+fn printed(args: &[&str]) -> String {
+    let output = palpate_train(args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+#[test]
+fn a_policy_of_zeros_has_the_trials_of_the_script_and_so_has_one_that_only_touch_moves_without_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    train(folder.path());
+    let run = folder.path().join("run");
+    let bytes = std::fs::read(run.join("checkpoint.safetensors")).expect("a checkpoint");
+    let still = folder.path().join("still.safetensors");
+    std::fs::write(&still, zeroed(&bytes, 0.0)).expect("a file");
+    let trials = ["--object", "cube", "--trials", "6", "--seed", "5", "--start-cm", "5", "--json"];
+    let script = printed(&[&["script"], &trials[..]].concat());
+    let still = ["evaluate", "--policy", still.to_str().expect("a path")];
+    assert_eq!(printed(&[&still, &trials[..]].concat()), script);
+    let feels = folder.path().join("feels.safetensors");
+    std::fs::write(&feels, zeroed(&bytes, 1.0)).expect("a file");
+    let feels = ["evaluate", "--policy", feels.to_str().expect("a path")];
+    assert_ne!(printed(&[&feels, &trials[..]].concat()), script);
+    assert_eq!(printed(&[&feels, &trials[..], &["--silence-touch"]].concat()), script);
+    let run = ["evaluate", "--policy", run.to_str().expect("a path")];
+    let mine = |more: &[&str]| printed(&[&run, &trials[..], more].concat());
+    let one = mine(&["--threads", "1"]);
+    assert_eq!(mine(&["--threads", "3"]), one);
+}
+
+#[test]
+fn a_policy_that_does_not_fit_is_refused_by_what_differs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    train(folder.path());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let changed = |shipped: &str| {
+        let text = std::fs::read_to_string(root.join(shipped)).expect("a file");
+        let path = folder.path().join("changed.toml");
+        std::fs::write(&path, format!("{text}\n# Changed.\n")).expect("a file");
+        path.to_str().expect("a path").to_owned()
+    };
+    let run = folder.path().join("run");
+    let run = run.to_str().expect("a path");
+    let empty = folder.path().to_str().expect("a path").to_owned();
+    for (policy, args, expected) in [
+        (
+            run,
+            vec!["--object".to_owned(), "ball".to_owned()],
+            "trained with the object \"cube\", not \"ball\"",
+        ),
+        (run, vec!["--without-script".to_owned()], "leave --without-script out"),
+        (
+            run,
+            vec!["--script".to_owned(), changed("assets/grasp/scripts/xarm6_leap_cube.toml")],
+            "another script (--script): SHA-256 ",
+        ),
+        (&empty, vec![], "--policy is a training's folder or a checkpoint"),
+        (run, vec!["--trials".to_owned(), "0".to_owned()], "--trials is 0"),
+    ] {
+        let mut call = vec!["evaluate", "--policy", policy];
+        call.extend(args.iter().map(String::as_str));
+        let output = palpate_train(&call);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
+    }
+    let learning = changed("assets/grasp/xarm6_leap_learning.toml");
+    let output = palpate_train(&["evaluate", "--policy", run, "--learning", &learning]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("another learning file (--learning): SHA-256 "), "{said}");
+}
