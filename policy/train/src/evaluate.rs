@@ -37,7 +37,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         bail!("--trials is 0, expected at least 1");
     }
     let opened = task::open(&args.task)?;
-    let policy = Policy::open(&args.policy, &opened)?;
+    let (policy, _) = Policy::open(&args.policy, &opened)?;
     let task = &opened.task;
     let policy = if args.silence_touch { policy.without_touch(task) } else { policy };
     let (bar, done) = (Bar::new(), AtomicU64::new(0));

@@ -1,7 +1,8 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, scores what was learned, and measures the grasp world's speed.
+//! they, scores what was learned and keeps it as demonstrations, and measures the grasp world's speed.
 
 mod bench;
+mod demos;
 mod evaluate;
 mod files;
 mod policy;
@@ -33,6 +34,8 @@ enum Command {
     Ppo(ppo::PpoArgs),
     /// Run trials of a policy, and score them
     Evaluate(evaluate::EvaluateArgs),
+    /// Roll out a policy, and keep the trials that succeed as files to learn from
+    Demos(demos::DemosArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
 }
@@ -72,6 +75,7 @@ fn main() -> ExitCode {
         Command::Tune(args) => tune::run(&args),
         Command::Ppo(args) => ppo::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Demos(args) => demos::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match done {

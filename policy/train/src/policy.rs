@@ -8,6 +8,7 @@ use palpate_grasp::learn::{LearnEnv, LearnTask, ObservationLayout};
 use palpate_grasp::trial::Outcome;
 use palpate_ppo::{Actor, CHECKPOINT_FILE};
 
+use crate::files::{self, Source};
 use crate::task::{Memory, OpenTask};
 
 /// A policy that always does what it thinks best.
@@ -32,8 +33,8 @@ impl Watch for () {
 }
 
 impl Policy {
-    /// The policy of a checkpoint, or of a training's folder, if it was trained in `opened`.
-    pub(crate) fn open(path: &Path, opened: &OpenTask) -> anyhow::Result<Self> {
+    /// The policy of a checkpoint, or of a training's folder, if it was trained in `opened`; and its file.
+    pub(crate) fn open(path: &Path, opened: &OpenTask) -> anyhow::Result<(Self, Source)> {
         let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
         let bytes = std::fs::read(&file).with_context(|| {
             format!("failed to read {file:?}; --policy is a training's folder or a checkpoint")
@@ -50,7 +51,9 @@ impl Policy {
         if let Some((what, found, expected)) = dims.iter().find(|(_, found, expected)| found != expected) {
             return Err(error(format!("its {what} have {found} numbers, those of the task {expected}")));
         }
-        Ok(Self { actor, silenced: Vec::new(), layout })
+        let source =
+            Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
+        Ok((Self { actor, silenced: Vec::new(), layout }, source))
     }
 
     /// The same policy, for which every touch is zero.

@@ -22,10 +22,11 @@ pub(crate) struct TaskArgs {
     pub(crate) without_script: bool,
 }
 
-/// A task, and what ties a policy to it.
+/// A task, what ties a policy to it, and the files that it was made from.
 pub(crate) struct OpenTask {
     pub(crate) task: Arc<LearnTask>,
     pub(crate) record: TaskRecord,
+    pub(crate) sources: Vec<Source>,
 }
 
 /// Reads everything that `args` names, and starts its threads.
@@ -38,7 +39,7 @@ pub(crate) fn open(args: &TaskArgs) -> anyhow::Result<OpenTask> {
     let task = Arc::new(LearnTask::new(scene, script, learning)?);
     let mut sources = sources.into_list();
     sources.retain(|source| !(args.without_script && source.role == "script"));
-    Ok(OpenTask { record: TaskRecord::of(&task, &sources)?, task })
+    Ok(OpenTask { record: TaskRecord::of(&task, &sources)?, task, sources })
 }
 
 /// What a policy is tied to: it fits no other object, script, learning file or layout than it was trained with.

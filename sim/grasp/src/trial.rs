@@ -100,6 +100,19 @@ impl Score {
             interval_95: wilson_95(successes, outcomes.len()),
         }
     }
+
+    /// These trials and those of `other` together.
+    pub fn and(&self, other: &Self) -> Self {
+        let (successes, trials) = (self.successes + other.successes, self.trials + other.trials);
+        Self {
+            trials,
+            successes,
+            empty_grasp: self.empty_grasp + other.empty_grasp,
+            slip: self.slip + other.slip,
+            emergency_stop: self.emergency_stop + other.emergency_stop,
+            interval_95: wilson_95(successes, trials),
+        }
+    }
 }
 
 /// The interval in which the rate behind `successes` of `trials` lies with 95 % confidence (Wilson, "Probable

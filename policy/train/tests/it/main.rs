@@ -1,6 +1,7 @@
 //! The command as people call it.
 #![cfg(feature = "mujoco")]
 
+mod demonstrations;
 mod policies;
 
 use std::path::Path;

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::palpate_train;
 
 /// Trains in `folder` for the few steps of one update.
-fn train(folder: &Path) {
+pub(crate) fn train(folder: &Path) {
     let config = folder.join("small.toml");
     let text = "num_envs = 1\nunroll_length = 4\nbatch_size = 1\nnum_minibatches = 1\nnum_epochs = 1\n\
                 total_steps = 4\ncheckpoint_updates = 1\n[networks]\nactor = [8]\ncritic = [8]\n";
@@ -31,7 +31,7 @@ const TOUCH: Range<usize> = 66..154;
 
 /// The checkpoint of a training, every weight of whose actor is zero: a policy that leaves the script alone, or with a
 /// `touch_weight` one that opens the hand as soon as it feels something.
-fn zeroed(checkpoint: &[u8], touch_weight: f32) -> Vec<u8> {
+pub(crate) fn zeroed(checkpoint: &[u8], touch_weight: f32) -> Vec<u8> {
     let (_, header) = SafeTensors::read_metadata(checkpoint).expect("a header");
     let state = header.metadata().as_ref().expect("metadata")["state"].clone();
     let mut state: Value = serde_json::from_str(&state).expect("JSON");
@@ -65,7 +65,7 @@ fn zeroed(checkpoint: &[u8], touch_weight: f32) -> Vec<u8> {
 }
 
 /// What a command that must succeed prints.
-fn printed(args: &[&str]) -> String {
+pub(crate) fn printed(args: &[&str]) -> String {
     let output = palpate_train(args);
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
