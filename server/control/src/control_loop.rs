@@ -208,9 +208,10 @@ impl ControlLoop {
     fn sense(&mut self, event: &DeviceEvent) {
         match self.senses.event(event) {
             Some(Sensed::Joints(frame)) => self.guided.recorder.joints(frame.host_ns, &frame.positions),
-            Some(Sensed::Tactile(sample)) => {
-                let StreamSample { stream, host_ns, device_ns, raw, active } = &sample;
-                self.guided.recorder.tactile(*stream, *host_ns, *device_ns, raw, active);
+            Some(Sensed::Tactile(samples)) => {
+                for StreamSample { stream, host_ns, device_ns, raw, active } in &samples {
+                    self.guided.recorder.tactile(*stream, *host_ns, *device_ns, raw, active);
+                }
             }
             Some(Sensed::Link { device, text, trouble }) => {
                 let (now_ns, what) = (self.clock.now_ns(), format!("{device} {text}"));

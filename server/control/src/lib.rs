@@ -32,6 +32,7 @@ mod rates;
 mod recorder;
 mod requests;
 mod round;
+mod rows;
 mod senses;
 mod snapshot;
 mod streams;

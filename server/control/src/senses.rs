@@ -44,8 +44,8 @@ struct DeviceLink {
 pub(crate) enum Sensed {
     /// All joints at one moment.
     Joints(JointFrame),
-    /// A sample of a stream.
-    Tactile(StreamSample),
+    /// Samples of a stream, one after the other.
+    Tactile(Vec<StreamSample>),
     /// A device is found, lost or faulty; in words for the audit log, and whether that is trouble.
     Link { device: String, text: String, trouble: bool },
 }
@@ -108,17 +108,17 @@ impl Senses {
             }
             DeviceEvent::Tactile { received_ns, host_ns, device_ns, stream, first_channel, raw, .. } => {
                 self.latency.received(*received_ns);
-                let sample = self.streams.board(BoardReading {
+                let samples = self.streams.board(BoardReading {
                     stream: *stream,
                     first_channel: *first_channel,
                     host_ns: *host_ns,
                     device_ns: *device_ns,
                     raw,
-                })?;
-                if let Some(rate) = self.stream_rates.get_mut(sample.stream) {
-                    rate.tick(*received_ns);
+                });
+                for sample in &samples {
+                    self.stream_rates[sample.stream].tick(*received_ns);
                 }
-                Some(Sensed::Tactile(sample))
+                Some(Sensed::Tactile(samples))
             }
             DeviceEvent::Link { device, link, problem, .. } => {
                 let known = self.links.get_mut(*device)?;

@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Station, StreamConfig};
 
-use crate::round::{Report, Round};
+use crate::rows::Rows;
 
 /// A board that is silent for longer feels nothing any more, ns.
 const SILENT_NS: u64 = 500_000_000;
@@ -98,7 +98,7 @@ struct StreamState {
     /// First channel in the layout.
     first_channel: usize,
     boards: Vec<Board>,
-    round: Round,
+    rows: Rows<Stored>,
     raw: Vec<f32>,
     active: Vec<bool>,
     last_ns: Option<u64>,
@@ -107,13 +107,22 @@ struct StreamState {
 #[derive(Clone, Debug)]
 struct Board {
     place: BoardPlace,
-    /// Host time of the newest reading, and the board's own.
+    /// Host time of the newest reading that came.
+    heard_ns: Option<u64>,
+    /// Host time of the newest reading that is in a sample, and the board's own.
     newest: Option<(u64, Option<u64>)>,
     /// One a channel, once there is one.
     reference: Option<Vec<f64>>,
     collecting: Option<Collecting>,
     /// What the newest reference was made of, until a tare reports it.
     collected: Option<Collecting>,
+}
+
+/// A board's reading until its row is whole.
+#[derive(Clone, Debug)]
+struct Stored {
+    device_ns: Option<u64>,
+    raw: Vec<f32>,
 }
 
 /// Readings that become a reference.
@@ -165,6 +174,7 @@ impl Streams {
                     .filter(|place| place.stream == stream_idx)
                     .map(|place| Board {
                         place: place.clone(),
+                        heard_ns: None,
                         newest: None,
                         reference: None,
                         collecting: None,
@@ -173,7 +183,7 @@ impl Streams {
                     .collect();
                 StreamState {
                     first_channel: stream.channels.start,
-                    round: Round::new(boards.len()),
+                    rows: Rows::new(boards.len(), (1e9 / stream.rate_hz) as u64),
                     boards,
                     raw: vec![config.raw_min as f32; stream.channels.len()],
                     active: vec![false; stream.channels.len()],
@@ -186,11 +196,11 @@ impl Streams {
         Self { streams, channel_ids, reference_ns, tare_until_ns: None }
     }
 
-    /// A board's reading; gives the stream's sample that is whole now, if one is.
+    /// A board's reading; gives the stream's samples that are whole now: mostly none or one.
     ///
     /// Readings of unknown boards, of another number of channels, with numbers that are none, or from before the
     /// board's newest are left out.
-    pub(crate) fn board(&mut self, reading: BoardReading<'_>) -> Option<StreamSample> {
+    pub(crate) fn board(&mut self, reading: BoardReading<'_>) -> Vec<StreamSample> {
         let stream = self.streams.get_mut(reading.stream);
         let found = stream.and_then(|stream| {
             let is_it = |board: &Board| board.place.first_channel == reading.first_channel;
@@ -200,28 +210,18 @@ impl Streams {
         let Some((stream, board_idx)) = found.filter(|(stream, board_idx)| {
             let board = &stream.boards[*board_idx];
             board.place.num_channels == reading.raw.len()
-                && board.newest.is_none_or(|(newest_ns, _)| reading.host_ns > newest_ns)
+                && board.heard_ns.is_none_or(|heard_ns| reading.host_ns > heard_ns)
                 && reading.raw.iter().all(|value| value.is_finite())
         }) else {
             tracing::debug!(?reading, "a board's reading makes no sense");
-            return None;
+            return Vec::new();
         };
-        let reference_ns = self.reference_ns;
-        match stream.round.report(board_idx) {
-            Report::Waiting => {
-                stream.store(board_idx, reading, reference_ns);
-                None
-            }
-            Report::Whole => {
-                stream.store(board_idx, reading, reference_ns);
-                stream.sample(reading.stream)
-            }
-            Report::EndedBefore => {
-                let sample = stream.sample(reading.stream);
-                stream.store(board_idx, reading, reference_ns);
-                sample
-            }
-        }
+        stream.boards[board_idx].heard_ns = Some(reading.host_ns);
+        let stored = Stored { device_ns: reading.device_ns, raw: reading.raw.to_vec() };
+        stream.rows.push(board_idx, reading.host_ns, stored);
+        let row = || stream.rows.pop();
+        let rows: Vec<_> = std::iter::from_fn(row).collect();
+        rows.into_iter().map(|row| stream.sample(reading.stream, row, self.reference_ns)).collect()
     }
 
     /// The readings of the next `duration_ns` become the reference of every board. A tare that is under way begins anew.
@@ -311,13 +311,23 @@ impl Board {
         self.newest.is_none_or(|(newest_ns, _)| newest_ns + SILENT_NS < now_ns)
     }
 
-    /// Takes a reading into the reference that is being made, if one is, and puts a finished one in force.
-    fn collect(&mut self, reading: BoardReading<'_>) {
-        let Some(mut collecting) = self.collecting.take() else { return };
-        if (collecting.from_ns..=collecting.until_ns).contains(&reading.host_ns) {
-            collecting.add(reading.raw);
+    fn store(&mut self, host_ns: u64, reading: Stored, reference_ns: u64) {
+        self.newest = Some((host_ns, reading.device_ns));
+        // After power-up the first readings are the reference, as in the boards' own host software.
+        if self.reference.is_none() && self.collecting.is_none() {
+            let until_ns = host_ns + reference_ns;
+            self.collecting = Some(Collecting::new(host_ns, until_ns, reading.raw.len()));
         }
-        if reading.host_ns < collecting.until_ns || collecting.count == 0 {
+        self.collect(host_ns, &reading.raw);
+    }
+
+    /// Takes a reading into the reference that is being made, if one is, and puts a finished one in force.
+    fn collect(&mut self, host_ns: u64, raw: &[f32]) {
+        let Some(mut collecting) = self.collecting.take() else { return };
+        if (collecting.from_ns..=collecting.until_ns).contains(&host_ns) {
+            collecting.add(raw);
+        }
+        if host_ns < collecting.until_ns || collecting.count == 0 {
             self.collecting = Some(collecting);
             return;
         }
@@ -327,30 +337,18 @@ impl Board {
 }
 
 impl StreamState {
-    fn store(&mut self, board_idx: usize, reading: BoardReading<'_>, reference_ns: u64) {
-        let board = &mut self.boards[board_idx];
-        board.newest = Some((reading.host_ns, reading.device_ns));
-        let first = board.place.first_channel;
-        self.raw[first..first + reading.raw.len()].copy_from_slice(reading.raw);
-        // After power-up the first readings are the reference, as in the boards' own host software.
-        if board.reference.is_none() && board.collecting.is_none() {
-            let until_ns = reading.host_ns + reference_ns;
-            board.collecting = Some(Collecting::new(reading.host_ns, until_ns, reading.raw.len()));
-        }
-        board.collect(reading);
-    }
-
-    /// The stream as it is now, unless its time has not come since the sample before.
-    fn sample(&mut self, stream: usize) -> Option<StreamSample> {
-        let newest = self.boards.iter().filter_map(|board| board.newest);
-        let host_ns = newest.map(|(host_ns, _)| host_ns).max()?;
-        if self.last_ns.is_some_and(|last_ns| host_ns <= last_ns) {
-            return None;
-        }
+    /// The stream as it is after `row`, which has an entry for each board.
+    fn sample(&mut self, stream: usize, row: Vec<Option<(u64, Stored)>>, reference_ns: u64) -> StreamSample {
+        let row_ns = row.iter().flatten().map(|(host_ns, _)| *host_ns).max();
+        // A row that one board filled alone may be older than the one before; samples go on in time.
+        let host_ns = row_ns.max(self.last_ns.map(|last_ns| last_ns + 1)).unwrap_or(0);
         self.last_ns = Some(host_ns);
-        for board in &self.boards {
-            let first = board.place.first_channel;
-            let channels = first..first + board.place.num_channels;
+        for (board, stored) in self.boards.iter_mut().zip(row) {
+            let channels = board.place.first_channel..board.place.first_channel + board.place.num_channels;
+            if let Some((read_ns, stored)) = stored {
+                self.raw[channels.clone()].copy_from_slice(&stored.raw);
+                board.store(read_ns, stored, reference_ns);
+            }
             let Some(reference) = board.reference.as_ref().filter(|_| !board.silent(host_ns)) else {
                 self.active[channels].fill(false);
                 continue;
@@ -364,7 +362,7 @@ impl StreamState {
         }
         let device_ns =
             self.boards.first().and_then(|board| board.newest).and_then(|(_, device_ns)| device_ns);
-        Some(StreamSample { stream, host_ns, device_ns, raw: self.raw.clone(), active: self.active.clone() })
+        StreamSample { stream, host_ns, device_ns, raw: self.raw.clone(), active: self.active.clone() }
     }
 }
 

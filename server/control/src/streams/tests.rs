@@ -23,7 +23,7 @@ fn boards(station: &Station) -> Vec<BoardPlace> {
     vec![place("gel0", 0, 0, 3), place("gel1", 0, 3, width(0) - 3), place("film", 1, 0, width(1))]
 }
 
-fn read(streams: &mut Streams, place: &BoardPlace, host_ns: u64, raw: &[f32]) -> Option<StreamSample> {
+fn read(streams: &mut Streams, place: &BoardPlace, host_ns: u64, raw: &[f32]) -> Vec<StreamSample> {
     let (stream, first_channel) = (place.stream, place.first_channel);
     streams.board(BoardReading { stream, first_channel, host_ns, device_ns: None, raw })
 }
@@ -43,9 +43,10 @@ fn a_sample_is_whole_once_every_board_of_the_stream_has_spoken() {
     let boards = boards(&station);
     let mut streams = Streams::new(&station, &boards, 0);
     quiet(&mut streams, &boards, 0, 50 * MS, 100.0);
-    assert_eq!(read(&mut streams, &boards[0], 60 * MS, &[101.0; 3]), None);
+    assert_eq!(read(&mut streams, &boards[0], 60 * MS, &[101.0; 3]), []);
     let rest = vec![102.0; boards[1].num_channels];
-    let sample = read(&mut streams, &boards[1], 61 * MS, &rest).expect("both boards have spoken");
+    let samples = read(&mut streams, &boards[1], 61 * MS, &rest);
+    let [sample] = &samples[..] else { panic!("both boards have spoken: {samples:?}") };
     assert_eq!((sample.stream, sample.host_ns), (0, 61 * MS));
     assert_eq!(sample.raw[..3], [101.0; 3]);
     assert_eq!(sample.raw[3..], rest);
@@ -73,7 +74,8 @@ fn hysteresis_is_that_of_the_recorded_firmware() {
         (0.0, false),
     ] {
         now_ns += 10 * MS;
-        let sample = read(&mut streams, film, now_ns, &vec![500.0 + rise; film.num_channels]).expect("alone");
+        let samples = read(&mut streams, film, now_ns, &vec![500.0 + rise; film.num_channels]);
+        let [sample] = &samples[..] else { panic!("it is alone: {samples:?}") };
         assert_eq!(sample.active, vec![active; film.num_channels], "rise {rise}");
         let touch = streams.touch(now_ns);
         let channels = station.layout.streams[1].channels.clone();
@@ -89,8 +91,9 @@ fn nothing_is_felt_before_there_is_a_reference() {
     let mut streams = Streams::new(&station, &boards, 500 * MS);
     quiet(&mut streams, &boards, 0, 300 * MS, 900.0);
     let film = &boards[2];
-    let sample = read(&mut streams, film, 310 * MS, &vec![2000.0; film.num_channels]).expect("alone");
-    assert!(!sample.active.contains(&true));
+    let samples = read(&mut streams, film, 310 * MS, &vec![2000.0; film.num_channels]);
+    assert_eq!(samples.len(), 1);
+    assert!(!samples[0].active.contains(&true));
     assert!(streams.touch(310 * MS).raw.iter().all(|&raw| raw == 0.0));
 }
 
@@ -151,7 +154,7 @@ fn a_silent_board_feels_nothing_while_others_go_on() {
     // The second board alone keeps the stream going.
     let rest = vec![500.0; boards[1].num_channels];
     let samples: Vec<StreamSample> =
-        (61..=200).filter_map(|step| read(&mut streams, &boards[1], step * 10 * MS, &rest)).collect();
+        (61..=200).flat_map(|step| read(&mut streams, &boards[1], step * 10 * MS, &rest)).collect();
     assert!(samples.len() > 130, "{}", samples.len());
     assert!(samples.last().is_some_and(|sample| !sample.active[0]));
     assert!(!streams.touch(2000 * MS).active[0]);
@@ -167,11 +170,11 @@ fn readings_that_make_no_sense_are_left_out() {
     let good = vec![500.0; film.num_channels];
     let mut with_nan = good.clone();
     with_nan[0] = f32::NAN;
-    assert_eq!(read(&mut streams, film, 510 * MS, &with_nan), None);
-    assert_eq!(read(&mut streams, film, 510 * MS, &good[1..]), None);
-    assert_eq!(read(&mut streams, film, 500 * MS, &good), None);
-    assert_eq!(read(&mut streams, &place("?", 9, 0, good.len()), 510 * MS, &good), None);
-    assert!(read(&mut streams, film, 510 * MS, &good).is_some());
+    assert_eq!(read(&mut streams, film, 510 * MS, &with_nan), []);
+    assert_eq!(read(&mut streams, film, 510 * MS, &good[1..]), []);
+    assert_eq!(read(&mut streams, film, 500 * MS, &good), []);
+    assert_eq!(read(&mut streams, &place("?", 9, 0, good.len()), 510 * MS, &good), []);
+    assert_eq!(read(&mut streams, film, 510 * MS, &good).len(), 1);
 }
 
 proptest! {
@@ -187,7 +190,7 @@ proptest! {
         for (board, step, raw) in reports {
             now_ns += step * MS;
             let place = &boards[board];
-            if let Some(sample) = read(&mut streams, place, now_ns, &vec![raw; place.num_channels]) {
+            for sample in read(&mut streams, place, now_ns, &vec![raw; place.num_channels]) {
                 let width = station.layout.streams[sample.stream].channels.len();
                 prop_assert_eq!((sample.raw.len(), sample.active.len()), (width, width));
                 prop_assert!(last_ns[sample.stream].is_none_or(|last| sample.host_ns > last));
