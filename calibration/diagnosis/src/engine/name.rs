@@ -68,7 +68,7 @@ pub struct Round {
     pub tried: Vec<Tried>,
     /// Index in `tried` of what was named.
     pub named: Option<usize>,
-    /// Indices in `tried` of what explains the data nearly as well, the named one among them.
+    /// Indices in `tried` of what explains the same nearly as well, the named one among them.
     pub class: Vec<usize>,
 }
 
@@ -104,6 +104,8 @@ impl Naming {
 const REFIT_STEPS: usize = 3;
 /// Rivals explain at least this share of what the best does.
 const RIVAL_SHARE: f64 = 0.8;
+/// What still promises more than this share of what it did once the other is named explains something else.
+const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
 const PROMISING: usize = 160;
 /// Rivals that are fitted along with everything else before one is named.
@@ -141,9 +143,9 @@ pub fn name<D: Domain>(
     progress: &dyn Fn(f64, &str) -> Result<(), DiagnosisError>,
 ) -> Result<Naming, DiagnosisError> {
     let mut model = start.clone();
-    let mut rounds = Vec::new();
+    let mut rounds: Vec<Round> = Vec::new();
     let mut dropped: Vec<Effect> = Vec::new();
-    // Held-out gain of every candidate when it was last screened.
+    // What every candidate promised when it was last screened.
     let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
     loop {
         let round_idx = rounds.len();
@@ -165,18 +167,18 @@ pub fn name<D: Domain>(
                     .any(|named| named.id == candidate.id && named.place == candidate.place)
         });
         if !known_gains.is_empty() {
-            let known = |candidate: &Effect| {
-                known_gains.get(&(candidate.id.clone(), candidate.place.clone())).copied().unwrap_or(0.0)
-            };
+            let known = |candidate: &Effect| known_gains.get(&key(candidate)).copied().unwrap_or(0.0);
             candidates.sort_by(|a, b| known(b).total_cmp(&known(a)));
             candidates.truncate(PROMISING);
         }
         let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
-        for candidate in &screened {
-            known_gains
-                .insert((candidate.effect.id.clone(), candidate.effect.place.clone()), candidate.promise);
+        let promises: BTreeMap<_, _> =
+            screened.iter().map(|candidate| (key(&candidate.effect), candidate.promise)).collect();
+        if let Some(round) = rounds.last_mut() {
+            keep_rivals(round, &known_gains, &promises);
         }
+        known_gains.extend(promises);
         let finalists = finalists(&screened, config.num_fits);
         let (mut tried, mut absorbing) = (Vec::new(), Vec::new());
         for (done, &idx) in finalists.iter().enumerate() {
@@ -242,6 +244,26 @@ pub fn name<D: Domain>(
     finish(domain, &mut model, known, takes, config.bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
+}
+
+/// What tells candidates apart.
+fn key(effect: &Effect) -> (String, Place) {
+    (effect.id.clone(), effect.place.clone())
+}
+
+/// Leaves in the class of `round` what is an alternative to the effect that was named: what promised to remove much
+/// `before` and no longer does `after`. What promises as much as ever acts elsewhere, and may be missing as well.
+fn keep_rivals(
+    round: &mut Round,
+    before: &BTreeMap<(String, Place), f64>,
+    after: &BTreeMap<(String, Place), f64>,
+) {
+    let Round { class, tried, named, .. } = round;
+    class.retain(|&idx| {
+        let key = key(&tried[idx].effect);
+        let promise = |known: &BTreeMap<(String, Place), f64>| known.get(&key).copied().unwrap_or(0.0);
+        *named == Some(idx) || promise(after) <= SOMETHING_ELSE * promise(before)
+    });
 }
 
 /// `effect`, if it is of a whole stream and has few parameters, with the model's own parameters fitted anew beside it;

@@ -154,6 +154,17 @@ fn what_the_data_cannot_tell_apart_is_one_class() {
 }
 
 #[test]
+fn what_is_missing_as_well_is_no_rival() {
+    // As large as each other, and alike in nothing.
+    let naming = Sines::new(&[("slow", 0.3), ("square", -0.2)], 1).name(&config());
+    assert_eq!(ids(&naming), ["slow", "square"]);
+    let first = &naming.rounds[0];
+    let gains: Vec<f64> = first.tried.iter().map(|tried| tried.held_out_gain).collect();
+    assert!(gains[1] > 0.8 * gains[0], "{gains:?}");
+    assert_eq!(first.class.len(), 1);
+}
+
+#[test]
 fn an_effect_that_is_left_out_is_not_named() {
     let without = NamingConfig { without: vec!["slow".to_owned()], ..config() };
     let naming = Sines::new(&[("slow", 0.3)], 3).name(&without);
