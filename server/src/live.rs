@@ -49,6 +49,7 @@ impl Live {
             source,
             sessions_dir: store.sessions_dir(),
             audit_path: store.audit_path(),
+            wanted_path: store.wanted_path(),
             place_object,
         };
         let control = Control::start(config, Box::new(move |frame| hub.publish_live(frame)))?;

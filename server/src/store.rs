@@ -76,6 +76,11 @@ impl Store {
         self.root.join("audit.jsonl")
     }
 
+    /// The takes that the live station's operator wants and that wait for a session.
+    pub(crate) fn wanted_path(&self) -> PathBuf {
+        self.root.join("wanted.json")
+    }
+
     /// `(id, folder)` of every session, by id.
     pub(crate) fn sessions(&self) -> Result<Vec<(String, PathBuf)>, Error> {
         let entries = self.entries("sessions")?;

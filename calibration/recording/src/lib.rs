@@ -47,7 +47,7 @@ pub use growing::{
 pub use live::LiveTake;
 pub use repair::{Closed, close_partial};
 pub use servo_log::ServoLog;
-pub use session::{Session, SessionDraft, SessionFile, SessionTake};
+pub use session::{Session, SessionDraft, SessionFile, SessionTake, replace_file};
 pub use station_io::load_station;
 pub use take::{JointLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
 pub use writer::{LogLevel, TactileSampleRef, TakeWriter};

@@ -275,7 +275,7 @@ pub(crate) fn folder_name(dir: &Path) -> String {
 }
 
 /// Puts `text` at `path`: whoever reads it, and whatever happens, finds the old text or the new one.
-pub(crate) fn replace_file(path: &Path, text: &str) -> Result<(), RecordingError> {
+pub fn replace_file(path: &Path, text: &str) -> Result<(), RecordingError> {
     let partial = sibling(path);
     let written = File::create_new(&partial)
         .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))

@@ -22,6 +22,7 @@ use crate::{
     requests::Desk,
     senses::Senses,
     twin::{Twin, TwinModel},
+    wanted::WantedFile,
 };
 
 /// How far a joint may be behind a guided motion before the motion is given up: servos that press against something
@@ -42,6 +43,8 @@ pub struct ControlConfig {
     pub sessions_dir: PathBuf,
     /// File that the audit log is appended to, one JSON object a line ([`crate::AuditLine`]).
     pub audit_path: PathBuf,
+    /// File of the takes that are wanted and wait for a session; made when there is the first.
+    pub wanted_path: PathBuf,
     /// Called when the operator confirms that a step's object is in place: an emulated station has nobody to put it
     /// there.
     pub place_object: Option<PlaceObject>,
@@ -55,6 +58,7 @@ impl std::fmt::Debug for ControlConfig {
             .field("source", &self.source)
             .field("sessions_dir", &self.sessions_dir)
             .field("audit_path", &self.audit_path)
+            .field("wanted_path", &self.wanted_path)
             .finish_non_exhaustive()
     }
 }
@@ -70,7 +74,8 @@ impl Control {
     /// Opens the devices and starts the loop, which hands its state to `publish` 30 times a second. A device that is not
     /// there is no error: the loop runs and says so.
     pub fn start(config: ControlConfig, publish: Publish) -> Result<Self, ControlError> {
-        let ControlConfig { station, ports, source, sessions_dir, audit_path, place_object } = config;
+        let ControlConfig { station, ports, source, sessions_dir, audit_path, wanted_path, place_object } =
+            config;
         if station.devices.is_empty() {
             return Err(ControlError::Refused(format!(
                 "station {:?} names no devices that could be run; add [[device]] entries to its station file",
@@ -80,7 +85,7 @@ impl Control {
         let failed = |name: &'static str| move |source| ControlError::Thread { name, source };
         let twin_model = TwinModel::nominal(&station).map_err(ControlError::Refused)?;
         let plans = Plans::new(Arc::clone(&station), sessions_dir)?;
-        let guided =
+        let mut guided =
             Guided::new(Arc::clone(&station), plans.summaries(), place_object).map_err(failed("recorder"))?;
         let mut audit = AuditLog::open(&audit_path, 0).map_err(|source| ControlError::Io {
             action: "open the audit log",
@@ -88,12 +93,23 @@ impl Control {
             source,
         })?;
         audit.note(0, "station", &format!("the control loop of {} was started", station.id));
+        let (wanted_file, problem) = WantedFile::open(wanted_path);
+        for wanted in wanted_file.wanted() {
+            match plans.check_wanted(&wanted) {
+                Ok(()) => guided.want(wanted)?,
+                Err(error) => audit.warn(0, "station", &format!("a wanted take is left out: {error}")),
+            }
+        }
+        if let Some(problem) = problem {
+            audit.warn(0, "station", &problem);
+        }
         let (report, events) = channel();
         let devices = Devices::open(&station, &ports, report)?;
         let (handle, messages) = Handle::new(Shared {
             station: Arc::clone(&station),
             source,
             plans,
+            wanted_file,
             twin_model: twin_model.clone(),
         });
         let twin = Twin::start(Arc::clone(&station), twin_model, devices.clock().now_ns())

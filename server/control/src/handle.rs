@@ -19,6 +19,7 @@ use crate::{
     error::ControlError,
     prepare::{AddedStep, Plans, Prepared},
     twin::TwinModel,
+    wanted::WantedFile,
 };
 
 /// The loop answers within milliseconds; who waits for longer than this waits for a loop that is not there any more.
@@ -38,6 +39,7 @@ pub(crate) struct Shared {
     pub(crate) station: Arc<Station>,
     pub(crate) source: Source,
     pub(crate) plans: Plans,
+    pub(crate) wanted_file: WantedFile,
     pub(crate) twin_model: TwinModel,
 }
 
@@ -116,7 +118,7 @@ impl Handle {
             )));
         }
         let prepared = Box::new(self.shared.plans.prepare(start, &wanted)?);
-        self.ask(|reply| Message::Begin(prepared, reply))?
+        self.keeping(self.ask(|reply| Message::Begin(prepared, reply))?)
     }
 
     /// Asks for a take besides those of a plan: the last step of the session under way, or of the next one. The motion is
@@ -141,7 +143,7 @@ impl Handle {
         match &document.session {
             None => {
                 self.shared.plans.check_wanted(&wanted)?;
-                self.ask(|reply| Message::Want(wanted, reply))?
+                self.keeping(self.ask(|reply| Message::Want(wanted, reply))?)
             }
             Some(session) => {
                 let step = Box::new(self.shared.plans.add_step(session, wanted)?);
@@ -153,7 +155,7 @@ impl Handle {
     /// Takes back what [`Handle::want`] asked for, as long as it has no take.
     pub fn unwant(&self, object: &str, primitive: &str) -> Result<RecordingDocument, ControlError> {
         let (object, primitive) = (object.to_owned(), primitive.to_owned());
-        self.ask(|reply| Message::Unwant { object, primitive, reply })?
+        self.keeping(self.ask(|reply| Message::Unwant { object, primitive, reply })?)
     }
 
     /// What the operator does in the guided session.
@@ -169,6 +171,18 @@ impl Handle {
 
     pub(crate) fn end(&self) {
         let _ = self.messages.send(Message::End);
+    }
+
+    /// Keeps on disk what is wanted by now.
+    fn keeping(
+        &self,
+        answer: Result<RecordingDocument, ControlError>,
+    ) -> Result<RecordingDocument, ControlError> {
+        let document = answer?;
+        if let Err(error) = self.shared.wanted_file.keep(&document.wanted) {
+            tracing::warn!(%error, "what is wanted would not survive a restart");
+        }
+        Ok(document)
     }
 
     fn ask<T>(&self, message: impl FnOnce(SyncSender<T>) -> Message) -> Result<T, ControlError> {

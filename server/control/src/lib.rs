@@ -37,6 +37,7 @@ mod senses;
 mod snapshot;
 mod streams;
 mod twin;
+mod wanted;
 
 pub use audit::AuditLine;
 pub use control::{Control, ControlConfig};

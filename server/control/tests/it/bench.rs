@@ -94,6 +94,7 @@ impl Bench {
             source: Source::Emulated,
             sessions_dir: dir.path().join("sessions"),
             audit_path: dir.path().join("audit.jsonl"),
+            wanted_path: dir.path().join("wanted.json"),
             place_object: Some(Box::new(move |object| {
                 placing.place_object(Some(object)).map_err(|error| error.to_string())
             })),

@@ -203,10 +203,13 @@ fn what_is_wanted_waits_for_a_session_and_joins_its_checklist() {
     assert!(refused.contains("no plan of this station has tap on corner_block_80mm"), "{refused}");
     let document = bench.handle.want(wanted(sphere, "quick_tap")).unwrap();
     assert_eq!(document.wanted, [wanted(sphere, "quick_tap")]);
+    let on_disk = || std::fs::read_to_string(bench.dir.path().join("wanted.json")).unwrap();
+    assert!(on_disk().contains("quick_tap"), "a restart would not lose it");
     let refused = bench.handle.want(wanted(sphere, "quick_tap")).unwrap_err().to_string();
     assert!(refused.contains("on the list already"), "{refused}");
     let document = bench.handle.unwant(sphere, "quick_tap").unwrap();
     assert!(document.wanted.is_empty());
+    assert_eq!(on_disk(), "[]");
     bench.handle.unwant(sphere, "quick_tap").unwrap_err();
 
     // Alone, without the takes of any plan.
