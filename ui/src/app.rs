@@ -11,6 +11,7 @@ use crate::{
     route::{Route, Screen},
     screens::{self, PickedFile, ScreenContext},
     store::{Connection, Store},
+    surface::Surface,
     theme::{self, Palette},
 };
 
@@ -69,7 +70,7 @@ pub struct StudioApp {
     next_connect_s: f64,
     next_control_s: f64,
     last_armed_s: f64,
-    surface_format: Option<wgpu::TextureFormat>,
+    surface: Option<Surface>,
     overlays: overlays::Overlays,
     strip: strip::StripState,
     record: screens::record::RecordState,
@@ -81,12 +82,12 @@ pub struct StudioApp {
 }
 
 impl StudioApp {
-    /// A page that has asked for nothing yet. `surface_format` is that of the wgpu surface, if there is one.
+    /// A page that has asked for nothing yet. `surface` is what wgpu paints on, if there is one.
     pub fn new(
         ctx: &egui::Context,
         api: Box<dyn Api>,
         platform: Box<dyn Platform>,
-        surface_format: Option<wgpu::TextureFormat>,
+        surface: Option<Surface>,
     ) -> Self {
         theme::install(ctx);
         if let Some(theme) = platform.saved_theme() {
@@ -104,7 +105,7 @@ impl StudioApp {
             next_connect_s: 0.0,
             next_control_s: 0.0,
             last_armed_s: f64::NEG_INFINITY,
-            surface_format,
+            surface,
             overlays: overlays::Overlays::default(),
             strip: strip::StripState::default(),
             record: screens::record::RecordState::default(),
@@ -200,7 +201,7 @@ impl StudioApp {
             palette: Palette::of(ui.ctx().theme()),
             route: &route,
             go_to,
-            surface_format: self.surface_format,
+            surface: self.surface,
             now_s,
             local_time: &|text| platform.local_time(text),
             picked_files: &mut picked_files,

@@ -13,6 +13,7 @@ pub mod playback;
 pub mod route;
 pub mod screens;
 pub mod store;
+pub mod surface;
 pub mod take_data;
 pub mod theme;
 #[cfg(target_arch = "wasm32")]

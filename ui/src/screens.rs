@@ -17,6 +17,7 @@ use crate::{
     playback::Playback,
     route::{Route, Screen},
     store::{Loadable, Store},
+    surface::Surface,
     theme::Palette,
 };
 
@@ -32,8 +33,8 @@ pub struct ScreenContext<'a> {
     pub route: &'a Route,
     /// Set it to go somewhere else after this frame.
     pub go_to: &'a mut Option<Route>,
-    /// Colour format of the wgpu surface; `None` where nothing paints with wgpu (tests).
-    pub surface_format: Option<wgpu::TextureFormat>,
+    /// What wgpu paints on; `None` where nothing paints with wgpu (tests).
+    pub surface: Option<Surface>,
     /// The page's clock, s since it opened.
     pub now_s: f64,
     /// A time as RFC 3339 has it, in the operator's time zone with seconds; `None` if it cannot be read.

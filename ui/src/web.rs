@@ -7,7 +7,7 @@ mod window;
 
 use wasm_bindgen::{JsCast as _, prelude::wasm_bindgen};
 
-use crate::StudioApp;
+use crate::{StudioApp, surface::Surface};
 
 const CANVAS_ID: &str = "palpate";
 const SKELETON_ID: &str = "skeleton";
@@ -37,14 +37,15 @@ async fn run() -> Result<(), String> {
             canvas,
             eframe::WebOptions::default(),
             Box::new(move |cc| {
-                let surface_format = cc.wgpu_render_state.as_ref().map(|state| state.target_format);
+                let state = cc.wgpu_render_state.as_ref();
+                let surface = state.map(|state| Surface::new(state.target_format, &state.adapter));
                 crate::mirror::install(&cc.egui_ctx, &mirror_canvas);
                 let api = Box::new(fetch::WebApi::new(cc.egui_ctx.clone()));
                 let app = StudioApp::new(
                     &cc.egui_ctx,
                     api,
                     Box::new(window::BrowserWindow::new(&cc.egui_ctx)),
-                    surface_format,
+                    surface,
                 );
                 window::remove(SKELETON_ID);
                 Ok(Box::new(WebApp { app }))

@@ -199,7 +199,7 @@ fn picture_ui(
         Ok(shape) => {
             let pose = document.rest_poses.get(shown).map_or_else(Isometry3::identity, table_from_object);
             let rect = ui.available_rect_before_wrap();
-            state.view.ui(ui, rect, (id, shape), &pose, &cx.palette, cx.surface_format);
+            state.view.ui(ui, rect, (id, shape), &pose, &cx.palette, cx.surface);
             ui.advance_cursor_after_rect(rect);
         }
         Err(problem) => {

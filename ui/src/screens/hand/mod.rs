@@ -480,7 +480,7 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         if rect.width() < 40.0 || rect.height() < 40.0 {
             return;
         }
-        let seen = view3d_ui(ui, rect, &mut state.view, &geometry, &moment, &palette, cx.surface_format);
+        let seen = view3d_ui(ui, rect, &mut state.view, &geometry, &moment, &palette, cx.surface);
         let reset =
             seen.hovered.is_none() && seen.response.as_ref().is_some_and(egui::Response::double_clicked);
         if reset {

@@ -12,7 +12,7 @@ use super::{
     scene::{Geometry, Instance},
     view3d::{background, globals, keep_arrow_keys, steer},
 };
-use crate::theme::Palette;
+use crate::{surface::Surface, theme::Palette};
 
 /// Distance between the lines of the table's grid, m.
 const GRID_STEP_M: f32 = 0.02;
@@ -38,7 +38,7 @@ impl ObjectView {
         (id, shape): (&str, &ObjectShape),
         table_from_object: &Isometry3<f64>,
         palette: &Palette,
-        surface_format: Option<wgpu::TextureFormat>,
+        surface: Option<Surface>,
     ) {
         let geometry = match &self.drawn {
             Some((known, geometry)) if known == id => Arc::clone(geometry),
@@ -68,7 +68,7 @@ impl ObjectView {
 
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 6.0, palette.surface);
-        if let Some(surface_format) = surface_format {
+        if let Some(surface) = surface {
             let tone = Rgba::from(if palette.dark {
                 egui::Color32::from_rgb(0xb9, 0xa8, 0x8c)
             } else {
@@ -90,7 +90,7 @@ impl ObjectView {
                     globals,
                     background: background(palette),
                     size_points: rect.size(),
-                    surface_format,
+                    surface,
                 },
             ));
         }

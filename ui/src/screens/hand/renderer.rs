@@ -13,12 +13,16 @@ use super::{
     mesh::Vertex,
     scene::{Geometry, Instance},
 };
+use crate::surface::Surface;
 
 const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth24Plus;
 
-/// Four samples a pixel: what WebGL2 and WebGPU both promise for these formats.
-const SAMPLE_COUNT: u32 = 4;
+/// Samples a pixel: the four that WebGL2 and WebGPU both promise for these formats, or one where a processor would paint
+/// them all.
+fn sample_count(surface: Surface) -> u32 {
+    if surface.by_processor { 1 } else { 4 }
+}
 
 /// One picture of the scene, ready to be drawn.
 pub(super) struct ScenePaint {
@@ -32,8 +36,8 @@ pub(super) struct ScenePaint {
     pub background: [f64; 4],
     /// Size of the picture, points.
     pub size_points: egui::Vec2,
-    /// Format of the surface that egui paints on.
-    pub surface_format: wgpu::TextureFormat,
+    /// What egui paints on.
+    pub surface: Surface,
 }
 
 /// What the whole picture shares; the layout of the shader's uniform.
@@ -93,7 +97,8 @@ struct GpuGeometry {
 struct Picture {
     size: [u32; 2],
     resolved: wgpu::TextureView,
-    multisampled: wgpu::TextureView,
+    /// `None` where a pixel has one sample.
+    multisampled: Option<wgpu::TextureView>,
     depth: wgpu::TextureView,
     copy_bindings: wgpu::BindGroup,
 }
@@ -108,13 +113,14 @@ struct HandRenderer {
     globals: wgpu::Buffer,
     globals_bindings: wgpu::BindGroup,
     instances: wgpu::Buffer,
-    surface_format: wgpu::TextureFormat,
+    surface: Surface,
     geometry: Option<GpuGeometry>,
     picture: Option<Picture>,
 }
 
 impl HandRenderer {
-    fn new(device: &wgpu::Device, surface_format: wgpu::TextureFormat) -> Self {
+    fn new(device: &wgpu::Device, surface: Surface) -> Self {
+        let sample_count = sample_count(surface);
         let scene_shader = device.create_shader_module(wgpu::include_wgsl!("scene.wgsl"));
         let copy_shader = device.create_shader_module(wgpu::include_wgsl!("copy.wgsl"));
         let globals = device.create_buffer(&wgpu::BufferDescriptor {
@@ -193,7 +199,7 @@ impl HandRenderer {
                     bias: wgpu::DepthBiasState::default(),
                 }),
                 multisample: wgpu::MultisampleState {
-                    count: SAMPLE_COUNT,
+                    count: sample_count,
                     ..wgpu::MultisampleState::default()
                 },
                 fragment: Some(wgpu::FragmentState {
@@ -222,7 +228,7 @@ impl HandRenderer {
                 attributes: &wgpu::vertex_attr_array![3 => Float32x4, 4 => Float32x4, 5 => Float32x4, 6 => Float32x4, 7 => Float32x2],
             }),
         ];
-        let copy_entry = if surface_format.is_srgb() { "fs_copy_linear" } else { "fs_copy_encoded" };
+        let copy_entry = if surface.format.is_srgb() { "fs_copy_linear" } else { "fs_copy_encoded" };
         let copy_pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("hand copy"),
             bind_group_layouts: &[Some(&copy_layout)],
@@ -244,7 +250,7 @@ impl HandRenderer {
                 module: &copy_shader,
                 entry_point: Some(copy_entry),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(surface_format.into())],
+                targets: &[Some(surface.format.into())],
             }),
             multiview_mask: None,
             cache: None,
@@ -264,7 +270,7 @@ impl HandRenderer {
             globals,
             globals_bindings,
             instances: instance_buffer(device, 256),
-            surface_format,
+            surface,
             geometry: None,
             picture: None,
         }
@@ -309,6 +315,7 @@ impl HandRenderer {
         if self.picture.as_ref().is_some_and(|picture| picture.size == size) {
             return;
         }
+        let sample_count = sample_count(self.surface);
         let texture = |label, format, sample_count, usage| {
             let texture = device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
@@ -336,8 +343,9 @@ impl HandRenderer {
         self.picture = Some(Picture {
             size,
             resolved,
-            multisampled: texture("hand samples", PICTURE_FORMAT, SAMPLE_COUNT, attachment),
-            depth: texture("hand depth", DEPTH_FORMAT, SAMPLE_COUNT, attachment),
+            multisampled: (sample_count > 1)
+                .then(|| texture("hand samples", PICTURE_FORMAT, sample_count, attachment)),
+            depth: texture("hand depth", DEPTH_FORMAT, sample_count, attachment),
             copy_bindings,
         });
     }
@@ -359,16 +367,18 @@ impl HandRenderer {
         queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&paint.globals));
 
         let [r, g, b, a] = paint.background;
+        let (view, resolve_target) = match &picture.multisampled {
+            Some(multisampled) => (multisampled, Some(&picture.resolved)),
+            None => (&picture.resolved, None),
+        };
+        let store = if resolve_target.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("hand"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &picture.multisampled,
+                view,
                 depth_slice: None,
-                resolve_target: Some(&picture.resolved),
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a }),
-                    store: wgpu::StoreOp::Discard,
-                },
+                resolve_target,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a }), store },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &picture.depth,
@@ -418,11 +428,8 @@ impl CallbackTrait for ScenePaint {
         encoder: &mut wgpu::CommandEncoder,
         resources: &mut CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
-        if resources
-            .get::<HandRenderer>()
-            .is_none_or(|renderer| renderer.surface_format != self.surface_format)
-        {
-            resources.insert(HandRenderer::new(device, self.surface_format));
+        if resources.get::<HandRenderer>().is_none_or(|renderer| renderer.surface != self.surface) {
+            resources.insert(HandRenderer::new(device, self.surface));
         }
         if let Some(renderer) = resources.get_mut::<HandRenderer>() {
             let most = device.limits().max_texture_dimension_2d;

@@ -374,7 +374,7 @@ fn harness(page: Page) -> (Harness<'static>, Rc<RefCell<Page>>) {
             palette: Palette::LIGHT,
             route: &Route::default(),
             go_to: &mut page.go_to,
-            surface_format: None,
+            surface: None,
             now_s: 0.0,
             local_time: &|_| None,
             picked_files: &mut Vec::new(),

@@ -11,7 +11,7 @@ use super::{
     renderer::{Globals, ScenePaint},
     scene::{Geometry, SceneColors, Shown, Subject, TaxelLook, View},
 };
-use crate::theme::Palette;
+use crate::{surface::Surface, theme::Palette};
 
 /// A turn by one screen height, rad.
 const ORBIT_RAD_PER_HEIGHT: f32 = 3.5;
@@ -268,7 +268,7 @@ pub(super) fn view3d_ui(
     geometry: &Arc<Geometry>,
     moment: &Moment<'_>,
     palette: &Palette,
-    surface_format: Option<wgpu::TextureFormat>,
+    surface: Option<Surface>,
 ) -> ViewResponse {
     let response = ui.interact(rect, ui.scope_id().with("view3d"), Sense::click_and_drag());
     response.widget_info(|| {
@@ -288,7 +288,7 @@ pub(super) fn view3d_ui(
     let object_if_shown = moment.object.filter(|_| state.shown.object);
     let painter = ui.painter_at(rect);
     painter.rect_filled(rect, 6.0, palette.surface);
-    if let Some(surface_format) = surface_format {
+    if let Some(surface) = surface {
         let mut instances = geometry.instances(
             moment.station,
             moment.root_from_link,
@@ -307,7 +307,7 @@ pub(super) fn view3d_ui(
             globals: globals(&camera, aspect, palette),
             background: background(palette),
             size_points: rect.size(),
-            surface_format,
+            surface,
         };
         painter.add(egui_wgpu::Callback::new_paint_callback(rect, paint));
     }
