@@ -11,8 +11,8 @@ use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
 use super::{
     ScreenContext, empty_ui, failed_ui, loading_ui,
     run_controls::{
-        HoldOutChoice, cancelled_ui, earlier_runs_ui, open_a_session, progress_ui, route_to_run, session_ui,
-        start_ui,
+        HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
+        route_to_run, session_ui, start_ui,
     },
 };
 use crate::{playback::ModelRef, route::Screen, store::Loadable};
@@ -60,11 +60,11 @@ pub fn calibrate_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut C
     });
     egui::CentralPanel::default().show(ui, |ui| match cx.route.run.clone() {
         Some(run_id) => run_ui(ui, cx, state, &run_id),
-        None => intro_ui(ui),
+        None => intro_ui(ui, cx),
     });
 }
 
-fn intro_ui(ui: &mut egui::Ui) {
+fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     ui.add_space((ui.available_height() * 0.25).min(180.0));
     ui.vertical_centered(|ui| {
         ui.set_max_width(520.0);
@@ -75,6 +75,9 @@ fn intro_ui(ui: &mut egui::Ui) {
         );
         ui.add_space(6.0);
         ui.label("Choose a session on the left and press Calibrate.");
+        if let Loadable::Ready(runs) = cx.store.runs() {
+            newest_run_ui(ui, cx, &runs, Screen::Calibrate);
+        }
     });
 }
 

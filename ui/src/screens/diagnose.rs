@@ -18,8 +18,8 @@ use super::{
     controls::{combo_ui, option_ui},
     empty_ui, failed_ui, loading_ui,
     run_controls::{
-        HoldOutChoice, cancelled_ui, earlier_runs_ui, open_a_session, progress_ui, route_to_run, session_ui,
-        start_ui,
+        HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
+        route_to_run, session_ui, start_ui,
     },
     words,
 };
@@ -87,11 +87,11 @@ pub fn diagnose_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Di
     });
     egui::CentralPanel::default().show(ui, |ui| match cx.route.run.clone() {
         Some(run_id) => run_ui(ui, cx, state, &run_id),
-        None => intro_ui(ui),
+        None => intro_ui(ui, cx),
     });
 }
 
-fn intro_ui(ui: &mut egui::Ui) {
+fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     ui.add_space((ui.available_height() * 0.25).min(180.0));
     ui.vertical_centered(|ui| {
         ui.set_max_width(540.0);
@@ -103,6 +103,9 @@ fn intro_ui(ui: &mut egui::Ui) {
         );
         ui.add_space(6.0);
         ui.label("Choose a session on the left and press Diagnose.");
+        if let Loadable::Ready(runs) = cx.store.diagnoses() {
+            newest_run_ui(ui, cx, &runs, Screen::Diagnose);
+        }
     });
 }
 

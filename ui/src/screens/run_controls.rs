@@ -201,6 +201,23 @@ pub fn earlier_runs_ui<Q: OfSession, R>(
     }
 }
 
+/// Where no run is shown: a way to the newest finished one of this session, if there is one.
+pub fn newest_run_ui<Q: OfSession, R>(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    runs: &[Run<Q, R>],
+    screen: Screen,
+) {
+    let newest = runs.iter().find(|run| {
+        run.state == JobState::Done && Some(run.request.session()) == cx.playback.session.as_deref()
+    });
+    let Some(newest) = newest else { return };
+    ui.add_space(12.0);
+    if ui.button(format!("Show the last result ({})", newest.id)).clicked() {
+        *cx.go_to = Some(route_to_run(cx, screen, &newest.id));
+    }
+}
+
 /// Where a run is looked at.
 pub fn route_to_run(cx: &ScreenContext<'_>, screen: Screen, run_id: &str) -> Route {
     Route { session: cx.playback.session.clone(), run: Some(run_id.to_owned()), ..Route::to(screen) }
