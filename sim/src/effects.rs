@@ -36,7 +36,9 @@ mod viscoelastic_release;
 use std::collections::BTreeMap;
 
 pub(crate) use chain::moved;
-pub use chain::{Chain, Contact, Geometry, Hold, Kinematics, Load, Sensed, Switching, TakeScene, Transport};
+pub use chain::{
+    Arrived, Chain, Contact, Geometry, Hold, Kinematics, Load, Sensed, Switching, TakeScene, Transport,
+};
 use palpate_robot_model::{Place, Station};
 use serde::{Deserialize, Serialize};
 
@@ -186,6 +188,11 @@ pub trait EffectKind: Sync {
 
     /// Everywhere it could act on `station` (objects: those of the station).
     fn places(&self, station: &Station) -> Vec<Place>;
+
+    /// Whether what it does to one channel of its place depends on the loads of others.
+    fn mixes_channels(&self) -> bool {
+        false
+    }
 
     /// Changes true joint positions, the object or the mounting of patches.
     fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics) {}

@@ -109,6 +109,18 @@ pub fn contact_trace(
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
+    trace_of(robot, layout, object, base_from_object, positions, &vec![true; layout.patches.len()])
+}
+
+/// [`contact_trace`] of the patches in `wanted`; those of all others hold no frame.
+pub(crate) fn trace_of(
+    robot: &Robot,
+    layout: &TactileLayout,
+    object: &SignedDistance,
+    base_from_object: &Isometry3<f64>,
+    positions: &[f64],
+    wanted: &[bool],
+) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
     let num_dofs = robot.num_dofs();
     let probes = probes(layout);
@@ -122,7 +134,8 @@ pub fn contact_trace(
                 &positions[frame * num_dofs..(frame + 1) * num_dofs],
                 &mut root_from_link,
             );
-            for (probe, felt) in probes.iter().zip(&mut felt) {
+            for ((probe, felt), _) in probes.iter().zip(&mut felt).zip(wanted).filter(|(_, wanted)| **wanted)
+            {
                 probe.feel(object, &(object_from_base * root_from_link[probe.link]), felt);
             }
         }

@@ -58,24 +58,13 @@ fn patch_propagation(layout: &TactileLayout, patch: &Patch, alpha_per_m: f64) ->
 /// # Panics
 /// If `trace` was made with another layout: a caller's bug.
 pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f64) -> Vec<f64> {
-    propagate_patches(layout, trace, &vec![alpha_per_m; layout.patches.len()])
-}
-
-/// [`raw_signals`] with a decay for each patch.
-pub(crate) fn propagate_patches(
-    layout: &TactileLayout,
-    trace: &ContactTrace,
-    alpha_per_m: &[f64],
-) -> Vec<f64> {
     let num_channels = layout.num_channels();
     assert_eq!(trace.patches.len(), layout.patches.len(), "one trace per patch of the layout");
     let mut raw = vec![0.0; trace.num_frames * num_channels];
     if raw.is_empty() {
         return raw;
     }
-    let patches = layout.patches.iter().zip(alpha_per_m);
-    let propagation: Vec<Propagation> =
-        patches.map(|(patch, &alpha_per_m)| patch_propagation(layout, patch, alpha_per_m)).collect();
+    let propagation = propagation(layout, alpha_per_m);
     for_each_chunk(&mut raw, CHUNK_FRAMES * num_channels, |chunk, raw| {
         for (i, frame_raw) in raw.chunks_exact_mut(num_channels).enumerate() {
             let frame = chunk * CHUNK_FRAMES + i;
@@ -91,6 +80,33 @@ pub(crate) fn propagate_patches(
             }
         }
     });
+    raw
+}
+
+/// [`raw_signals`] of a pressure patch over `num_frames` frames, `[taxel * num_frames + frame]`.
+pub(crate) fn propagate_patch(
+    layout: &TactileLayout,
+    patch: &Patch,
+    trace: &PatchTrace,
+    alpha_per_m: f64,
+    num_frames: usize,
+) -> Vec<f64> {
+    let num_taxels = patch.channels.len();
+    let mut raw = vec![0.0; num_taxels * num_frames];
+    let PatchTrace::Pressure { offsets, entries } = trace else { return raw };
+    let weights = patch_propagation(layout, patch, alpha_per_m).weights;
+    let mut taxels = vec![0.0; num_taxels];
+    for frame in 0..num_frames {
+        let touched = &entries[PatchTrace::entry_range(offsets, frame)];
+        if touched.is_empty() {
+            continue;
+        }
+        taxels.fill(0.0);
+        propagate(&weights, touched, &mut taxels);
+        for (taxel, pressure_pa) in taxels.iter().enumerate() {
+            raw[taxel * num_frames + frame] = *pressure_pa;
+        }
+    }
     raw
 }
 

@@ -229,10 +229,13 @@ fn loss(domain: &ActuatorDomain<'_>, model: &Model, takes: &[usize]) -> Result<f
     let mut sum = 0.0;
     for &take in takes {
         let predicted = domain.predict(take, model)?;
-        let weights = domain.weights(take, &predicted);
-        for ((observed, predicted), weight) in domain.observed(take).iter().zip(&predicted).zip(&weights) {
-            if !observed.is_nan() {
-                sum += huber((observed - predicted) * weight);
+        for (signal, predicted) in predicted.iter().enumerate() {
+            let weights = domain.weights(take, signal, predicted);
+            let rows = domain.observed(take, signal).iter().zip(predicted.iter()).zip(&weights);
+            for ((observed, predicted), weight) in rows {
+                if !observed.is_nan() {
+                    sum += huber((observed - predicted) * weight);
+                }
             }
         }
     }

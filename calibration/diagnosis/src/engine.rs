@@ -17,6 +17,7 @@ pub(crate) use linear::inverse;
 pub use name::{Naming, NamingConfig, Round, Tried, name};
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use palpate_sim::effects::{Effect, Parameter};
 
@@ -44,19 +45,24 @@ pub struct BaseParameter {
     pub dose: f64,
 }
 
+/// A value for every sample of a take. Predictions of two models share what they have in common, so that what did not
+/// change need not be looked at again.
+pub type Series = Arc<[f64]>;
+
 /// Measurements, and a family of models that predict them.
 ///
-/// Every take is a vector of rows; what a row means is the domain's affair. Rows of one block may depend on each other,
-/// rows of different blocks nearly do not.
+/// Every take is a table: each of its samples has a row for every signal, which is one kind of measurement of one unit,
+/// `signal = unit * num_kinds + kind`. What they mean is the domain's affair. Samples of one block may depend on each
+/// other, samples of different blocks nearly do not.
 pub trait Domain: Sync {
     /// Number of takes.
     fn num_takes(&self) -> usize;
 
-    /// Consecutive ranges that cover the rows of `take`.
+    /// Consecutive ranges that cover the samples of `take`.
     fn blocks(&self, take: usize) -> &[Range<usize>];
 
-    /// Measured value of each row; NaN where nothing was measured.
-    fn observed(&self, take: usize) -> &[f64];
+    /// Measured values of a signal, one a sample; NaN where nothing was measured.
+    fn observed(&self, take: usize, signal: usize) -> &[f64];
 
     /// The model's own parameters.
     fn base(&self) -> &[BaseParameter];
@@ -70,18 +76,15 @@ pub trait Domain: Sync {
     /// Number of units: parts of the measurement (channels) that effects reach separately.
     fn num_units(&self) -> usize;
 
-    /// Unit of a row.
-    fn unit(&self, row: usize) -> usize;
-
-    /// Number of kinds of rows: kinds of measurement (events, readings) of which an effect may change one and not
+    /// Number of kinds of signals: kinds of measurement (events, readings) of which an effect may change one and not
     /// another.
     fn num_kinds(&self) -> usize {
         1
     }
 
-    /// Kind of a row.
-    fn kind(&self, _row: usize) -> usize {
-        0
+    /// Number of signals.
+    fn num_signals(&self) -> usize {
+        self.num_units() * self.num_kinds()
     }
 
     /// Which units the parameter `idx` of [`Self::base`] reaches.
@@ -97,11 +100,11 @@ pub trait Domain: Sync {
     /// Which units a parameter of `effect` can reach.
     fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool>;
 
-    /// What `model` predicts for the rows of `take`.
-    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError>;
+    /// What `model` predicts for the signals of `take`.
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError>;
 
-    /// One over the standard deviation that a row is allowed around `prediction`.
-    fn weights(&self, take: usize, prediction: &[f64]) -> Vec<f64>;
+    /// One over the standard deviation that each sample of `signal` is allowed around `prediction`.
+    fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64>;
 }
 
 /// Residuals beyond this many standard deviations count no more than linearly.

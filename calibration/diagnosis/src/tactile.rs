@@ -1,31 +1,33 @@
 //! The sense of touch as a [`Domain`]: events and raw readings of every channel at every joint frame.
 //!
-//! Rows: `(frame * num_channels + channel) * 2`, the event (0 or 1); one further, the raw reading above its reference,
-//! in units of the stream's switching threshold (NaN where a take is binary only).
+//! Signals: `2 * channel`, the event (0 or 1); one further, the raw reading above its reference, in units of the stream's
+//! switching threshold (NaN where a take is binary only).
 //!
 //! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
 //! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.
 
 pub(crate) mod adequacy;
 pub(crate) mod find;
+mod forward;
 pub(crate) mod judge;
 pub(crate) mod next;
 mod observe;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
 use nalgebra::Isometry3;
 use palpate_recording::Take;
 use palpate_robot_model::{Place, SensorKind, Station};
-use palpate_sim::effects::{self, Chain, Effect, Geometry, Parameter, Stage, TakeScene};
+use palpate_sim::effects::{self, Effect, Parameter};
 use palpate_sim::{Response, SensorModel, Theta};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::DiagnosisError;
-use crate::engine::{BaseParameter, Domain, Model};
+use crate::engine::{BaseParameter, Domain, Model, Series};
+use forward::Memory;
 pub(crate) use observe::Observed;
 
 /// Which number of a model's base is what.
@@ -55,15 +57,10 @@ pub struct TactileDomain<'a> {
     moves: Vec<Vec<bool>>,
     /// Per stream, how its readings were repeated to the bit.
     frozen: Vec<Option<Frozen>>,
-    /// Where everything was under the last few sets of kinematic effects, by take.
-    geometries: Vec<Mutex<Vec<KeptGeometry>>>,
+    /// What is remembered of the latest predictions, by take.
+    memories: Vec<Mutex<Memory>>,
 }
 
-/// Kinematic effects, and where everything is under them.
-type KeptGeometry = (Vec<Effect>, Arc<Geometry>);
-
-/// Sets of kinematic effects whose geometry is kept: that of the model, and some that are being fitted.
-const GEOMETRIES_KEPT: usize = 4;
 /// Width of the switching curve to begin with, in units of the load at which a channel switches.
 const WIDTH: f64 = 0.2;
 /// Readings without touch vary by at least this, in units of the switching threshold.
@@ -133,10 +130,10 @@ impl<'a> TactileDomain<'a> {
                 takes: Vec::new(),
             })
             .collect();
-        let geometries = takes.iter().map(|_| Mutex::new(Vec::new())).collect();
+        let memories = memories(station, takes.len());
         let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&takes, stream)).collect();
         let moves = moves(station);
-        let domain = Self { station, takes, kinds, base, candidates, alike, moves, frozen, geometries };
+        let domain = Self { station, takes, kinds, base, candidates, alike, moves, frozen, memories };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
     }
 
@@ -198,7 +195,7 @@ impl<'a> TactileDomain<'a> {
         }
         Ok(Self {
             station: self.station,
-            geometries: takes.iter().map(|_| Mutex::new(Vec::new())).collect(),
+            memories: memories(self.station, takes.len()),
             takes,
             kinds: self.kinds.clone(),
             base: self.base.clone(),
@@ -217,37 +214,10 @@ impl<'a> TactileDomain<'a> {
     pub(crate) fn take(&self, take: usize) -> &Observed<'a> {
         &self.takes[take]
     }
+}
 
-    fn geometry(
-        &self,
-        take: usize,
-        chain: &Chain<'_>,
-        scene: &TakeScene<'_>,
-    ) -> Result<Arc<Geometry>, DiagnosisError> {
-        let kinematic: Vec<Effect> = chain
-            .effects
-            .iter()
-            .filter(|effect| {
-                effects::tactile(&effect.id).is_some_and(|kind| kind.stage() == Stage::Kinematics)
-            })
-            .cloned()
-            .collect();
-        let lock = || self.geometries[take].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if let Some((_, geometry)) = lock().iter().find(|(effects, _)| *effects == kinematic) {
-            return Ok(Arc::clone(geometry));
-        }
-        let geometry = chain.geometry(scene).map_err(|error| {
-            DiagnosisError::Input(format!("take {:?}: {error}", self.takes[take].take.id))
-        })?;
-        let geometry = Arc::new(geometry);
-        let mut kept = lock();
-        if kept.len() == GEOMETRIES_KEPT {
-            // The oldest but the first: that one is the model without kinematic effects, wanted again and again.
-            kept.remove(1);
-        }
-        kept.push((kinematic, Arc::clone(&geometry)));
-        Ok(geometry)
-    }
+fn memories(station: &Station, num_takes: usize) -> Vec<Mutex<Memory>> {
+    (0..num_takes).map(|_| Memory::new(station.layout.num_channels())).collect()
 }
 
 /// Sets of at least two patches with several taxels each that are of one make.
@@ -304,8 +274,8 @@ impl Domain for TactileDomain<'_> {
         &self.takes[take].blocks
     }
 
-    fn observed(&self, take: usize) -> &[f64] {
-        &self.takes[take].rows
+    fn observed(&self, take: usize, signal: usize) -> &[f64] {
+        &self.takes[take].signals[signal]
     }
 
     fn base(&self) -> &[BaseParameter] {
@@ -337,16 +307,8 @@ impl Domain for TactileDomain<'_> {
         self.station.layout.num_channels()
     }
 
-    fn unit(&self, row: usize) -> usize {
-        (row / 2) % self.num_units()
-    }
-
     fn num_kinds(&self) -> usize {
         2
-    }
-
-    fn kind(&self, row: usize) -> usize {
-        row % 2
     }
 
     fn base_support(&self, idx: usize) -> Vec<bool> {
@@ -399,79 +361,28 @@ impl Domain for TactileDomain<'_> {
         }
     }
 
-    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
-        let observed = &self.takes[take];
-        let scene = observed.scene(self.station);
-        let (theta, response) = self.theta_and_response(model);
-        let layout = &self.station.layout;
-        let mut widths = vec![WIDTH; layout.streams.len()];
-        let mut exponents = vec![1.0; layout.streams.len()];
-        let mut effects = self.patterns(model);
-        effects.extend(model.effects.iter().cloned());
-        for (kind, &value) in self.kinds.iter().zip(&model.base) {
-            match *kind {
-                Base::Width(stream) => widths[stream] = value,
-                Base::Exponent(stream) => exponents[stream] = value,
-                _ => {}
-            }
-        }
-        let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
-        let geometry = self.geometry(take, &chain, &scene)?;
-        let sensed = chain.sense_contact(&scene, &geometry);
-        let num_channels = layout.num_channels();
-        let per_channel: Vec<(f64, f64, f64)> = layout
-            .channels
-            .iter()
-            .enumerate()
-            .map(|(idx, channel)| {
-                let on_load = match layout.streams[channel.stream].kind {
-                    SensorKind::Proximity => response.proximity_band_m,
-                    SensorKind::Pressure => theta.lambda_pre_pa,
-                };
-                (1.0 / on_load, exponents[channel.stream], observed.ceilings[idx])
-            })
-            .collect();
-        let mut rows = Vec::with_capacity(2 * sensed.load.len());
-        for (load, activation) in
-            sensed.load.chunks_exact(num_channels).zip(sensed.activation.chunks_exact(num_channels))
-        {
-            for ((load, activation), (scale, exponent, ceiling)) in
-                load.iter().zip(activation).zip(&per_channel)
-            {
-                rows.push(*activation);
-                rows.push(reading(load * scale, *exponent).min(*ceiling));
-            }
-        }
-        Ok(rows)
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
+        self.forward(take, model)
     }
 
-    fn weights(&self, take: usize, prediction: &[f64]) -> Vec<f64> {
-        let observed = &self.takes[take];
-        let num_channels = self.num_units();
-        let stride = 2 * num_channels;
-        let doubt = |row: usize| prediction[row] * (1.0 - prediction[row]);
-        (0..prediction.len())
-            .map(|row| {
-                let channel = self.unit(row);
-                if row % 2 == 0 {
-                    let mut variance = doubt(row);
-                    if row >= stride {
-                        variance = variance.max(doubt(row - stride));
-                    }
-                    if row + stride < prediction.len() {
-                        variance = variance.max(doubt(row + stride));
-                    }
-                    (variance + LEAST_DOUBT).sqrt().recip()
-                } else {
-                    // What the model may be wrong by without being wrong: noise, a share of the reading, and about a
-                    // quarter of a millimetre of depth, which a first touch reads as a share of the threshold.
-                    let (x, quiet) = (prediction[row].abs(), observed.noise[channel].max(LEAST_NOISE));
-                    let shape = SHARE * x;
-                    let depth = DEPTH * (x / 0.5).min(1.0);
-                    (quiet * quiet + shape * shape + depth * depth).sqrt().recip()
-                }
-            })
-            .collect()
+    fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {
+        if signal.is_multiple_of(2) {
+            let doubts: Vec<f64> = prediction.iter().map(|p| p * (1.0 - p)).collect();
+            let around = (0..doubts.len()).map(|frame| {
+                let near = &doubts[frame.saturating_sub(1)..(frame + 2).min(doubts.len())];
+                near.iter().copied().fold(doubts[frame], f64::max)
+            });
+            return around.map(|variance| (variance + LEAST_DOUBT).sqrt().recip()).collect();
+        }
+        // What the model may be wrong by without being wrong: noise, a share of the reading, and about a quarter of a
+        // millimetre of depth, which a first touch reads as a share of the threshold.
+        let quiet = self.takes[take].noise[signal / 2].max(LEAST_NOISE);
+        let weight = |x: &f64| {
+            let shape = SHARE * x;
+            let depth = DEPTH * (x.abs() / 0.5).min(1.0);
+            (quiet * quiet + shape * shape + depth * depth).sqrt().recip()
+        };
+        prediction.iter().map(weight).collect()
     }
 }
 

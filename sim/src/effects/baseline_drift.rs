@@ -46,7 +46,7 @@ impl EffectKind for BaselineDrift {
         let elapsed_s: Vec<f64> = state.times_s.iter().map(|time_s| time_s - start_s).collect();
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
             let load_per_s = rate_per_s * state.on_loads[channel];
-            let loads = state.of_channel_mut(channel).zip(&elapsed_s);
+            let loads = state.of_channel_mut(channel).iter_mut().zip(&elapsed_s);
             loads.for_each(|(load, elapsed_s)| *load += load_per_s * elapsed_s);
         }
     }

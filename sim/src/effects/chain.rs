@@ -5,11 +5,11 @@ use std::borrow::Cow;
 use nalgebra::Isometry3;
 use palpate_robot_model::{ObjectModel, SensorKind, Station, TactileLayout};
 
-use super::{Effect, EffectKind, TACTILE};
+use super::{Effect, EffectKind, TACTILE, places};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
-use crate::replay::{ContactTrace, PatchTrace, ReplayError, contact_trace};
-use crate::tactile::propagate_patches;
+use crate::replay::{ContactTrace, PatchTrace, ReplayError, trace_of};
+use crate::tactile::propagate_patch;
 use crate::{Response, Theta};
 
 /// What was recorded of a take, as far as the simulation of its touch needs it.
@@ -65,7 +65,7 @@ pub struct Load {
     pub num_channels: usize,
     /// Time of each frame, s.
     pub times_s: Vec<f64>,
-    /// `[frame * num_channels + channel]`; pressure in Pa, or for proximity channels how far the patch has come into
+    /// `[channel * num_frames + frame]`; pressure in Pa, or for proximity channels how far the patch has come into
     /// the sensor's reach ([`Response::reach_m`]) in m. Zero without touch.
     pub values: Vec<f64>,
     /// Per channel, the load at which it switches on. Effects size additive errors by it.
@@ -116,6 +116,18 @@ pub struct Hold {
     pub seen_for_s: Vec<f64>,
 }
 
+/// What arrives of the load of one channel, frame by frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arrived {
+    /// As [`Load::values`], at the moments that the host sees.
+    pub present: Vec<f64>,
+    /// The same at the moments that a frozen stream may show instead, equally likely; none unless it freezes and the
+    /// chain is soft.
+    pub past: Vec<Vec<f64>>,
+    /// Share of the past, see [`Hold::fraction`].
+    pub past_share: f64,
+}
+
 /// Readings of every channel at the frames of a take.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensed {
@@ -151,16 +163,22 @@ impl Chain<'_> {
 
     /// The costly first part: where everything is, and what touches. It depends on the kinematic effects only.
     pub fn geometry(&self, scene: &TakeScene<'_>) -> Result<Geometry, ReplayError> {
+        self.geometry_of(scene, &vec![true; scene.station.layout.patches.len()])
+    }
+
+    /// [`Self::geometry`] of the patches in `wanted`; all others feel nothing, for no frame.
+    pub fn geometry_of(&self, scene: &TakeScene<'_>, wanted: &[bool]) -> Result<Geometry, ReplayError> {
         let kinematics = self.kinematics(scene);
         let layout = moved(&scene.station.layout, &kinematics.patch_offsets);
         let shape = scene.object.shape.scaled(kinematics.object_scale);
         let distance = SignedDistance::new(&shape).map_err(ReplayError::Object)?;
-        let trace = contact_trace(
+        let trace = trace_of(
             &scene.station.robot,
             &layout,
             &distance,
             &kinematics.base_from_object,
             &kinematics.positions,
+            wanted,
         )?;
         Ok(Geometry { trace, layout, positions: kinematics.positions })
     }
@@ -179,31 +197,88 @@ impl Chain<'_> {
 
     /// The rest of the chain.
     pub fn sense_contact(&self, scene: &TakeScene<'_>, geometry: &Geometry) -> Sensed {
+        let (num_frames, num_channels) = (scene.frame_times_s.len(), scene.station.layout.num_channels());
+        let arrived = self.arrive(scene, geometry, &vec![true; num_channels]);
+        let switching = self.switching(scene);
+        // Channels are independent: each is a unit of work.
+        let by_channel = map_chunks(num_channels, |channel| {
+            let arrived = arrived[channel].as_ref()?;
+            Some((arrived.load().into_owned(), switching.activation(channel, arrived, scene.frame_times_s)))
+        });
+        let mut sensed = Sensed {
+            num_frames,
+            num_channels,
+            load: vec![0.0; num_frames * num_channels],
+            activation: vec![0.0; num_frames * num_channels],
+        };
+        for (channel, of_channel) in by_channel.into_iter().enumerate() {
+            let Some((load, activation)) = of_channel else { continue };
+            for (frame, (load, activation)) in load.into_iter().zip(activation).enumerate() {
+                sensed.load[frame * num_channels + channel] = load;
+                sensed.activation[frame * num_channels + channel] = activation;
+            }
+        }
+        sensed
+    }
+
+    /// Which channels those in `wanted` depend on, themselves among them.
+    pub fn inputs(&self, station: &Station, wanted: &[bool]) -> Vec<bool> {
+        let mut needed = wanted.to_vec();
+        // Each effect may want what another one mixes in.
+        loop {
+            let before = needed.clone();
+            self.each(|kind, effect| {
+                if kind.mixes_channels() && reaches(effect, station, &needed) {
+                    let mixed = places::channels_of(&effect.place, &station.layout);
+                    mixed.into_iter().for_each(|channel| needed[channel] = true);
+                }
+            });
+            if needed == before {
+                return needed;
+            }
+        }
+    }
+
+    /// What arrives of the loads of the channels in `wanted`, `None` for all others. `geometry` must hold the patches of
+    /// their [`Self::inputs`].
+    pub fn arrive(
+        &self,
+        scene: &TakeScene<'_>,
+        geometry: &Geometry,
+        wanted: &[bool],
+    ) -> Vec<Option<Arrived>> {
         let nominal = &scene.station.layout;
+        let needed = self.inputs(scene.station, wanted);
         let mut contact = Contact {
             trace: Cow::Borrowed(&geometry.trace),
             layout: &geometry.layout,
             alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
             positions: &geometry.positions,
         };
-        self.each(|kind, effect| kind.contact(effect, scene, &mut contact));
-
-        let on_loads: Vec<f64> = nominal
-            .channels
-            .iter()
-            .map(|channel| match nominal.streams[channel.stream].kind {
-                // As far as the reach is from the threshold, and not the band itself, so that rounding is the same.
-                SensorKind::Proximity => self.response.reach_m(&self.theta) - self.theta.lambda_con_m,
-                SensorKind::Pressure => self.theta.lambda_pre_pa,
-            })
-            .collect();
+        let reaching = |effect: &Effect| reaches(effect, scene.station, &needed);
+        self.each(|kind, effect| {
+            if reaching(effect) {
+                kind.contact(effect, scene, &mut contact);
+            }
+        });
+        let needed_patches: Vec<bool> =
+            nominal.patches.iter().map(|patch| needed[patch.channels.clone()].contains(&true)).collect();
         let mut load = Load {
             num_channels: nominal.num_channels(),
             times_s: scene.frame_times_s.to_vec(),
-            values: loads(&contact, self.response.reach_m(&self.theta)),
-            on_loads: on_loads.clone(),
+            values: loads(
+                &contact,
+                self.response.reach_m(&self.theta),
+                &needed_patches,
+                scene.frame_times_s.len(),
+            ),
+            on_loads: self.on_loads(nominal),
         };
-        self.each(|kind, effect| kind.load(effect, scene, &mut load));
+        self.each(|kind, effect| {
+            if reaching(effect) {
+                kind.load(effect, scene, &mut load);
+            }
+        });
 
         let mut transport = Transport {
             device_times_s: (0..nominal.streams.len())
@@ -214,7 +289,30 @@ impl Chain<'_> {
             holds: vec![None; nominal.streams.len()],
         };
         self.each(|kind, effect| kind.transport(effect, scene, &mut transport));
+        let soft = self.soft_widths.iter().any(|width| *width > 0.0);
+        if !soft {
+            transport.freeze();
+        }
+        let past: Vec<Vec<Vec<f64>>> = (0..nominal.streams.len())
+            .map(|stream| if soft { transport.past(stream) } else { Vec::new() })
+            .collect();
+        map_chunks(nominal.num_channels(), |channel| {
+            let stream = nominal.channels[channel].stream;
+            wanted[channel].then(|| {
+                let at = |times_s: &[f64]| arrive(load.of_channel(channel), &load.times_s, times_s);
+                Arrived {
+                    present: at(&transport.device_times_s[stream]),
+                    past: past[stream].iter().map(|times_s| at(times_s)).collect(),
+                    past_share: transport.holds[stream].as_ref().map_or(0.0, |hold| hold.fraction),
+                }
+            })
+        })
+    }
 
+    /// How the loads of channels become events.
+    pub fn switching(&self, scene: &TakeScene<'_>) -> Switching {
+        let nominal = &scene.station.layout;
+        let on_loads = self.on_loads(nominal);
         let of_stream = |of: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
             nominal.channels.iter().enumerate().map(|(idx, channel)| of(idx, channel.stream)).collect()
         };
@@ -229,28 +327,19 @@ impl Chain<'_> {
             on_loads,
         };
         self.each(|kind, effect| kind.switching(effect, scene, &mut switching));
+        switching
+    }
 
-        let soft = self.soft_widths.iter().any(|width| *width > 0.0);
-        if !soft {
-            transport.freeze();
-        }
-        let present = arrive(&load, &transport, nominal);
-        let activation = switching.activations(&present, scene.frame_times_s);
-        let mut sensed = Sensed {
-            num_frames: scene.frame_times_s.len(),
-            num_channels: nominal.num_channels(),
-            load: present,
-            activation,
-        };
-        if soft && transport.holds.iter().any(Option::is_some) {
-            let past = transport.past().map(|transport| {
-                let loads = arrive(&load, &transport, nominal);
-                let activations = switching.activations(&loads, scene.frame_times_s);
-                (loads, activations)
-            });
-            sensed.blend(&transport.holds, &past.collect::<Vec<_>>(), nominal);
-        }
-        sensed
+    /// Per channel, the load at which it switches on without effects.
+    fn on_loads(&self, layout: &TactileLayout) -> Vec<f64> {
+        let channels = layout.channels.iter();
+        channels
+            .map(|channel| match layout.streams[channel.stream].kind {
+                // As far as the reach is from the threshold, and not the band itself, so that rounding is the same.
+                SensorKind::Proximity => self.response.reach_m(&self.theta) - self.theta.lambda_con_m,
+                SensorKind::Pressure => self.theta.lambda_pre_pa,
+            })
+            .collect()
     }
 
     fn each(&self, mut visit: impl FnMut(&dyn EffectKind, &Effect)) {
@@ -263,6 +352,11 @@ impl Chain<'_> {
             }
         }
     }
+}
+
+/// Whether `effect` acts on one of the `channels` beyond their kinematics.
+fn reaches(effect: &Effect, station: &Station, channels: &[bool]) -> bool {
+    places::channels_of(&effect.place, &station.layout).iter().any(|&channel| channels[channel])
 }
 
 /// What touches what, given where everything really is.
@@ -291,18 +385,28 @@ pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Tacti
     layout
 }
 
-/// As [`Load::values`].
-fn loads(contact: &Contact<'_>, reach_m: f64) -> Vec<f64> {
-    let mut values = propagate_patches(contact.layout, &contact.trace, &contact.alpha_per_m);
-    let num_channels = contact.layout.num_channels();
-    for (patch, trace) in contact.layout.patches.iter().zip(&contact.trace.patches) {
-        if let PatchTrace::Proximity { .. } = trace {
-            for frame in values.chunks_exact_mut(num_channels) {
-                for value in &mut frame[patch.channels.clone()] {
-                    *value = (reach_m - *value).max(0.0);
-                }
+/// As [`Load::values`]; zero for channels of patches that are not `needed`.
+fn loads(contact: &Contact<'_>, reach_m: f64, needed: &[bool], num_frames: usize) -> Vec<f64> {
+    let patches = &contact.layout.patches;
+    // Patches are independent: each is a unit of work.
+    let by_patch = map_chunks(patches.len(), |idx| {
+        let (patch, trace) = (&patches[idx], &contact.trace.patches[idx]);
+        if !needed[idx] {
+            return vec![0.0; patch.channels.len() * num_frames];
+        }
+        match trace {
+            PatchTrace::Proximity { min_distance_m } => {
+                let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0));
+                load.collect::<Vec<f64>>().repeat(patch.channels.len())
+            }
+            PatchTrace::Pressure { .. } => {
+                propagate_patch(contact.layout, patch, trace, contact.alpha_per_m[idx], num_frames)
             }
         }
+    });
+    let mut values = vec![0.0; contact.layout.num_channels() * num_frames];
+    for (patch, of_patch) in patches.iter().zip(by_patch) {
+        values[patch.channels.start * num_frames..patch.channels.end * num_frames].copy_from_slice(&of_patch);
     }
     values
 }
@@ -327,114 +431,98 @@ impl Transport {
         }
     }
 
-    /// The moments that frozen streams may show instead of the present, equally likely.
-    fn past(&self) -> impl Iterator<Item = Self> + '_ {
-        let all_seen = self.holds.iter().flatten().all(|hold| !hold.seen_for_s.is_empty());
-        let num_moments = if all_seen { 1 } else { NUM_MOMENTS };
-        (0..num_moments).map(move |moment| {
-            let mut past = self.clone();
-            let share = (moment as f64 + 0.5) / num_moments as f64;
-            for (times_s, hold) in past.device_times_s.iter_mut().zip(&self.holds) {
-                let Some(hold) = hold else { continue };
-                for (frame, time_s) in times_s.iter_mut().enumerate() {
-                    *time_s -= hold.seen_for_s.get(frame).copied().unwrap_or(share * hold.span_s);
-                }
-            }
-            past
-        })
+    /// The times that `stream` may show instead of the present where it is frozen, equally likely; none if it never is.
+    fn past(&self, stream: usize) -> Vec<Vec<f64>> {
+        let Some(hold) = &self.holds[stream] else { return Vec::new() };
+        let num_moments = if hold.seen_for_s.is_empty() { NUM_MOMENTS } else { 1 };
+        (0..num_moments)
+            .map(|moment| {
+                let share = (moment as f64 + 0.5) / num_moments as f64;
+                let times_s = self.device_times_s[stream].iter().enumerate();
+                times_s
+                    .map(|(frame, time_s)| {
+                        time_s - hold.seen_for_s.get(frame).copied().unwrap_or(share * hold.span_s)
+                    })
+                    .collect()
+            })
+            .collect()
     }
 }
 
-impl Sensed {
-    /// The mean over what frozen streams may show: `past` holds the loads and activations of equally likely moments.
-    fn blend(&mut self, holds: &[Option<Hold>], past: &[(Vec<f64>, Vec<f64>)], layout: &TactileLayout) {
-        for (stream, hold) in layout.streams.iter().zip(holds) {
-            let Some(hold) = hold else { continue };
-            let mean = |present: f64, sum: f64| {
-                (1.0 - hold.fraction) * present + hold.fraction / past.len() as f64 * sum
-            };
-            for at in (0..self.num_frames).flat_map(|frame| {
-                stream.channels.clone().map(move |channel| frame * layout.num_channels() + channel)
-            }) {
-                self.load[at] = mean(self.load[at], past.iter().map(|(loads, _)| loads[at]).sum());
-                let active = mean(self.activation[at], past.iter().map(|(_, active)| active[at]).sum());
-                self.activation[at] = active.clamp(0.0, 1.0);
-            }
+impl Arrived {
+    /// Load as the host sees it: the mean over the present and the past.
+    pub fn load(&self) -> Cow<'_, [f64]> {
+        let mut load = Cow::Borrowed(&self.present[..]);
+        if !self.past.is_empty() {
+            self.blend(load.to_mut(), &self.past);
+        }
+        load
+    }
+
+    fn blend(&self, present: &mut [f64], past: &[Vec<f64>]) {
+        for (frame, value) in present.iter_mut().enumerate() {
+            let sum: f64 = past.iter().map(|values| values[frame]).sum();
+            *value = (1.0 - self.past_share) * *value + self.past_share / past.len() as f64 * sum;
         }
     }
 }
 
 impl Load {
     /// Loads of `channel`, frame by frame.
-    pub fn of_channel(&self, channel: usize) -> impl Iterator<Item = f64> + '_ {
-        self.values.iter().skip(channel).step_by(self.num_channels.max(1)).copied()
+    pub fn of_channel(&self, channel: usize) -> &[f64] {
+        let num_frames = self.times_s.len();
+        &self.values[channel * num_frames..(channel + 1) * num_frames]
     }
 
     /// As [`Self::of_channel`], to change them.
-    pub fn of_channel_mut(&mut self, channel: usize) -> impl Iterator<Item = &mut f64> {
-        self.values.iter_mut().skip(channel).step_by(self.num_channels.max(1))
-    }
-
-    /// Loads of all channels, frame by frame, to change them.
-    pub fn frames_mut(&mut self) -> impl Iterator<Item = &mut [f64]> {
-        self.values.chunks_exact_mut(self.num_channels.max(1))
+    pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
+        let num_frames = self.times_s.len();
+        &mut self.values[channel * num_frames..(channel + 1) * num_frames]
     }
 }
 
-/// Loads at the moments that the host sees: linear between frames, held before the first and after the last.
-fn arrive(load: &Load, transport: &Transport, layout: &TactileLayout) -> Vec<f64> {
-    let num_frames = load.times_s.len();
-    let num_channels = load.num_channels;
-    let mut seen = load.values.clone();
-    for (stream, times_s) in layout.streams.iter().zip(&transport.device_times_s) {
-        if times_s == &load.times_s {
-            continue;
-        }
-        let mut after = 0;
-        for (frame, &time_s) in times_s.iter().enumerate() {
-            // Times nearly increase: walk, in either direction.
-            while after < num_frames && load.times_s[after] <= time_s {
-                after += 1;
-            }
-            while after > 0 && load.times_s[after - 1] > time_s {
-                after -= 1;
-            }
-            let (from, to) = (after.saturating_sub(1), after.min(num_frames - 1));
-            let gap_s = load.times_s[to] - load.times_s[from];
-            let share = if gap_s > 0.0 { (time_s - load.times_s[from]) / gap_s } else { 0.0 };
-            for channel in stream.channels.clone() {
-                let (low, high) =
-                    (load.values[from * num_channels + channel], load.values[to * num_channels + channel]);
-                seen[frame * num_channels + channel] = low + share * (high - low);
-            }
-        }
+/// `loads` (frame by frame at `frame_times_s`) at `times_s`: linear between frames, held before the first and after the
+/// last.
+fn arrive(loads: &[f64], frame_times_s: &[f64], times_s: &[f64]) -> Vec<f64> {
+    if times_s == frame_times_s {
+        return loads.to_vec();
     }
-    seen
+    let num_frames = frame_times_s.len();
+    let mut after = 0;
+    let at = |&time_s: &f64| {
+        // Times nearly increase: walk, in either direction.
+        while after < num_frames && frame_times_s[after] <= time_s {
+            after += 1;
+        }
+        while after > 0 && frame_times_s[after - 1] > time_s {
+            after -= 1;
+        }
+        let (from, to) = (after.saturating_sub(1), after.min(num_frames - 1));
+        let gap_s = frame_times_s[to] - frame_times_s[from];
+        let share = if gap_s > 0.0 { (time_s - frame_times_s[from]) / gap_s } else { 0.0 };
+        loads[from] + share * (loads[to] - loads[from])
+    };
+    times_s.iter().map(at).collect()
 }
 
 impl Switching {
-    /// Activations of `loads` (frame-major) at frames `times_s`.
+    /// Activation of `channel` at frames `times_s`, given what `arrived` of its load.
+    pub fn activation(&self, channel: usize, arrived: &Arrived, times_s: &[f64]) -> Vec<f64> {
+        let mut activation = self.latched(channel, &arrived.present, times_s);
+        let past: Vec<Vec<f64>> =
+            arrived.past.iter().map(|loads| self.latched(channel, loads, times_s)).collect();
+        if !past.is_empty() {
+            arrived.blend(&mut activation, &past);
+            activation.iter_mut().for_each(|activation| *activation = activation.clamp(0.0, 1.0));
+        }
+        activation
+    }
+
+    /// Activation of `channel` under `loads`.
     ///
     /// A soft latch: an event that is on stays on as far as the load is above the lower threshold. Where it switches
     /// hard this is the latch of a comparator with hysteresis.
-    pub fn activations(&self, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
-        let num_channels = self.on_loads.len();
-        if num_channels == 0 {
-            return Vec::new();
-        }
-        // Channels are independent: each is a unit of work.
-        let by_channel = map_chunks(num_channels, |channel| self.channel(channel, loads, times_s));
-        let mut activations = vec![0.0; loads.len()];
-        for (channel, values) in by_channel.iter().enumerate() {
-            for (frame, value) in values.iter().enumerate() {
-                activations[frame * num_channels + channel] = *value;
-            }
-        }
-        activations
-    }
-
-    fn channel(&self, channel: usize, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
-        let num_channels = self.on_loads.len();
+    fn latched(&self, channel: usize, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
         let (on, width, idle) = (self.on_loads[channel], self.widths[channel], self.idle_activation[channel]);
         let off = on * self.off_fractions[channel];
         let above = |load: f64, threshold: f64, width: f64| {
@@ -448,11 +536,10 @@ impl Switching {
         let passed = self.passed_shares[channel];
         let mut latched = 0.0_f64;
         let mut last = (f64::NAN, 0.0, 0.0);
-        let mut values: Vec<f64> = times_s
+        let mut values: Vec<f64> = loads
             .iter()
             .enumerate()
-            .map(|(frame, _)| {
-                let load = loads[frame * num_channels + channel];
+            .map(|(frame, &load)| {
                 // Quiet channels stay where they are, and are most of the work.
                 if load != last.0 {
                     let over_on = above(load, on, width);

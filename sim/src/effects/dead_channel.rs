@@ -39,7 +39,7 @@ impl EffectKind for DeadChannel {
             return;
         }
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
-            state.of_channel_mut(channel).for_each(|load| *load *= left);
+            state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= left);
         }
     }
 

@@ -28,6 +28,10 @@ impl EffectKind for ElectricalCrosstalk {
         "channels that nothing touches follow those next to them by number, however far apart on the skin"
     }
 
+    fn mixes_channels(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         vec![Parameter::new("leak", 0.0..=0.8, 0.0, 0.03, 0.08)]
     }
@@ -48,12 +52,15 @@ impl EffectKind for ElectricalCrosstalk {
                 places::wiring_neighbours(channel, layout).into_iter().map(move |other| (channel, other))
             })
             .collect();
-        let mut own = vec![0.0; state.num_channels];
-        for frame in state.frames_mut() {
-            own.copy_from_slice(frame);
-            for &(channel, other) in &pairs {
-                frame[channel] += leak * own[other];
-            }
+        let own = state.values.clone();
+        let num_frames = state.times_s.len();
+        for (channel, other) in pairs {
+            let others = &own[other * num_frames..(other + 1) * num_frames];
+            state
+                .of_channel_mut(channel)
+                .iter_mut()
+                .zip(others)
+                .for_each(|(load, other)| *load += leak * other);
         }
     }
 }

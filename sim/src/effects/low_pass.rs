@@ -43,16 +43,16 @@ impl EffectKind for LowPass {
         }
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
             let lagging = lag(&state.times_s, state.of_channel(channel), time_constant_s);
-            state.of_channel_mut(channel).zip(lagging).for_each(|(load, lagging)| *load = lagging);
+            state.of_channel_mut(channel).copy_from_slice(&lagging);
         }
     }
 }
 
 /// The exact solution of `y' = (x - y) / tau` at `times_s`, from rest at the first value, for `x` linear in between:
 /// `y1 = x1 - s tau + (y0 - x0 + s tau) exp(-dt / tau)` with the slope `s`. Frames may be further apart than `tau`.
-pub(super) fn lag(times_s: &[f64], input: impl Iterator<Item = f64>, time_constant_s: f64) -> Vec<f64> {
+pub(super) fn lag(times_s: &[f64], input: &[f64], time_constant_s: f64) -> Vec<f64> {
     let mut before: Option<(f64, f64, f64)> = None;
-    let follow = |(&time_s, x): (&f64, f64)| {
+    let follow = |(&time_s, &x): (&f64, &f64)| {
         let (from_s, from_x, from_y) = before.unwrap_or((time_s, x, x));
         let gap_s = time_s - from_s;
         let y = if gap_s <= 0.0 {

@@ -54,7 +54,7 @@ impl EffectKind for MotionArtifact {
             let speeds = speeds_by_link[patch.link].get_or_insert_with(|| fastest(patch.link, scene));
             for channel in patch.channels.clone() {
                 let per_speed = load_s_per_rad * state.on_loads[channel];
-                let loads = state.of_channel_mut(channel).zip(speeds.iter());
+                let loads = state.of_channel_mut(channel).iter_mut().zip(speeds.iter());
                 loads.for_each(|(load, speed)| *load += per_speed * speed);
             }
         }

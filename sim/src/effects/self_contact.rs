@@ -29,6 +29,10 @@ impl EffectKind for SelfContact {
         "activations away from the object, only in postures that bring two fingers together"
     }
 
+    fn mixes_channels(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         Parameter::presence()
     }

@@ -54,7 +54,7 @@ impl EffectKind for SensitivitySpread {
                 _ => effect.parameter(&gain_of(&layout.channels[channel].id)),
             };
             if gain != 1.0 {
-                state.of_channel_mut(channel).for_each(|load| *load *= gain);
+                state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= gain);
             }
         }
     }

@@ -40,7 +40,7 @@ impl EffectKind for StuckChannel {
             return;
         }
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
-            state.of_channel_mut(channel).for_each(|load| *load *= 1.0 - presence);
+            state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= 1.0 - presence);
         }
     }
 

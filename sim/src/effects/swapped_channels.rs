@@ -25,6 +25,10 @@ impl EffectKind for SwappedChannels {
         "each of two channels answers when the other is touched; counts unchanged"
     }
 
+    fn mixes_channels(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         Parameter::presence()
     }
@@ -45,10 +49,11 @@ impl EffectKind for SwappedChannels {
         if presence == 0.0 {
             return;
         }
-        for frame in state.frames_mut() {
-            let (one, other) = (frame[first], frame[second]);
-            frame[first] = (1.0 - presence) * one + presence * other;
-            frame[second] = (1.0 - presence) * other + presence * one;
+        let (ones, others) = (state.of_channel(first).to_vec(), state.of_channel(second).to_vec());
+        let share = |own: f64, other: f64| (1.0 - presence) * own + presence * other;
+        for (frame, (&one, &other)) in ones.iter().zip(&others).enumerate() {
+            state.of_channel_mut(first)[frame] = share(one, other);
+            state.of_channel_mut(second)[frame] = share(other, one);
         }
     }
 }

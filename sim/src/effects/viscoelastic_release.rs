@@ -53,7 +53,8 @@ impl EffectKind for ViscoelasticRelease {
         }
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
             let strain = lag(&state.times_s, state.of_channel(channel), time_constant_s);
-            state.of_channel_mut(channel).zip(strain).for_each(|(load, z)| *load = load.max(fraction * z));
+            let loads = state.of_channel_mut(channel).iter_mut().zip(strain);
+            loads.for_each(|(load, z)| *load = load.max(fraction * z));
         }
     }
 }

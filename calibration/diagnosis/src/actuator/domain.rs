@@ -13,7 +13,7 @@ use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use crate::DiagnosisError;
-use crate::engine::{BaseParameter, Domain, Model};
+use crate::engine::{BaseParameter, Domain, Model, Series};
 
 /// Length of a window, s: long enough for a friction of 5 mN m to move the joint by several encoder counts, short
 /// enough that windows of one second of motion differ.
@@ -34,8 +34,12 @@ const DUTY: f64 = 0.02;
 const SUPPLY_V: f64 = 0.5;
 /// Standard deviation of whether a reading exceeds the signed range.
 const CARRY: f64 = 0.3;
-/// Rows a sample: position, duty, supply, carry.
-const ROWS: usize = 4;
+/// Signals: position, duty, supply, carry.
+const SIGNALS: usize = 4;
+/// Which of them is the position.
+pub(super) const POSITION: usize = 0;
+/// Weight of each signal.
+const WEIGHTS: [f64; SIGNALS] = [1.0, 1.0 / DUTY, 1.0 / SUPPLY_V, 1.0 / CARRY];
 /// Highest PWM reading that a signed register can hold.
 const SIGNED_MAX: f64 = 32_767.0;
 /// What a sixteen-bit reading wraps at.
@@ -47,9 +51,9 @@ const DEFAULT_SUPPLY_V: f64 = 5.0;
 
 /// Servo logs, and the actuator models that predict them.
 ///
-/// Each sample has four rows. Position: whitened within its window, for errors of the start grow along it. PWM: as a
+/// Each sample has four signals. Position: whitened within its window, for errors of the start grow along it. PWM: as a
 /// duty, from the sixteen bits that the register has. Supply voltage. And whether the PWM reading exceeds the signed
-/// range, which no plant explains but `integer_wrap`: reading that row and the PWM apart keeps the readings' defect from
+/// range, which no plant explains but `integer_wrap`: reading that signal and the PWM apart keeps the readings' defect from
 /// drowning the rest without repairing it.
 pub struct ActuatorDomain<'a> {
     logs: Vec<Prepared<'a>>,
@@ -61,8 +65,7 @@ struct Prepared<'a> {
     gain_per_rad: f64,
     windows: Vec<Window>,
     blocks: Vec<Range<usize>>,
-    observed: Vec<f64>,
-    weights: Vec<f64>,
+    observed: Vec<Series>,
 }
 
 struct Window {
@@ -139,17 +142,16 @@ impl<'a> ActuatorDomain<'a> {
     }
 
     /// Mean square of the whitened position residuals of `take`, each counting up to four standard deviations.
-    pub(super) fn position_misfit(&self, take: usize, predicted: &[f64]) -> f64 {
-        let prepared = &self.logs[take];
-        let mut sum = 0.0;
-        for row in (0..predicted.len()).step_by(ROWS) {
-            let deviation = (prepared.observed[row] - predicted[row]) * prepared.weights[row];
-            sum += deviation.clamp(-4.0, 4.0).powi(2);
-        }
-        sum * ROWS as f64 / predicted.len().max(1) as f64
+    pub(super) fn position_misfit(&self, take: usize, predicted: &[Series]) -> f64 {
+        let (observed, predicted) = (&self.logs[take].observed[POSITION], &predicted[POSITION]);
+        let deviations = observed
+            .iter()
+            .zip(predicted.iter())
+            .map(|(observed, predicted)| ((observed - predicted) * WEIGHTS[POSITION]).clamp(-4.0, 4.0));
+        deviations.map(|deviation| deviation.powi(2)).sum::<f64>() / predicted.len().max(1) as f64
     }
 
-    /// Rows of each window of `take` that hold positions, with its samples.
+    /// Samples of each window of `take`, with the state at its beginning.
     pub(super) fn windows(&self, take: usize) -> impl Iterator<Item = (Range<usize>, Start)> + '_ {
         self.logs[take].windows.iter().map(|window| (window.samples.clone(), window.start))
     }
@@ -193,18 +195,12 @@ impl<'a> Prepared<'a> {
             .chunks(per_block)
             .map(|windows| {
                 let (first, last) = (&windows[0], &windows[windows.len() - 1]);
-                first.samples.start * ROWS..last.samples.end * ROWS
+                first.samples.start..last.samples.end
             })
             .collect();
         let gain = log.position_gain_register.unwrap_or(DEFAULT_GAIN);
-        let mut prepared = Self {
-            log,
-            gain_per_rad: ServoLog::duty_per_rad(gain),
-            windows,
-            blocks,
-            observed: Vec::new(),
-            weights: [1.0, 1.0 / DUTY, 1.0 / SUPPLY_V, 1.0 / CARRY].repeat(num_samples),
-        };
+        let mut prepared =
+            Self { log, gain_per_rad: ServoLog::duty_per_rad(gain), windows, blocks, observed: Vec::new() };
         let measured = |idx: usize| {
             let reading = log.pwm_register.get(idx).copied().unwrap_or(f64::NAN);
             let exceeds = reading > SIGNED_MAX;
@@ -216,7 +212,7 @@ impl<'a> Prepared<'a> {
             }
         };
         let measured: Vec<Sensed> = (0..num_samples).map(measured).collect();
-        prepared.observed = prepared.rows(&measured);
+        prepared.observed = prepared.signals(&measured);
         Ok(prepared)
     }
 
@@ -238,10 +234,9 @@ impl<'a> Prepared<'a> {
         self.windows.iter().flat_map(shot).collect()
     }
 
-    /// Samples as rows, positions whitened.
-    fn rows(&self, sensed: &[Sensed]) -> Vec<f64> {
-        let mut rows: Vec<f64> =
-            sensed.iter().flat_map(|s| [s.position_rad, s.duty, s.supply_v, s.carry]).collect();
+    /// Samples by signal, positions whitened.
+    fn signals(&self, sensed: &[Sensed]) -> Vec<Series> {
+        let mut whitened = Vec::with_capacity(sensed.len());
         for window in &self.windows {
             // Positions from the start on, so that rounding does not grow with the angle.
             let start_rad = window.start.position_rad;
@@ -250,11 +245,10 @@ impl<'a> Prepared<'a> {
                 window.samples.clone().map(|idx| sensed[idx].position_rad - start_rad),
             );
             window.factor.solve_lower_triangular_mut(&mut positions);
-            for (idx, position) in window.samples.clone().zip(positions.iter()) {
-                rows[idx * ROWS] = *position;
-            }
+            whitened.extend(positions.iter());
         }
-        rows
+        let signal = |of: fn(&Sensed) -> f64| -> Series { sensed.iter().map(of).collect() };
+        vec![whitened.into(), signal(|s| s.duty), signal(|s| s.supply_v), signal(|s| s.carry)]
     }
 }
 
@@ -297,8 +291,8 @@ impl Domain for ActuatorDomain<'_> {
         &self.logs[take].blocks
     }
 
-    fn observed(&self, take: usize) -> &[f64] {
-        &self.logs[take].observed
+    fn observed(&self, take: usize, signal: usize) -> &[f64] {
+        &self.logs[take].observed[signal]
     }
 
     fn base(&self) -> &[BaseParameter] {
@@ -324,32 +318,27 @@ impl Domain for ActuatorDomain<'_> {
     }
 
     fn num_units(&self) -> usize {
-        ROWS
-    }
-
-    fn unit(&self, row: usize) -> usize {
-        row % ROWS
+        SIGNALS
     }
 
     fn support(&self, _effect: &Effect, _parameter: &str) -> Vec<bool> {
-        vec![true; ROWS]
+        vec![true; SIGNALS]
     }
 
-    fn predict(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+    fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
         let prepared = &self.logs[take];
-        let rows = prepared.rows(&prepared.shoot(&self.plant(model)?));
-        match rows.iter().position(|row| !row.is_finite()) {
-            Some(row) => Err(DiagnosisError::Input(format!(
-                "the model leaves all bounds at sample {} of log {:?}: {:?}",
-                row / ROWS,
-                prepared.log.id,
-                model
+        let signals = prepared.signals(&prepared.shoot(&self.plant(model)?));
+        let unbounded = signals.iter().find_map(|series| series.iter().position(|value| !value.is_finite()));
+        match unbounded {
+            Some(sample) => Err(DiagnosisError::Input(format!(
+                "the model leaves all bounds at sample {sample} of log {:?}: {:?}",
+                prepared.log.id, model
             ))),
-            None => Ok(rows),
+            None => Ok(signals),
         }
     }
 
-    fn weights(&self, take: usize, _prediction: &[f64]) -> Vec<f64> {
-        self.logs[take].weights.clone()
+    fn weights(&self, _take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {
+        vec![WEIGHTS[signal]; prediction.len()]
     }
 }

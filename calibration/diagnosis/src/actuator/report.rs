@@ -345,10 +345,16 @@ fn next_experiment(evidence: &Evidence<'_>) -> Result<Option<NextExperiment>, Di
     let (a, b) = (with(round.class[0]), with(round.class[1]));
     let mut best: Option<(f64, usize)> = None;
     for take in 0..domain.num_takes() {
-        let weights = domain.weights(take, &[]);
         let (of_a, of_b) = (domain.predict(take, &a)?, domain.predict(take, &b)?);
-        let square: f64 =
-            of_a.iter().zip(&of_b).zip(&weights).map(|((a, b), weight)| ((a - b) * weight).powi(2)).sum();
+        let squares = of_a.iter().zip(&of_b).enumerate().map(|(signal, (a, b))| {
+            let weights = domain.weights(take, signal, a);
+            a.iter()
+                .zip(b.iter())
+                .zip(weights)
+                .map(|((a, b), weight)| ((a - b) * weight).powi(2))
+                .sum::<f64>()
+        });
+        let square: f64 = squares.sum();
         if best.is_none_or(|(most, _)| square > most) {
             best = Some((square, take));
         }

@@ -60,7 +60,7 @@ pub(crate) fn profile<D: Domain>(
     }
     let mut best: Option<Linear<'_, D>> = None;
     for start in starts {
-        let mut tried = Linear::without_nuisances(domain, &linear.with(start), &linear.takes)?;
+        let mut tried = linear.moved_to(linear.with(start))?;
         for _ in 0..PROFILE_STEPS {
             let step = tried.assess(&tried.base_columns(&free)?, &tried.residual).step;
             let Some(better) = descend(&tried, |scale| {
@@ -97,7 +97,7 @@ fn descend<'a, D: Domain>(
     stepped: impl Fn(f64) -> Model,
 ) -> Result<Option<Linear<'a, D>>, DiagnosisError> {
     for scale in [1.0, 0.5, 0.2, 0.05] {
-        let tried = Linear::without_nuisances(from.domain, &stepped(scale), &from.takes)?;
+        let tried = from.moved_to(stepped(scale))?;
         if tried.loss < from.loss {
             return Ok(Some(tried));
         }
@@ -163,14 +163,7 @@ pub(crate) fn fit<D: Domain>(
             break;
         }
     }
-    let by_take = |residual: &Residual| -> Vec<f64> {
-        let square = |rows: &[usize]| residual.values[rows[0]..rows[1]].iter().map(|r| r * r).sum();
-        linear.starts.windows(2).map(square).collect()
-    };
-    let (before, after) = (by_take(&linear.residual), by_take(&residual));
-    let held_out_gains = before
-        .iter()
-        .zip(&after)
+    let held_out_gains = (linear.residual.squares.iter().zip(&residual.squares))
         .zip(&assessment.held_out_gains)
         .map(|((before, after), of_step)| before - after + of_step)
         .collect();

@@ -1,37 +1,131 @@
 //! The surroundings of a model to first order.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
-use super::{Domain, HUBER, Model, huber};
+use super::{Domain, HUBER, Model, Series, huber};
 use crate::DiagnosisError;
 
 /// The response of all rows to one unit of a parameter, where it is not zero.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Column {
-    pub(crate) rows: Vec<u32>,
-    pub(crate) values: Vec<f32>,
+    /// Segments that it reaches, in order, with their ranges of what follows.
+    parts: Vec<(usize, Range<usize>)>,
+    rows: Vec<u32>,
+    values: Vec<f32>,
+}
+
+impl Column {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+}
+
+/// How rows are numbered through over takes: the samples of a signal follow one another, then come those of the next
+/// signal, then those of the next take. The rows of one signal of one take are a segment.
+struct Rows {
+    num_signals: usize,
+    num_kinds: usize,
+    /// First row of each segment, and the number of all rows.
+    starts: Vec<usize>,
+    /// Block of each row.
+    blocks: Vec<u32>,
+    /// Per block, the index of its take.
+    takes: Vec<usize>,
+}
+
+impl Rows {
+    fn new<D: Domain>(domain: &D, takes: &[usize]) -> Self {
+        let num_signals = domain.num_signals();
+        let (mut starts, mut blocks, mut take_of_block) = (vec![0], Vec::new(), Vec::new());
+        for (idx, &take) in takes.iter().enumerate() {
+            let first = take_of_block.len() as u32;
+            let of_take = domain.blocks(take);
+            take_of_block.resize(take_of_block.len() + of_take.len(), idx);
+            let of_sample: Vec<u32> = (first..)
+                .zip(of_take)
+                .flat_map(|(block, samples)| samples.clone().map(move |_| block))
+                .collect();
+            for _ in 0..num_signals {
+                blocks.extend_from_slice(&of_sample);
+                starts.push(blocks.len());
+            }
+        }
+        Self { num_signals, num_kinds: domain.num_kinds(), starts, blocks, takes: take_of_block }
+    }
+
+    fn take(&self, segment: usize) -> usize {
+        segment / self.num_signals
+    }
+
+    fn signal(&self, segment: usize) -> usize {
+        segment % self.num_signals
+    }
+
+    fn unit(&self, segment: usize) -> usize {
+        self.signal(segment) / self.num_kinds
+    }
+
+    fn kind(&self, segment: usize) -> usize {
+        self.signal(segment) % self.num_kinds
+    }
+}
+
+/// One signal of one take under a model.
+struct Segment {
+    predicted: Series,
+    /// Weight of each row: one over its standard deviation, less for outliers; 0 where nothing was measured.
+    weights: Vec<f64>,
+    /// Weighted residuals.
+    residual: Arc<[f64]>,
+    /// Huber's loss of the residuals.
+    loss: f64,
+}
+
+impl Segment {
+    fn new<D: Domain>(domain: &D, take: usize, signal: usize, predicted: &Series) -> Self {
+        let observed = domain.observed(take, signal);
+        let mut weights = domain.weights(take, signal, predicted);
+        let mut loss = 0.0;
+        let residual = weights
+            .iter_mut()
+            .zip(predicted.iter().zip(observed))
+            .map(|(weight, (predicted, observed))| {
+                if observed.is_nan() {
+                    *weight = 0.0;
+                    return 0.0;
+                }
+                let deviation = (observed - predicted) * *weight;
+                loss += huber(deviation);
+                if deviation.abs() <= HUBER {
+                    return deviation;
+                }
+                // Reweighted least squares: an outlier pulls as hard as one at the limit.
+                let damped = (HUBER / deviation.abs()).sqrt();
+                *weight *= damped;
+                deviation * damped
+            })
+            .collect();
+        Self { predicted: Arc::clone(predicted), weights, residual, loss }
+    }
 }
 
 /// A model over some takes: residuals, and the responses to parameters that are no news (the nuisances).
 ///
-/// Rows are numbered through over the takes. Residuals and responses are weighted: one is a standard deviation.
+/// Residuals and responses are weighted: one is a standard deviation.
 pub(crate) struct Linear<'a, D: Domain> {
     pub(crate) domain: &'a D,
     pub(crate) model: Model,
     /// Takes, in order.
     pub(crate) takes: Vec<usize>,
-    /// First row of each take, and the number of all rows.
-    pub(crate) starts: Vec<usize>,
     /// Predictions by take.
-    pub(crate) predicted: Vec<Vec<f64>>,
-    /// Weight of each row: one over its standard deviation, less for outliers; 0 where nothing was measured.
-    pub(crate) weights: Vec<f64>,
-    /// Blocks as ranges of rows, with the index of their take within `takes`.
-    pub(crate) blocks: Vec<(Range<usize>, usize)>,
+    pub(crate) predicted: Vec<Vec<Series>>,
+    rows: Arc<Rows>,
+    segments: Vec<Arc<Segment>>,
     /// Huber's loss of the residuals.
     pub(crate) loss: f64,
     /// The same by take and by kind of row, `[take * num_kinds + kind]`.
@@ -41,17 +135,21 @@ pub(crate) struct Linear<'a, D: Domain> {
     pub(crate) residual: Residual,
 }
 
-/// Weighted residuals, and what they have along the nuisances.
+/// Weighted residuals `r` with the nuisances `N` projected out: `r - N c`.
 pub(crate) struct Residual {
-    /// One a row.
-    pub(crate) values: Vec<f64>,
-    /// By block. Over all blocks this is nothing, within a block it is not.
+    /// `r`, by segment.
+    values: Vec<Arc<[f64]>>,
+    /// `c`.
+    coefficients: DVector<f64>,
+    /// `N'(r - N c)` by block. Over all blocks this is nothing, within a block it is not.
     along_nuisances: Vec<DVector<f64>>,
+    /// Squares of `r - N c`, by take.
+    pub(crate) squares: Vec<f64>,
 }
 
 impl Residual {
     pub(crate) fn square(&self) -> f64 {
-        self.values.iter().map(|r| r * r).sum()
+        self.squares.iter().sum()
     }
 }
 
@@ -64,6 +162,33 @@ struct Nuisances {
     inverse: DMatrix<f64>,
     /// Normal matrix of each block.
     by_block: Vec<DMatrix<f64>>,
+    /// Normal matrix of each take.
+    by_take: Vec<DMatrix<f64>>,
+    /// `N'r` of this model's residuals, by block.
+    along: Vec<DVector<f64>>,
+    /// Squares of this model's residuals, by take.
+    squares: Vec<f64>,
+}
+
+impl Nuisances {
+    fn none(num_blocks: usize, squares: Vec<f64>) -> Self {
+        Self {
+            count: 0,
+            index: Vec::new(),
+            values: Vec::new(),
+            inverse: DMatrix::zeros(0, 0),
+            by_block: vec![DMatrix::zeros(0, 0); num_blocks],
+            by_take: vec![DMatrix::zeros(0, 0); squares.len()],
+            along: vec![DVector::zeros(0); num_blocks],
+            squares,
+        }
+    }
+
+    /// Values of `row`; `None` if all are zero.
+    fn of_row(&self, row: usize) -> Option<&[f64]> {
+        let start = *self.index.get(row)?;
+        (start != u32::MAX).then(|| &self.values[start as usize..start as usize + self.count])
+    }
 }
 
 /// What a candidate's responses say.
@@ -102,60 +227,76 @@ impl<'a, D: Domain> Linear<'a, D> {
         takes: &[usize],
     ) -> Result<Self, DiagnosisError> {
         let predicted = predict(domain, model, takes)?;
-        let mut starts = vec![0];
-        for prediction in &predicted {
-            starts.push(starts[starts.len() - 1] + prediction.len());
-        }
-        let num_rows = starts[starts.len() - 1];
-        let (mut weights, mut residual) = (Vec::with_capacity(num_rows), Vec::with_capacity(num_rows));
-        let mut blocks = Vec::new();
-        let num_kinds = domain.num_kinds();
-        let mut losses = vec![0.0; takes.len() * num_kinds];
-        for (idx, (&take, prediction)) in takes.iter().zip(&predicted).enumerate() {
-            let observed = domain.observed(take);
-            let rows = domain.weights(take, prediction).into_iter().zip(prediction).zip(observed);
-            for (row, ((weight, &predicted), &observed)) in rows.enumerate() {
-                if observed.is_nan() {
-                    weights.push(0.0);
-                    residual.push(0.0);
-                    continue;
+        let rows = Arc::new(Rows::new(domain, takes));
+        Ok(Self::of_predicted(domain, model.clone(), takes, rows, predicted, &[]))
+    }
+
+    /// The same of another model over the same takes, for less where it predicts the same.
+    pub(crate) fn moved_to(&self, model: Model) -> Result<Self, DiagnosisError> {
+        let predicted = predict(self.domain, &model, &self.takes)?;
+        let rows = Arc::clone(&self.rows);
+        Ok(Self::of_predicted(self.domain, model, &self.takes, rows, predicted, &self.segments))
+    }
+
+    /// `known` may hold segments of another model.
+    fn of_predicted(
+        domain: &'a D,
+        model: Model,
+        takes: &[usize],
+        rows: Arc<Rows>,
+        predicted: Vec<Vec<Series>>,
+        known: &[Arc<Segment>],
+    ) -> Self {
+        let segments: Vec<Arc<Segment>> = (0..rows.starts.len() - 1)
+            .into_par_iter()
+            .map(|idx| {
+                let (take, signal) = (rows.take(idx), rows.signal(idx));
+                let series = &predicted[take][signal];
+                match known.get(idx).filter(|known| Arc::ptr_eq(&known.predicted, series)) {
+                    Some(known) => Arc::clone(known),
+                    None => Arc::new(Segment::new(domain, takes[take], signal, series)),
                 }
-                let deviation = (observed - predicted) * weight;
-                losses[idx * num_kinds + domain.kind(row)] += huber(deviation);
-                // Reweighted least squares: an outlier pulls as hard as one at the limit.
-                let damped = (HUBER / deviation.abs()).min(1.0).sqrt();
-                weights.push(weight * damped);
-                residual.push(deviation * damped);
-            }
-            let start = starts[idx];
-            blocks.extend(domain.blocks(take).iter().map(|rows| (rows.start + start..rows.end + start, idx)));
+            })
+            .collect();
+        let mut losses = vec![0.0; takes.len() * rows.num_kinds];
+        let mut squares = vec![0.0; takes.len()];
+        for (idx, segment) in segments.iter().enumerate() {
+            losses[rows.take(idx) * rows.num_kinds + rows.kind(idx)] += segment.loss;
+            squares[rows.take(idx)] += square(&segment.residual);
         }
-        let nuisances = Nuisances {
-            count: 0,
-            index: vec![u32::MAX; num_rows],
-            values: Vec::new(),
-            inverse: DMatrix::zeros(0, 0),
-            by_block: vec![DMatrix::zeros(0, 0); blocks.len()],
+        let residual = Residual {
+            values: segments.iter().map(|segment| Arc::clone(&segment.residual)).collect(),
+            coefficients: DVector::zeros(0),
+            along_nuisances: vec![DVector::zeros(0); rows.takes.len()],
+            squares: squares.clone(),
         };
-        let along_nuisances = vec![DVector::zeros(0); blocks.len()];
-        Ok(Self {
+        Self {
             domain,
-            model: model.clone(),
+            model,
             takes: takes.to_vec(),
-            starts,
             predicted,
-            weights,
-            blocks,
             loss: losses.iter().sum(),
             losses,
-            nuisances,
-            residual: Residual { values: residual, along_nuisances },
-        })
+            nuisances: Nuisances::none(rows.takes.len(), squares),
+            residual,
+            rows,
+            segments,
+        }
+    }
+
+    /// Segments of which `predicted` (by take) is another series than this model's, with it.
+    fn changed<'p>(
+        &self,
+        before: &'p [Vec<Series>],
+        after: &'p [Vec<Series>],
+    ) -> impl Iterator<Item = (usize, &'p Series, &'p Series)> + use<'p, 'a, D> {
+        let pairs = before.iter().flatten().zip(after.iter().flatten()).enumerate();
+        pairs.filter(|(_, (before, after))| !Arc::ptr_eq(before, after)).map(|(idx, (a, b))| (idx, a, b))
     }
 
     /// Loss by take.
     pub(crate) fn loss_by_take(&self) -> Vec<f64> {
-        self.losses.chunks_exact(self.domain.num_kinds()).map(|of_take| of_take.iter().sum()).collect()
+        self.losses.chunks_exact(self.rows.num_kinds).map(|of_take| of_take.iter().sum()).collect()
     }
 
     /// Loss in the rows of `kinds`.
@@ -168,14 +309,21 @@ impl<'a, D: Domain> Linear<'a, D> {
 
     /// Loss of `predicted` (by take) by kind of row, with the weights of this model's predictions: what a model is unsure
     /// of weighs less, so that losses with weights of their own do not compare.
-    pub(crate) fn losses_of(&self, predicted: &[Vec<f64>]) -> Vec<f64> {
-        let mut losses = vec![0.0; self.domain.num_kinds()];
-        for ((&take, own), predicted) in self.takes.iter().zip(&self.predicted).zip(predicted) {
-            let weights = self.domain.weights(take, own);
-            let rows = self.domain.observed(take).iter().zip(predicted).zip(weights).enumerate();
-            for (row, ((observed, predicted), weight)) in rows {
+    pub(crate) fn losses_of(&self, predicted: &[Vec<Series>]) -> Vec<f64> {
+        let mut losses = vec![0.0; self.rows.num_kinds];
+        for (idx, segment) in self.segments.iter().enumerate() {
+            let (take, signal) = (self.rows.take(idx), self.rows.signal(idx));
+            let after = &predicted[take][signal];
+            let loss = &mut losses[self.rows.kind(idx)];
+            if Arc::ptr_eq(&segment.predicted, after) {
+                *loss += segment.loss;
+                continue;
+            }
+            let weights = self.domain.weights(self.takes[take], signal, &segment.predicted);
+            let observed = self.domain.observed(self.takes[take], signal);
+            for ((observed, predicted), weight) in observed.iter().zip(after.iter()).zip(weights) {
                 if !observed.is_nan() {
-                    losses[self.domain.kind(row)] += huber((observed - predicted) * weight);
+                    *loss += huber((observed - predicted) * weight);
                 }
             }
         }
@@ -183,28 +331,24 @@ impl<'a, D: Domain> Linear<'a, D> {
     }
 
     /// Which kinds of rows `predicted` (by take) has otherwise than this model.
-    pub(crate) fn kinds_changed(&self, predicted: &[Vec<f64>]) -> Vec<bool> {
-        let mut changed = vec![false; self.domain.num_kinds()];
-        for ((before, after), start) in self.predicted.iter().zip(predicted).zip(&self.starts) {
-            for (row, (before, after)) in before.iter().zip(after).enumerate() {
-                let kind = self.domain.kind(row);
-                changed[kind] |= ((after - before) * self.weights[start + row]).abs() > NOTICEABLE;
-            }
+    pub(crate) fn kinds_changed(&self, predicted: &[Vec<Series>]) -> Vec<bool> {
+        let mut changed = vec![false; self.rows.num_kinds];
+        for (idx, before, after) in self.changed(&self.predicted, predicted) {
+            let weights = &self.segments[idx].weights;
+            changed[self.rows.kind(idx)] |= before
+                .iter()
+                .zip(after.iter())
+                .zip(weights)
+                .any(|((before, after), weight)| ((after - before) * weight).abs() > NOTICEABLE);
         }
         changed
     }
 
     /// Which kinds of rows `columns` reach.
     pub(crate) fn kinds_in(&self, columns: &[Column]) -> Vec<bool> {
-        let mut reached = vec![false; self.domain.num_kinds()];
-        for column in columns {
-            let mut take = 0;
-            for &row in &column.rows {
-                while row as usize >= self.starts[take + 1] {
-                    take += 1;
-                }
-                reached[self.domain.kind(row as usize - self.starts[take])] = true;
-            }
+        let mut reached = vec![false; self.rows.num_kinds];
+        for (segment, _) in columns.iter().flat_map(|column| &column.parts) {
+            reached[self.rows.kind(*segment)] = true;
         }
         reached
     }
@@ -257,22 +401,29 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// the columns a unit belongs to (`usize::MAX`: none), `steps` by what each is divided.
     pub(crate) fn columns(
         &self,
-        before: &[Vec<f64>],
-        after: &[Vec<f64>],
+        before: &[Vec<Series>],
+        after: &[Vec<Series>],
         owner: &[usize],
         steps: &[f64],
     ) -> Vec<Column> {
         let mut columns = vec![Column::default(); steps.len()];
-        for ((before, after), &start) in before.iter().zip(after).zip(&self.starts) {
-            for (row, (before, after)) in before.iter().zip(after).enumerate() {
-                let change = (after - before) * self.weights[start + row];
+        for (idx, before, after) in self.changed(before, after) {
+            let owner = owner[self.rows.unit(idx)];
+            if owner == usize::MAX {
+                continue;
+            }
+            let (column, step) = (&mut columns[owner], steps[owner]);
+            let first = column.rows.len();
+            let changes = before.iter().zip(after.iter()).zip(&self.segments[idx].weights);
+            for (sample, ((before, after), weight)) in changes.enumerate() {
+                let change = (after - before) * weight;
                 if change.abs() > SMALLEST_RESPONSE {
-                    let owner = owner[self.domain.unit(row)];
-                    if owner != usize::MAX {
-                        columns[owner].rows.push((start + row) as u32);
-                        columns[owner].values.push((change / steps[owner]) as f32);
-                    }
+                    column.rows.push((self.rows.starts[idx] + sample) as u32);
+                    column.values.push((change / step) as f32);
                 }
+            }
+            if column.rows.len() > first {
+                column.parts.push((idx, first..column.rows.len()));
             }
         }
         columns
@@ -281,7 +432,7 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// Makes `columns` the nuisances and projects them out of the residual.
     pub(crate) fn project(&mut self, columns: &[Column]) {
         let count = columns.len();
-        let mut index = vec![u32::MAX; self.residual.values.len()];
+        let mut index = vec![u32::MAX; self.rows.blocks.len()];
         let mut values: Vec<f64> = Vec::new();
         for (idx, column) in columns.iter().enumerate() {
             for (&row, &value) in column.rows.iter().zip(&column.values) {
@@ -293,39 +444,54 @@ impl<'a, D: Domain> Linear<'a, D> {
                 values[*slot as usize + idx] = f64::from(value);
             }
         }
-        let mut by_block = Vec::with_capacity(self.blocks.len());
-        let mut normal = DMatrix::zeros(count, count);
-        for (rows, _) in &self.blocks {
-            let mut of_block = DMatrix::zeros(count, count);
-            for row in rows.clone() {
-                let Some(values) = row_values(&index, &values, count, row) else { continue };
-                for (i, a) in values.iter().enumerate() {
-                    if *a != 0.0 {
-                        for (j, b) in values.iter().enumerate() {
-                            of_block[(i, j)] += a * b;
-                        }
-                    }
+        let num_blocks = self.rows.takes.len();
+        let mut nuisances = Nuisances {
+            count,
+            index,
+            values,
+            by_block: vec![DMatrix::zeros(count, count); num_blocks],
+            by_take: vec![DMatrix::zeros(count, count); self.takes.len()],
+            along: vec![DVector::zeros(count); num_blocks],
+            ..Nuisances::none(0, std::mem::take(&mut self.nuisances.squares))
+        };
+        let (mut by_block, mut along) =
+            (std::mem::take(&mut nuisances.by_block), std::mem::take(&mut nuisances.along));
+        for (segment, &start) in self.segments.iter().zip(&self.rows.starts) {
+            for (row, residual) in (start..).zip(segment.residual.iter()) {
+                let Some(values) = nuisances.of_row(row) else { continue };
+                let block = self.rows.blocks[row] as usize;
+                for (i, a) in values.iter().enumerate().filter(|(_, a)| **a != 0.0) {
+                    along[block][i] += a * residual;
+                    let column = by_block[block].column_mut(i);
+                    column.into_iter().zip(values).for_each(|(sum, b)| *sum += a * b);
                 }
             }
-            normal += &of_block;
-            by_block.push(of_block);
         }
-        self.nuisances = Nuisances { count, index, values, inverse: inverse(&normal), by_block };
+        let mut normal = DMatrix::zeros(count, count);
+        for (of_block, &take) in by_block.iter().zip(&self.rows.takes) {
+            normal += of_block;
+            nuisances.by_take[take] += of_block;
+        }
+        nuisances.inverse = inverse(&normal);
+        (nuisances.by_block, nuisances.along) = (by_block, along);
+        self.nuisances = nuisances;
         let values = std::mem::take(&mut self.residual.values);
-        self.residual = self.projected(values);
+        self.residual = self.projected(values, self.nuisances.along.clone(), self.nuisances.squares.clone());
     }
 
     /// By take and unit, how much smaller the squares of the residuals are with `predicted` (by take) in place of this
     /// model's predictions, with these weights.
-    pub(crate) fn removed(&self, predicted: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    pub(crate) fn removed(&self, predicted: &[Vec<Series>]) -> Vec<Vec<f64>> {
         let mut removed = vec![vec![0.0; self.domain.num_units()]; self.takes.len()];
-        for (idx, (&take, after)) in self.takes.iter().zip(predicted).enumerate() {
-            let rows = self.domain.observed(take).iter().zip(&self.predicted[idx]).zip(after).enumerate();
-            for (row, ((observed, before), after)) in rows {
-                let weight = self.weights[self.starts[idx] + row];
+        for (idx, before, after) in self.changed(&self.predicted, predicted) {
+            let (take, signal) = (self.rows.take(idx), self.rows.signal(idx));
+            let observed = self.domain.observed(self.takes[take], signal);
+            let sum = &mut removed[take][self.rows.unit(idx)];
+            let rows = observed.iter().zip(before.iter().zip(after.iter())).zip(&self.segments[idx].weights);
+            for ((observed, (before, after)), &weight) in rows {
                 if weight > 0.0 && before != after {
                     let squares = (observed - before).powi(2) - (observed - after).powi(2);
-                    removed[idx][self.domain.unit(row)] += weight * weight * squares;
+                    *sum += weight * weight * squares;
                 }
             }
         }
@@ -333,46 +499,62 @@ impl<'a, D: Domain> Linear<'a, D> {
     }
 
     /// Residuals of `predicted` (by take) with these weights and nuisances: what a candidate leaves.
-    pub(crate) fn residual_of(&self, predicted: &[Vec<f64>]) -> Residual {
-        let mut residual = vec![0.0; self.weights.len()];
-        for ((&take, predicted), &start) in self.takes.iter().zip(predicted).zip(&self.starts) {
-            for (row, (observed, predicted)) in self.domain.observed(take).iter().zip(predicted).enumerate() {
-                if self.weights[start + row] > 0.0 {
-                    residual[start + row] = (observed - predicted) * self.weights[start + row];
+    pub(crate) fn residual_of(&self, predicted: &[Vec<Series>]) -> Residual {
+        let mut values: Vec<Arc<[f64]>> =
+            self.segments.iter().map(|segment| Arc::clone(&segment.residual)).collect();
+        let mut along = self.nuisances.along.clone();
+        let mut squares = self.nuisances.squares.clone();
+        for (idx, _, after) in self.changed(&self.predicted, predicted) {
+            let (take, segment) = (self.rows.take(idx), &self.segments[idx]);
+            let observed = self.domain.observed(self.takes[take], self.rows.signal(idx));
+            let rows = observed.iter().zip(after.iter()).zip(&segment.weights);
+            let residual: Arc<[f64]> = rows
+                .map(
+                    |((observed, predicted), &weight)| {
+                        if weight > 0.0 { (observed - predicted) * weight } else { 0.0 }
+                    },
+                )
+                .collect();
+            squares[take] += square(&residual) - square(&segment.residual);
+            if self.nuisances.count > 0 {
+                let pairs = residual.iter().zip(segment.residual.iter());
+                for (row, (after, before)) in (self.rows.starts[idx]..).zip(pairs) {
+                    let change = after - before;
+                    if change == 0.0 {
+                        continue;
+                    }
+                    if let Some(values) = self.nuisances.of_row(row) {
+                        let sums = along[self.rows.blocks[row] as usize].iter_mut();
+                        sums.zip(values).for_each(|(sum, value)| *sum += value * change);
+                    }
                 }
             }
+            values[idx] = residual;
         }
-        self.projected(residual)
+        self.projected(values, along, squares)
     }
 
-    /// `residual` with the nuisances projected out.
-    fn projected(&self, mut residual: Vec<f64>) -> Residual {
-        let Nuisances { count, index, values, inverse, .. } = &self.nuisances;
-        let along = |residual: &[f64]| -> Vec<DVector<f64>> {
-            self.blocks
-                .iter()
-                .map(|(rows, _)| {
-                    let mut sums = DVector::zeros(*count);
-                    for row in rows.clone() {
-                        if let Some(values) = row_values(index, values, *count, row) {
-                            for (sum, value) in sums.iter_mut().zip(values) {
-                                *sum += value * residual[row];
-                            }
-                        }
-                    }
-                    sums
-                })
-                .collect()
-        };
-        let total = along(&residual).iter().fold(DVector::zeros(*count), |sum, part| sum + part);
+    /// The residual `values` (by segment) with the nuisances projected out, given `along = N'r` by block and the squares
+    /// of `r` by take.
+    fn projected(
+        &self,
+        values: Vec<Arc<[f64]>>,
+        mut along: Vec<DVector<f64>>,
+        mut squares: Vec<f64>,
+    ) -> Residual {
+        let Nuisances { count, inverse, by_block, by_take, .. } = &self.nuisances;
+        let total = along.iter().fold(DVector::zeros(*count), |sum, part| sum + part);
         let coefficients = inverse * total;
-        for (row, residual) in residual.iter_mut().enumerate() {
-            if let Some(values) = row_values(index, values, *count, row) {
-                *residual -= values.iter().zip(coefficients.iter()).map(|(a, c)| a * c).sum::<f64>();
-            }
+        for (along, &take) in along.iter().zip(&self.rows.takes) {
+            squares[take] -= 2.0 * coefficients.dot(along);
         }
-        let along_nuisances = along(&residual);
-        Residual { values: residual, along_nuisances }
+        for (square, normal) in squares.iter_mut().zip(by_take) {
+            *square += coefficients.dot(&(normal * &coefficients));
+        }
+        for (along, normal) in along.iter_mut().zip(by_block) {
+            along.gemv(-1.0, normal, &coefficients, 1.0);
+        }
+        Residual { values, coefficients, along_nuisances: along, squares }
     }
 
     /// What `columns` can do about `residual` (as [`Self::residual`] or [`Self::residual_of`]).
@@ -380,43 +562,42 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// With R the responses and N the nuisances, R~ = R - N (N'N)^-1 N'R; the step is (R~'R~)^-1 R~'r, its covariance
     /// the sandwich over blocks.
     pub(crate) fn assess(&self, columns: &[Column], residual: &Residual) -> Assessment {
+        let coefficients = &residual.coefficients;
         let k = columns.len();
-        let Nuisances { count, index, values, inverse: p, by_block } = &self.nuisances;
-        let m = *count;
-        let num_blocks = self.blocks.len();
+        let Nuisances { count: m, inverse: p, by_block, .. } = &self.nuisances;
+        let num_blocks = self.rows.takes.len();
+        let blocks = &self.rows.blocks;
         // Per block: R'r, R'N, R'R.
         let mut scores = vec![DVector::<f64>::zeros(k); num_blocks];
-        let mut with_nuisances = vec![DMatrix::<f64>::zeros(k, m); num_blocks];
+        let mut with_nuisances = vec![DMatrix::<f64>::zeros(k, *m); num_blocks];
         let mut normals = vec![DMatrix::<f64>::zeros(k, k); num_blocks];
-        let mut cursor = vec![0; k];
-        for (block, (rows, _)) in self.blocks.iter().enumerate() {
-            let mut parts: Vec<Range<usize>> = Vec::with_capacity(k);
-            for (column, cursor) in columns.iter().zip(&mut cursor) {
-                let first = *cursor;
-                while column.rows.get(*cursor).is_some_and(|&row| (row as usize) < rows.end) {
-                    *cursor += 1;
-                }
-                parts.push(first..*cursor);
-            }
-            for (i, (column, part)) in columns.iter().zip(&parts).enumerate() {
+        for (i, column) in columns.iter().enumerate() {
+            for (segment, part) in &column.parts {
+                let (start, residual) = (self.rows.starts[*segment], &residual.values[*segment]);
                 for (&row, &value) in column.rows[part.clone()].iter().zip(&column.values[part.clone()]) {
                     let (row, value) = (row as usize, f64::from(value));
-                    scores[block][i] += value * residual.values[row];
+                    let block = blocks[row] as usize;
+                    let mut left = residual[row - start];
                     normals[block][(i, i)] += value * value;
-                    if let Some(values) = row_values(index, values, m, row) {
-                        for (j, nuisance) in values.iter().enumerate() {
-                            with_nuisances[block][(i, j)] += value * nuisance;
+                    if let Some(values) = self.nuisances.of_row(row) {
+                        let with = &mut with_nuisances[block];
+                        for (j, (nuisance, coefficient)) in values.iter().zip(coefficients.iter()).enumerate()
+                        {
+                            left -= nuisance * coefficient;
+                            with[(i, j)] += value * nuisance;
                         }
                     }
-                }
-                for (j, (other, other_part)) in columns.iter().zip(&parts).enumerate().take(i) {
-                    let cross = dot(column, part, other, other_part);
-                    normals[block][(i, j)] = cross;
-                    normals[block][(j, i)] = cross;
+                    scores[block][i] += value * left;
                 }
             }
+            for (j, other) in columns[..i].iter().enumerate() {
+                column.each_common(other, |row, product| normals[blocks[row] as usize][(i, j)] += product);
+            }
         }
-        let a: DMatrix<f64> = with_nuisances.iter().fold(DMatrix::zeros(k, m), |sum, part| sum + part);
+        for normal in &mut normals {
+            normal.fill_upper_triangle_with_lower_triangle();
+        }
+        let a: DMatrix<f64> = with_nuisances.iter().fold(DMatrix::zeros(k, *m), |sum, part| sum + part);
         let c = &a * p;
         let mut projected_scores = Vec::with_capacity(num_blocks);
         let mut projected_normals = Vec::with_capacity(num_blocks);
@@ -446,7 +627,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         let steps: Vec<DVector<f64>> =
             of_fold.iter().map(|(score, normal)| inverse(&(&h - normal)) * (&s - score)).collect();
         let mut held_out_gains = vec![0.0; self.takes.len()];
-        for (block, (_, take)) in self.blocks.iter().enumerate() {
+        for (block, take) in self.rows.takes.iter().enumerate() {
             let step = &steps[folds[block]];
             held_out_gains[*take] +=
                 2.0 * projected_scores[block].dot(step) - step.dot(&(&projected_normals[block] * step));
@@ -468,14 +649,14 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// so few takes see what is fitted that a fit without one of them would know nothing, every [`FEW_FOLDS`]-th block.
     fn folds(&self, normals: &[DMatrix<f64>]) -> (Vec<usize>, usize) {
         let mut seen = vec![0.0; self.takes.len()];
-        for ((_, take), normal) in self.blocks.iter().zip(normals) {
+        for (take, normal) in self.rows.takes.iter().zip(normals) {
             seen[*take] += normal.trace();
         }
         let least = LEAST_TAKE_SHARE * seen.iter().sum::<f64>();
         if seen.iter().filter(|seen| **seen > least).count() >= FEW_TAKES {
-            return (self.blocks.iter().map(|(_, take)| *take).collect(), self.takes.len());
+            return (self.rows.takes.clone(), self.takes.len());
         }
-        ((0..self.blocks.len()).map(|block| block % FEW_FOLDS).collect(), FEW_FOLDS)
+        ((0..self.rows.takes.len()).map(|block| block % FEW_FOLDS).collect(), FEW_FOLDS)
     }
 
     /// `model` with another effect.
@@ -497,7 +678,7 @@ pub(crate) fn predict<D: Domain>(
     domain: &D,
     model: &Model,
     takes: &[usize],
-) -> Result<Vec<Vec<f64>>, DiagnosisError> {
+) -> Result<Vec<Vec<Series>>, DiagnosisError> {
     takes.par_iter().map(|&take| domain.predict(take, model)).collect()
 }
 
@@ -506,26 +687,28 @@ pub(crate) fn inside(value: f64, step: f64, lower: f64, upper: f64) -> f64 {
     if (lower..=upper).contains(&(value + step)) { step } else { -step }
 }
 
-fn row_values<'v>(index: &[u32], values: &'v [f64], count: usize, row: usize) -> Option<&'v [f64]> {
-    let start = index[row];
-    (start != u32::MAX).then(|| &values[start as usize..start as usize + count])
+fn square(values: &[f64]) -> f64 {
+    values.iter().map(|value| value * value).sum()
 }
 
-/// Product of two columns over parts that cover the same rows.
-fn dot(a: &Column, a_part: &Range<usize>, b: &Column, b_part: &Range<usize>) -> f64 {
-    let (mut i, mut j, mut sum) = (a_part.start, b_part.start, 0.0);
-    while i < a_part.end && j < b_part.end {
-        match a.rows[i].cmp(&b.rows[j]) {
-            std::cmp::Ordering::Less => i += 1,
-            std::cmp::Ordering::Greater => j += 1,
-            std::cmp::Ordering::Equal => {
-                sum += f64::from(a.values[i]) * f64::from(b.values[j]);
-                i += 1;
-                j += 1;
+impl Column {
+    /// Calls `visit` with each row that both columns have, and the product of their values there.
+    fn each_common(&self, other: &Self, mut visit: impl FnMut(usize, f64)) {
+        let mut others = other.parts.iter().peekable();
+        for (segment, part) in &self.parts {
+            while others.next_if(|(other, _)| other < segment).is_some() {}
+            let Some((_, other_part)) = others.next_if(|(other, _)| other == segment) else { continue };
+            let (mut i, mut j) = (part.start, other_part.start);
+            while i < part.end && j < other_part.end {
+                let (row, other_row) = (self.rows[i], other.rows[j]);
+                if row == other_row {
+                    visit(row as usize, f64::from(self.values[i]) * f64::from(other.values[j]));
+                }
+                i += usize::from(row <= other_row);
+                j += usize::from(other_row <= row);
             }
         }
     }
-    sum
 }
 
 /// Directions of parameters that the data sees less than this, of what it sees of one alone, are left at rest: steps

@@ -65,7 +65,7 @@ pub(crate) fn screen<D: Domain>(
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
     let mut screened: Vec<Screened> = jobs
         .into_par_iter()
-        .filter(|(_, columns)| columns.iter().any(|column| !column.rows.is_empty()))
+        .filter(|(_, columns)| columns.iter().any(|column| !column.is_empty()))
         .map(|((effect, parameters), columns)| {
             let assessment = linear.assess(&columns, &linear.residual);
             let estimate = stepped(&effect, &parameters, assessment.step.as_slice());

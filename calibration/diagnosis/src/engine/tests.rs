@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BaseParameter, Domain, Model, Naming, NamingConfig, name};
+use super::{BaseParameter, Domain, Model, Naming, NamingConfig, Series, name};
 use crate::DiagnosisError;
 
 const ROWS: usize = 400;
@@ -89,7 +89,7 @@ impl Domain for Sines {
         &self.blocks
     }
 
-    fn observed(&self, take: usize) -> &[f64] {
+    fn observed(&self, take: usize, _signal: usize) -> &[f64] {
         &self.observed[take]
     }
 
@@ -110,23 +110,19 @@ impl Domain for Sines {
         1
     }
 
-    fn unit(&self, _row: usize) -> usize {
-        0
-    }
-
     fn support(&self, _effect: &Effect, _parameter: &str) -> Vec<bool> {
         vec![true]
     }
 
-    fn predict(&self, _take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
+    fn predict(&self, _take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
         let of_row = |row: usize| -> f64 {
             let effects = model.effects.iter();
             model.base[0] + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
         };
-        Ok((0..ROWS).map(of_row).collect())
+        Ok(vec![(0..ROWS).map(of_row).collect()])
     }
 
-    fn weights(&self, _take: usize, prediction: &[f64]) -> Vec<f64> {
+    fn weights(&self, _take: usize, _signal: usize, prediction: &[f64]) -> Vec<f64> {
         vec![1.0 / NOISE; prediction.len()]
     }
 }

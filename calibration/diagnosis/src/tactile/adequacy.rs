@@ -5,7 +5,7 @@ use palpate_robot_model::Station;
 use super::judge::repeated;
 use super::{Observed, TactileDomain};
 use crate::DiagnosisError;
-use crate::engine::{Domain, Model, huber};
+use crate::engine::{Domain, Model, Series, huber};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -52,47 +52,40 @@ pub(crate) fn adequacy(
     model: &Model,
     takes: &[usize],
 ) -> Result<Adequacy, DiagnosisError> {
-    let stride = 2 * station.layout.num_channels();
     let (mut product, mut count) = (0.0, 0.0);
-    let (mut loss, mut rows) = (0.0, 0.0);
+    let (mut loss, mut rows_measured) = (0.0, 0.0);
     let mut quiet = vec![Quiet::default(); station.layout.streams.len()];
     for &take in takes {
         let observed = domain.take(take);
         let prediction = domain.predict(take, model)?;
-        let weights = domain.weights(take, &prediction);
-        let deviation: Vec<f64> = observed
-            .rows
-            .iter()
-            .zip(&prediction)
-            .zip(&weights)
-            .map(|((row, predicted), weight)| (row - predicted) * weight)
-            .collect();
-        for deviation in deviation.iter().filter(|deviation| deviation.is_finite()) {
-            loss += huber(*deviation);
-            rows += 1.0;
-        }
-        let residual: Vec<f64> = deviation.iter().map(|deviation| deviation.clamp(-CLIP, CLIP)).collect();
-        for (first, second) in repeated(observed) {
-            for offset in 0..first.len().min(second.len()) {
-                let (a, b) = ((first.start + offset) * stride, (second.start + offset) * stride);
-                for row in 0..stride {
-                    let (x, y) = (residual[a + row], residual[b + row]);
-                    let near = prediction[a + row] > QUIET || prediction[b + row] > QUIET;
-                    if near && x.is_finite() && y.is_finite() {
-                        product += x * y;
-                        count += 1.0;
-                    }
+        let repeated = repeated(observed);
+        for (signal, predicted) in prediction.iter().enumerate() {
+            let weights = domain.weights(take, signal, predicted);
+            let rows = observed.signals[signal].iter().zip(predicted.iter()).zip(&weights);
+            let deviation: Vec<f64> =
+                rows.map(|((row, predicted), weight)| (row - predicted) * weight).collect();
+            for deviation in deviation.iter().filter(|deviation| deviation.is_finite()) {
+                loss += huber(*deviation);
+                rows_measured += 1.0;
+            }
+            let residual = |frame: usize| deviation[frame].clamp(-CLIP, CLIP);
+            for (a, b) in repeated.iter().flat_map(|(first, second)| first.clone().zip(second.clone())) {
+                let (x, y) = (residual(a), residual(b));
+                let near = predicted[a] > QUIET || predicted[b] > QUIET;
+                if near && x.is_finite() && y.is_finite() {
+                    product += x * y;
+                    count += 1.0;
                 }
             }
         }
         for (stream, sum) in station.layout.streams.iter().zip(&mut quiet) {
-            sum.add(observed, &prediction, stream.channels.clone(), stride);
+            sum.add(observed, &prediction, stream.channels.clone());
         }
     }
     Ok(Adequacy {
         repeating: if count > 0.0 { (product / count).max(0.0) } else { 0.0 },
         common_mode: quiet.iter().map(Quiet::ratio).fold(0.0, f64::max),
-        loss: if rows > 0.0 { loss / rows } else { 0.0 },
+        loss: if rows_measured > 0.0 { loss / rows_measured } else { 0.0 },
     })
 }
 
@@ -103,19 +96,14 @@ struct Quiet {
 }
 
 impl Quiet {
-    fn add(
-        &mut self,
-        observed: &Observed<'_>,
-        prediction: &[f64],
-        channels: std::ops::Range<usize>,
-        stride: usize,
-    ) {
-        for frame in 0..observed.rows.len() / stride {
+    fn add(&mut self, observed: &Observed<'_>, prediction: &[Series], channels: std::ops::Range<usize>) {
+        for frame in 0..observed.take.num_frames() {
             let (mut sum, mut count) = (0.0, 0.0);
             for channel in channels.clone() {
-                let row = frame * stride + 2 * channel + 1;
-                let value = observed.rows[row] - prediction[row];
-                if value.is_finite() && prediction[row].abs() < QUIET && observed.noise[channel] > 0.0 {
+                let signal = 2 * channel + 1;
+                let predicted = prediction[signal][frame];
+                let value = observed.signals[signal][frame] - predicted;
+                if value.is_finite() && predicted.abs() < QUIET && observed.noise[channel] > 0.0 {
                     sum += (value / observed.noise[channel]).clamp(-2.0 * CLIP, 2.0 * CLIP);
                     count += 1.0;
                 }

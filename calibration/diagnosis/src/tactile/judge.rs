@@ -26,9 +26,11 @@ pub(crate) struct Judged {
     pub(crate) total_s: f64,
 }
 
-/// Real activations of a take.
+/// Real activations of a take, `[frame * num_channels + channel]`.
 pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
-    observed.rows.iter().step_by(2).map(|event| *event > 0.5).collect()
+    let num_frames = observed.take.num_frames();
+    let of_frame = |frame| observed.signals.iter().step_by(2).map(move |events| events[frame] > 0.5);
+    (0..num_frames).flat_map(of_frame).collect()
 }
 
 /// Activations that `model` reports on a take.

@@ -9,7 +9,7 @@ use palpate_wire::api::NextExperiment;
 
 use super::TactileDomain;
 use crate::DiagnosisError;
-use crate::engine::{Domain, Model, Naming, Round, inverse};
+use crate::engine::{Domain, Model, Naming, Round, Series, inverse};
 
 /// Effects with more parameters than this are not compared: they can imitate too much for a linear distance.
 const MOST_PARAMETERS: usize = 8;
@@ -41,10 +41,15 @@ pub(crate) fn next_experiment(
     for &take in takes {
         let of_named = domain.predict(take, &with(named))?;
         let of_rival = domain.predict(take, &with(rival))?;
-        let weights = domain.weights(take, &of_named);
-        let weighted = |other: &[f64], step: f64| -> DVector<f64> {
-            let rows = other.iter().zip(&of_named).zip(&weights);
-            DVector::from_iterator(of_named.len(), rows.map(|((b, a), weight)| (b - a) * weight / step))
+        let weights: Vec<f64> = of_named
+            .iter()
+            .enumerate()
+            .flat_map(|(signal, predicted)| domain.weights(take, signal, predicted))
+            .collect();
+        let weighted = |other: &[Series], step: f64| -> DVector<f64> {
+            let rows = other.iter().zip(&of_named).flat_map(|(b, a)| b.iter().zip(a.iter()));
+            let rows = rows.zip(&weights).map(|((b, a), weight)| (b - a) * weight / step);
+            DVector::from_iterator(weights.len(), rows)
         };
         let difference = weighted(&of_rival, 1.0);
         let mut responses = Vec::with_capacity(parameters.len());

@@ -9,6 +9,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::DiagnosisError;
+use crate::engine::Series;
 
 /// Rows between repetitions that are not marked are cut into blocks of this length, s.
 const BLOCK_S: f64 = 5.0;
@@ -36,9 +37,9 @@ pub(crate) struct Observed<'a> {
     pub(crate) arrivals_s: Vec<Vec<f64>>,
     /// As [`TakeScene::frozen_for_s`]; empty without raw readings, whose noise is what tells.
     pub(crate) frozen_for_s: Vec<Vec<f64>>,
-    /// As [`super::TactileDomain`] numbers them.
-    pub(crate) rows: Vec<f64>,
-    /// Ranges of rows that belong together.
+    /// Frame by frame, as [`super::TactileDomain`] numbers them.
+    pub(crate) signals: Vec<Vec<f64>>,
+    /// Ranges of frames that belong together.
     pub(crate) blocks: Vec<Range<usize>>,
     /// The same as ranges of frames, with the label of the repetition (empty between repetitions).
     pub(crate) repetitions: Vec<(Range<usize>, String)>,
@@ -64,7 +65,7 @@ impl<'a> Observed<'a> {
         let layout = &station.layout;
         let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
         let frame_times_s = &take.joints.times_s;
-        let mut rows = vec![f64::NAN; num_frames * num_channels * 2];
+        let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * 2];
         let mut arrivals_s = Vec::new();
         let mut frozen_for_s = Vec::new();
         let mut noise = vec![0.0; num_channels];
@@ -83,12 +84,11 @@ impl<'a> Observed<'a> {
                 *arrival = log.times_s[sample];
                 frozen[frame] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
                 for (idx, channel) in stream.channels.clone().enumerate() {
-                    let row = (frame * num_channels + channel) * 2;
-                    rows[row] = f64::from(u8::from(log.active[sample * width + idx]));
+                    signals[2 * channel][frame] = f64::from(u8::from(log.active[sample * width + idx]));
                     if let (Some(raw), Some(reference)) =
                         (log.raw.get(sample * width + idx), log.reference.get(idx))
                     {
-                        rows[row + 1] = f64::from(raw - reference) / config.on_threshold;
+                        signals[2 * channel + 1][frame] = f64::from(raw - reference) / config.on_threshold;
                     }
                 }
             }
@@ -102,9 +102,7 @@ impl<'a> Observed<'a> {
             }
         }
         let repetitions = repetitions(take);
-        let stride = 2 * num_channels;
-        let blocks =
-            repetitions.iter().map(|(frames, _)| frames.start * stride..frames.end * stride).collect();
+        let blocks = repetitions.iter().map(|(frames, _)| frames.clone()).collect();
         let has_raw = take.has_raw();
         let positions = take.joints.positions.clone();
         if !has_raw {
@@ -117,7 +115,7 @@ impl<'a> Observed<'a> {
             positions,
             arrivals_s,
             frozen_for_s,
-            rows,
+            signals,
             blocks,
             repetitions,
             noise,
@@ -143,9 +141,8 @@ impl<'a> Observed<'a> {
     }
 
     /// This take with what a model predicts in place of what was measured, and noise.
-    pub(crate) fn simulated(&self, station: &Station, predicted: &[f64], rng: &mut ChaCha8Rng) -> Self {
+    pub(crate) fn simulated(&self, station: &Station, predicted: &[Series], rng: &mut ChaCha8Rng) -> Self {
         let num_channels = station.layout.num_channels();
-        let stride = 2 * num_channels;
         let mut simulated = self.clone();
         for (dof, joint) in station.robot.dofs().enumerate() {
             if joint.kind == JointKind::Revolute {
@@ -164,17 +161,17 @@ impl<'a> Observed<'a> {
         for block in &self.blocks {
             // No two touches press a channel quite alike.
             let shares: Vec<f64> = (0..num_channels).map(|_| 1.0 + TOUCH_SPREAD * gaussian(rng)).collect();
-            for frame in block.start / stride..block.end / stride {
+            for frame in block.clone() {
                 for channel in 0..num_channels {
-                    let row = frame * stride + 2 * channel;
+                    let (event, raw) = (2 * channel, 2 * channel + 1);
                     let noise = self.noise[channel] * gaussian(rng);
-                    let reading = predicted[row + 1] * shares[channel] + noise;
+                    let reading = predicted[raw][frame] * shares[channel] + noise;
                     on[channel] = reading > if on[channel] { off_fractions[channel] } else { 1.0 };
-                    if !self.rows[row].is_nan() {
-                        simulated.rows[row] = f64::from(u8::from(on[channel]));
+                    if !self.signals[event][frame].is_nan() {
+                        simulated.signals[event][frame] = f64::from(u8::from(on[channel]));
                     }
-                    if !self.rows[row + 1].is_nan() {
-                        simulated.rows[row + 1] = reading;
+                    if !self.signals[raw][frame].is_nan() {
+                        simulated.signals[raw][frame] = reading;
                     }
                 }
             }
