@@ -37,7 +37,8 @@ use std::collections::BTreeMap;
 
 pub(crate) use chain::moved;
 pub use chain::{
-    Arrived, Chain, Contact, Geometry, Hold, Kinematics, Load, Sensed, Switching, TakeScene, Transport,
+    Arrived, Chain, Contact, Geometry, Hold, Kinematics, Load, PatchGeometry, Sensed, Switching, TakeScene,
+    Transport,
 };
 use palpate_robot_model::{Place, Station};
 use serde::{Deserialize, Serialize};
@@ -191,6 +192,11 @@ pub trait EffectKind: Sync {
 
     /// Whether what it does to one channel of its place depends on the loads of others.
     fn mixes_channels(&self) -> bool {
+        false
+    }
+
+    /// Whether what it does to a load depends on the load at which the channel switches.
+    fn uses_on_loads(&self) -> bool {
         false
     }
 

@@ -119,6 +119,7 @@ impl LiveTouch {
             trace: ContactTrace::empty(&scene.probes, 0),
             layout: scene.layout.clone(),
             positions: Vec::new(),
+            spread: None,
         };
         Self { scene, times_s: Vec::new(), positions: Vec::new(), geometry }
     }

@@ -1,5 +1,6 @@
 //! The part of a diagnosis that knows no sensors: what a [`Domain`] must offer, and the naming of effects in it.
 //!
+//! - [`rows`]: how the rows of takes are numbered
 //! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
 //! - [`screen`]: every candidate by its dose response
 //! - [`fit`]: candidates and whole models, fitted for real
@@ -8,6 +9,7 @@
 mod fit;
 mod linear;
 mod name;
+mod rows;
 mod screen;
 #[cfg(test)]
 mod tests;

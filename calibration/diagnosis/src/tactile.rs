@@ -57,6 +57,8 @@ pub struct TactileDomain<'a> {
     moves: Vec<Vec<bool>>,
     /// Per stream, how its readings were repeated to the bit.
     frozen: Vec<Option<Frozen>>,
+    /// Per channel, its gain's name among the parameters of a stream.
+    gain_names: Vec<String>,
     /// What is remembered of the latest predictions, by take.
     memories: Vec<Mutex<Memory>>,
 }
@@ -131,9 +133,12 @@ impl<'a> TactileDomain<'a> {
             })
             .collect();
         let memories = memories(station, takes.len());
+        let gain_names =
+            station.layout.channels.iter().map(|channel| format!("gain_{}", channel.id)).collect();
         let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&takes, stream)).collect();
         let moves = moves(station);
-        let domain = Self { station, takes, kinds, base, candidates, alike, moves, frozen, memories };
+        let domain =
+            Self { station, takes, kinds, base, candidates, alike, moves, frozen, gain_names, memories };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
     }
 
@@ -195,6 +200,7 @@ impl<'a> TactileDomain<'a> {
         }
         Ok(Self {
             station: self.station,
+            gain_names: self.gain_names.clone(),
             memories: memories(self.station, takes.len()),
             takes,
             kinds: self.kinds.clone(),
@@ -217,7 +223,7 @@ impl<'a> TactileDomain<'a> {
 }
 
 fn memories(station: &Station, num_takes: usize) -> Vec<Mutex<Memory>> {
-    (0..num_takes).map(|_| Memory::new(station.layout.num_channels())).collect()
+    (0..num_takes).map(|_| Memory::new(station.layout.num_channels(), station.layout.patches.len())).collect()
 }
 
 /// Sets of at least two patches with several taxels each that are of one make.
@@ -367,20 +373,31 @@ impl Domain for TactileDomain<'_> {
 
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {
         if signal.is_multiple_of(2) {
-            let doubts: Vec<f64> = prediction.iter().map(|p| p * (1.0 - p)).collect();
-            let around = (0..doubts.len()).map(|frame| {
-                let near = &doubts[frame.saturating_sub(1)..(frame + 2).min(doubts.len())];
-                near.iter().copied().fold(doubts[frame], f64::max)
+            let doubt = |frame: usize| prediction[frame] * (1.0 - prediction[frame]);
+            let around = (0..prediction.len()).map(|frame| {
+                let next = (frame + 1).min(prediction.len() - 1);
+                doubt(frame.saturating_sub(1)).max(doubt(frame)).max(doubt(next))
             });
-            return around.map(|variance| (variance + LEAST_DOUBT).sqrt().recip()).collect();
+            let mut last = (f64::NAN, f64::NAN);
+            let weight = |variance: f64| {
+                if variance != last.0 {
+                    last = (variance, (variance + LEAST_DOUBT).sqrt().recip());
+                }
+                last.1
+            };
+            return around.map(weight).collect();
         }
         // What the model may be wrong by without being wrong: noise, a share of the reading, and about a quarter of a
         // millimetre of depth, which a first touch reads as a share of the threshold.
         let quiet = self.takes[take].noise[signal / 2].max(LEAST_NOISE);
-        let weight = |x: &f64| {
-            let shape = SHARE * x;
-            let depth = DEPTH * (x.abs() / 0.5).min(1.0);
-            (quiet * quiet + shape * shape + depth * depth).sqrt().recip()
+        let mut last = (f64::NAN, f64::NAN);
+        let weight = |&x: &f64| {
+            if x != last.0 {
+                let shape = SHARE * x;
+                let depth = DEPTH * (x.abs() / 0.5).min(1.0);
+                last = (x, (quiet * quiet + shape * shape + depth * depth).sqrt().recip());
+            }
+            last.1
         };
         prediction.iter().map(weight).collect()
     }

@@ -29,6 +29,10 @@ impl EffectKind for BaselineDrift {
         "grows with time since the start of a take, with and without contact"
     }
 
+    fn uses_on_loads(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         vec![Parameter::new("rate_per_s", -0.2..=0.2, 0.0, 0.002, 0.005)]
     }

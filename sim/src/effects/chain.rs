@@ -1,9 +1,11 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, SensorKind, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, Patch, SensorKind, Station, TactileLayout};
 
 use super::{Effect, EffectKind, TACTILE, places};
 use crate::geometry::SignedDistance;
@@ -180,7 +182,7 @@ impl Chain<'_> {
             &kinematics.positions,
             wanted,
         )?;
-        Ok(Geometry { trace, layout, positions: kinematics.positions })
+        Ok(Geometry { trace, layout, positions: kinematics.positions, spread: Some(Spread::default()) })
     }
 
     /// Where joints, object and patches really are.
@@ -268,6 +270,7 @@ impl Chain<'_> {
             times_s: scene.frame_times_s.to_vec(),
             values: loads(
                 &contact,
+                geometry.spread.as_ref(),
                 self.response.reach_m(&self.theta),
                 &needed_patches,
                 scene.frame_times_s.len(),
@@ -365,6 +368,31 @@ pub struct Geometry {
     pub(crate) trace: ContactTrace,
     pub(crate) layout: TactileLayout,
     pub(crate) positions: Vec<f64>,
+    /// What has been made of the trace; `None` for one that grows.
+    pub(crate) spread: Option<Spread>,
+}
+
+/// What touches one patch.
+#[derive(Clone, Debug)]
+pub struct PatchGeometry {
+    trace: PatchTrace,
+    patch: Patch,
+}
+
+impl Geometry {
+    /// Its patch `idx`.
+    pub fn patch(&self, idx: usize) -> PatchGeometry {
+        PatchGeometry { trace: self.trace.patches[idx].clone(), patch: self.layout.patches[idx].clone() }
+    }
+
+    /// Takes over `patches`, by index, from other geometries.
+    pub fn adopt<'p>(&mut self, patches: impl Iterator<Item = (usize, &'p PatchGeometry)>) {
+        for (idx, patch) in patches {
+            self.trace.patches[idx] = patch.trace.clone();
+            self.layout.patches[idx] = patch.patch.clone();
+        }
+        self.spread = Some(Spread::default());
+    }
 }
 
 /// `layout` with the nodes and taxels of its patches moved.
@@ -385,30 +413,77 @@ pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Tacti
     layout
 }
 
-/// As [`Load::values`]; zero for channels of patches that are not `needed`.
-fn loads(contact: &Contact<'_>, reach_m: f64, needed: &[bool], num_frames: usize) -> Vec<f64> {
+/// As [`Load::values`]; zero for channels of patches that are not `needed`. `spread` remembers the pressures of an
+/// unchanged trace.
+fn loads(
+    contact: &Contact<'_>,
+    spread: Option<&Spread>,
+    reach_m: f64,
+    needed: &[bool],
+    num_frames: usize,
+) -> Vec<f64> {
     let patches = &contact.layout.patches;
+    let spread = spread.filter(|_| matches!(contact.trace, Cow::Borrowed(_)));
     // Patches are independent: each is a unit of work.
     let by_patch = map_chunks(patches.len(), |idx| {
         let (patch, trace) = (&patches[idx], &contact.trace.patches[idx]);
         if !needed[idx] {
-            return vec![0.0; patch.channels.len() * num_frames];
+            return Vec::new().into();
         }
         match trace {
             PatchTrace::Proximity { min_distance_m } => {
                 let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0));
-                load.collect::<Vec<f64>>().repeat(patch.channels.len())
+                load.collect::<Vec<f64>>().repeat(patch.channels.len()).into()
             }
             PatchTrace::Pressure { .. } => {
-                propagate_patch(contact.layout, patch, trace, contact.alpha_per_m[idx], num_frames)
+                let alpha_per_m = contact.alpha_per_m[idx];
+                let propagated = || -> Arc<[f64]> {
+                    propagate_patch(contact.layout, patch, trace, alpha_per_m, num_frames).into()
+                };
+                spread.map_or_else(propagated, |spread| spread.of_patch(idx, alpha_per_m, propagated))
             }
         }
     });
     let mut values = vec![0.0; contact.layout.num_channels() * num_frames];
-    for (patch, of_patch) in patches.iter().zip(by_patch) {
+    for (patch, of_patch) in patches.iter().zip(by_patch).filter(|(_, of_patch)| !of_patch.is_empty()) {
         values[patch.channels.start * num_frames..patch.channels.end * num_frames].copy_from_slice(&of_patch);
     }
     values
+}
+
+/// Index of a patch, and the bits of a decay.
+type PatchAndDecay = (usize, u64);
+
+/// Pressures of whole patches that have been propagated lately, by patch and decay.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Spread {
+    by_patch: Arc<Mutex<BTreeMap<PatchAndDecay, Arc<[f64]>>>>,
+}
+
+/// Decays that are remembered for a patch before they are forgotten.
+const DECAYS_KEPT: usize = 3;
+
+impl Spread {
+    fn of_patch(
+        &self,
+        patch: usize,
+        alpha_per_m: f64,
+        propagated: impl FnOnce() -> Arc<[f64]>,
+    ) -> Arc<[f64]> {
+        let lock = || self.by_patch.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (patch, alpha_per_m.to_bits());
+        if let Some(known) = lock().get(&key) {
+            return Arc::clone(known);
+        }
+        let new = propagated();
+        let mut kept = lock();
+        let of_patch = kept.range((patch, 0)..=(patch, u64::MAX)).map(|(key, _)| *key).collect::<Vec<_>>();
+        if of_patch.len() >= DECAYS_KEPT {
+            of_patch.iter().for_each(|key| drop(kept.remove(key)));
+        }
+        kept.insert(key, Arc::clone(&new));
+        new
+    }
 }
 
 /// Moments over the span of a [`Hold`] at which a soft chain looks.

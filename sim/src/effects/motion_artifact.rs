@@ -29,6 +29,10 @@ impl EffectKind for MotionArtifact {
         "activations without contact that follow the speed of joints and stop with them"
     }
 
+    fn uses_on_loads(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
         vec![Parameter::new("load_s_per_rad", 0.0..=10.0, 0.0, 0.15, 0.5)]
     }

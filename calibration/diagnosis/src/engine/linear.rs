@@ -1,79 +1,14 @@
 //! The surroundings of a model to first order.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
+use super::rows::{Column, Rows};
 use super::{Domain, HUBER, Model, Series, huber};
 use crate::DiagnosisError;
-
-/// The response of all rows to one unit of a parameter, where it is not zero.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Column {
-    /// Segments that it reaches, in order, with their ranges of what follows.
-    parts: Vec<(usize, Range<usize>)>,
-    rows: Vec<u32>,
-    values: Vec<f32>,
-}
-
-impl Column {
-    pub(crate) fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
-}
-
-/// How rows are numbered through over takes: the samples of a signal follow one another, then come those of the next
-/// signal, then those of the next take. The rows of one signal of one take are a segment.
-struct Rows {
-    num_signals: usize,
-    num_kinds: usize,
-    /// First row of each segment, and the number of all rows.
-    starts: Vec<usize>,
-    /// Block of each row.
-    blocks: Vec<u32>,
-    /// Per block, the index of its take.
-    takes: Vec<usize>,
-}
-
-impl Rows {
-    fn new<D: Domain>(domain: &D, takes: &[usize]) -> Self {
-        let num_signals = domain.num_signals();
-        let (mut starts, mut blocks, mut take_of_block) = (vec![0], Vec::new(), Vec::new());
-        for (idx, &take) in takes.iter().enumerate() {
-            let first = take_of_block.len() as u32;
-            let of_take = domain.blocks(take);
-            take_of_block.resize(take_of_block.len() + of_take.len(), idx);
-            let of_sample: Vec<u32> = (first..)
-                .zip(of_take)
-                .flat_map(|(block, samples)| samples.clone().map(move |_| block))
-                .collect();
-            for _ in 0..num_signals {
-                blocks.extend_from_slice(&of_sample);
-                starts.push(blocks.len());
-            }
-        }
-        Self { num_signals, num_kinds: domain.num_kinds(), starts, blocks, takes: take_of_block }
-    }
-
-    fn take(&self, segment: usize) -> usize {
-        segment / self.num_signals
-    }
-
-    fn signal(&self, segment: usize) -> usize {
-        segment % self.num_signals
-    }
-
-    fn unit(&self, segment: usize) -> usize {
-        self.signal(segment) / self.num_kinds
-    }
-
-    fn kind(&self, segment: usize) -> usize {
-        self.signal(segment) % self.num_kinds
-    }
-}
 
 /// One signal of one take under a model.
 struct Segment {
@@ -414,6 +349,8 @@ impl<'a, D: Domain> Linear<'a, D> {
             }
             let (column, step) = (&mut columns[owner], steps[owner]);
             let first = column.rows.len();
+            column.rows.reserve(before.len());
+            column.values.reserve(before.len());
             let changes = before.iter().zip(after.iter()).zip(&self.segments[idx].weights);
             for (sample, ((before, after), weight)) in changes.enumerate() {
                 let change = (after - before) * weight;
@@ -689,26 +626,6 @@ pub(crate) fn inside(value: f64, step: f64, lower: f64, upper: f64) -> f64 {
 
 fn square(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum()
-}
-
-impl Column {
-    /// Calls `visit` with each row that both columns have, and the product of their values there.
-    fn each_common(&self, other: &Self, mut visit: impl FnMut(usize, f64)) {
-        let mut others = other.parts.iter().peekable();
-        for (segment, part) in &self.parts {
-            while others.next_if(|(other, _)| other < segment).is_some() {}
-            let Some((_, other_part)) = others.next_if(|(other, _)| other == segment) else { continue };
-            let (mut i, mut j) = (part.start, other_part.start);
-            while i < part.end && j < other_part.end {
-                let (row, other_row) = (self.rows[i], other.rows[j]);
-                if row == other_row {
-                    visit(row as usize, f64::from(self.values[i]) * f64::from(other.values[j]));
-                }
-                i += usize::from(row <= other_row);
-                j += usize::from(other_row <= row);
-            }
-        }
-    }
 }
 
 /// Directions of parameters that the data sees less than this, of what it sees of one alone, are left at rest: steps

@@ -6,7 +6,8 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
-use super::linear::{Column, Linear, inside, predict};
+use super::linear::{Linear, inside, predict};
+use super::rows::Column;
 use super::{Domain, neutral};
 use crate::DiagnosisError;
 

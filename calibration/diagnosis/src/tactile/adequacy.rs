@@ -99,12 +99,12 @@ impl Quiet {
     fn add(&mut self, observed: &Observed<'_>, prediction: &[Series], channels: std::ops::Range<usize>) {
         for frame in 0..observed.take.num_frames() {
             let (mut sum, mut count) = (0.0, 0.0);
-            for channel in channels.clone() {
-                let signal = 2 * channel + 1;
-                let predicted = prediction[signal][frame];
-                let value = observed.signals[signal][frame] - predicted;
-                if value.is_finite() && predicted.abs() < QUIET && observed.noise[channel] > 0.0 {
-                    sum += (value / observed.noise[channel]).clamp(-2.0 * CLIP, 2.0 * CLIP);
+            let readings = observed.signals.iter().zip(prediction).skip(1).step_by(2);
+            let of_stream = readings.zip(&observed.noise).take(channels.end).skip(channels.start);
+            for ((reading, predicted), noise) in of_stream {
+                let value = reading[frame] - predicted[frame];
+                if value.is_finite() && predicted[frame].abs() < QUIET && *noise > 0.0 {
+                    sum += (value / noise).clamp(-2.0 * CLIP, 2.0 * CLIP);
                     count += 1.0;
                 }
             }

@@ -6,7 +6,9 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use palpate_robot_model::{Place, SensorKind};
-use palpate_sim::effects::{self, Arrived, Chain, Effect, Geometry, Stage, TakeScene};
+use palpate_sim::effects::{
+    self, Arrived, Chain, Effect, EffectKind, Geometry, PatchGeometry, Stage, TakeScene,
+};
 
 use super::{Base, TactileDomain, WIDTH};
 use crate::DiagnosisError;
@@ -21,238 +23,291 @@ struct Kept<T> {
     entries: Vec<(Key, T)>,
 }
 
-impl<T: Clone> Kept<T> {
+impl<T> Kept<T> {
     fn new(most: usize) -> Self {
-        Self { most, entries: Vec::with_capacity(most) }
+        Self { most, entries: Vec::new() }
     }
 
-    fn get(&mut self, key: &Key) -> Option<T> {
+    fn get(&mut self, key: &Key) -> Option<&mut T> {
         let at = self.entries.iter().rposition(|(known, _)| known == key)?;
-        let entry = self.entries.remove(at);
-        let value = entry.1.clone();
-        self.entries.push(entry);
-        Some(value)
+        self.entries[at..].rotate_left(1);
+        self.entries.last_mut().map(|(_, value)| value)
     }
 
-    /// Keeps `value`, if there is one and it is not there yet.
-    fn put(&mut self, key: Key, value: &Option<T>) {
-        let Some(value) = value else { return };
-        if self.entries.iter().any(|(known, _)| *known == key) {
+    /// Keeps `value` in place of what was there for its key.
+    fn put(&mut self, key: Key, value: T) {
+        if let Some(known) = self.get(&key) {
+            *known = value;
             return;
         }
         if self.entries.len() == self.most {
             self.entries.remove(0);
         }
-        self.entries.push((key, value.clone()));
+        self.entries.push((key, value));
     }
 }
 
-/// What is remembered of a channel of a take.
-struct ChannelMemory {
-    loads: Kept<Arc<Arrived>>,
-    activations: Kept<Series>,
-    readings: Kept<Series>,
+/// A load that arrived at a channel, and what was made of it lately: activations and readings, each by the numbers that
+/// it depends on besides.
+struct ChannelLoad {
+    arrived: Arc<Arrived>,
+    activations: Recent,
+    readings: Recent,
+}
+
+/// A few series, the latest last.
+#[derive(Default)]
+struct Recent(Vec<([u64; 2], Series)>);
+
+impl Recent {
+    fn get(&self, key: [u64; 2]) -> Option<Series> {
+        self.0.iter().find(|(known, _)| *known == key).map(|(_, series)| Arc::clone(series))
+    }
+
+    fn put(&mut self, key: [u64; 2], series: &Series) {
+        if self.0.iter().any(|(known, _)| *known == key) {
+            return;
+        }
+        if self.0.len() == RECENT_KEPT {
+            self.0.remove(0);
+        }
+        self.0.push((key, Arc::clone(series)));
+    }
 }
 
 /// What is remembered of a take.
 pub(super) struct Memory {
-    channels: Vec<ChannelMemory>,
-    /// With the patches that each has.
+    channels: Vec<Kept<ChannelLoad>>,
+    patches: Vec<Kept<Arc<PatchGeometry>>>,
+    /// Geometries that were put together, with the patches that each has.
     geometries: Kept<(Vec<bool>, Arc<Geometry>)>,
 }
 
-/// Models whose channels are remembered: the one that is being fitted, and its surroundings.
-const MODELS_KEPT: usize = 6;
-/// Geometries that are remembered.
-const GEOMETRIES_KEPT: usize = 6;
+/// Loads of a channel that are remembered: that of the model that is being fitted, and its surroundings.
+const LOADS_KEPT: usize = 6;
+/// Series of each kind that are remembered for a load.
+const RECENT_KEPT: usize = 4;
+/// Whole geometries that are remembered.
+const GEOMETRIES_KEPT: usize = 4;
+/// Geometries of a patch that are remembered: every round moves it in the same ways to see what that would do.
+const MOTIONS_KEPT: usize = 80;
 
 impl Memory {
-    pub(super) fn new(num_channels: usize) -> Mutex<Self> {
-        let channel = |_| ChannelMemory {
-            loads: Kept::new(MODELS_KEPT),
-            activations: Kept::new(MODELS_KEPT),
-            readings: Kept::new(MODELS_KEPT),
-        };
+    pub(super) fn new(num_channels: usize, num_patches: usize) -> Mutex<Self> {
         Mutex::new(Self {
-            channels: (0..num_channels).map(channel).collect(),
+            channels: (0..num_channels).map(|_| Kept::new(LOADS_KEPT)).collect(),
+            patches: (0..num_patches).map(|_| Kept::new(MOTIONS_KEPT)).collect(),
             geometries: Kept::new(GEOMETRIES_KEPT),
         })
     }
 }
 
-/// What the load, the activation and the reading of a channel depend on.
+/// What the load of a channel depends on, and what its activation and its reading depend on besides.
 struct Keys {
     load: Key,
-    activation: Key,
-    reading: Key,
+    activation: [u64; 2],
+    reading: [u64; 2],
 }
 
-/// Load, activation and reading of a channel, as far as they are remembered.
+/// Load, activation and reading of a channel, as far as they are known.
 type Known = (Option<Arc<Arrived>>, Option<Series>, Option<Series>);
 
 /// An effect, and whom it concerns.
 struct Reaching<'e> {
     effect: &'e Effect,
-    kinematic: bool,
-    /// Whether what it does to a channel depends on others.
-    mixes: bool,
+    kind: &'static dyn EffectKind,
     /// Position in the order of the chain.
     order: u64,
     channels: Vec<bool>,
 }
 
-/// A model, taken apart.
-struct Parts {
-    widths: Vec<f64>,
-    exponents: Vec<f64>,
-    effects: Vec<Effect>,
+impl Reaching<'_> {
+    fn is_kinematic(&self) -> bool {
+        self.kind.stage() == Stage::Kinematics
+    }
+
+    fn add_to(&self, key: &mut Key) {
+        key.push(self.order);
+        add_place(key, &self.effect.place);
+        key.extend(self.effect.parameters.values().map(|value| value.to_bits()));
+    }
 }
 
 impl TactileDomain<'_> {
     /// [`Domain::predict`].
     pub(super) fn forward(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
-        let (theta, response) = self.theta_and_response(model);
-        let parts = self.parts(take, model);
         let layout = &self.station.layout;
-        let reaching = self.reaching(&parts.effects);
-        let keys: Vec<Keys> =
-            (0..layout.num_channels()).map(|channel| self.keys(channel, model, &parts, &reaching)).collect();
-        let lock = || self.memories[take].lock().unwrap_or_else(PoisonError::into_inner);
-        let mut known: Vec<Known> = Vec::with_capacity(keys.len());
-        {
-            let mut memory = lock();
-            for (memory, keys) in memory.channels.iter_mut().zip(&keys) {
-                let (activation, reading) =
-                    (memory.activations.get(&keys.activation), memory.readings.get(&keys.reading));
-                let load = memory.loads.get(&keys.load);
-                known.push((load, activation, reading));
-            }
-        }
-        let all_known = |(_, activation, reading): &Known| activation.is_some() && reading.is_some();
-        if known.iter().all(all_known) {
-            return Ok(known.into_iter().flat_map(|(_, a, r)| [a, r]).flatten().collect());
-        }
-        let observed = &self.takes[take];
-        let scene = observed.scene(self.station);
-        let chain = Chain { theta, response: &response, effects: &parts.effects, soft_widths: &parts.widths };
-        let unknown: Vec<bool> =
-            known.iter().map(|channel| channel.0.is_none() && !all_known(channel)).collect();
-        let mut arrived = if unknown.contains(&true) {
-            let inputs = chain.inputs(self.station, &unknown);
-            let geometry = self.geometry(take, &chain, &scene, &reaching, &inputs)?;
-            chain.arrive(&scene, &geometry, &unknown)
-        } else {
-            vec![None; unknown.len()]
-        };
-        let switching = chain.switching(&scene);
-        let new: Vec<Known> = known
-            .into_iter()
-            .enumerate()
-            .map(|(channel, (load, activation, reading))| {
-                if activation.is_some() && reading.is_some() {
-                    return (load, activation, reading);
-                }
-                let load = load.or_else(|| arrived[channel].take().map(Arc::new));
-                let Some(arrived) = &load else {
-                    unreachable!("the chain gives every channel that is wanted")
-                };
-                let activation = activation
-                    .unwrap_or_else(|| switching.activation(channel, arrived, scene.frame_times_s).into());
-                let reading = reading.unwrap_or_else(|| {
-                    let stream = layout.channels[channel].stream;
-                    let on_load = match layout.streams[stream].kind {
-                        SensorKind::Proximity => response.proximity_band_m,
-                        SensorKind::Pressure => theta.lambda_pre_pa,
-                    };
-                    let (scale, exponent) = (1.0 / on_load, parts.exponents[stream]);
-                    let ceiling = observed.ceilings[channel];
-                    let loads = arrived.load();
-                    loads.iter().map(|load| super::reading(load * scale, exponent).min(ceiling)).collect()
-                });
-                (load, Some(activation), Some(reading))
-            })
-            .collect();
-        let mut memory = lock();
-        for ((memory, keys), (load, activation, reading)) in memory.channels.iter_mut().zip(keys).zip(&new) {
-            memory.loads.put(keys.load, load);
-            memory.activations.put(keys.activation, activation);
-            memory.readings.put(keys.reading, reading);
-        }
-        Ok(new.into_iter().flat_map(|(_, activation, reading)| [activation, reading]).flatten().collect())
-    }
-
-    /// `model` as `take` sees it: without effects that are of another take's object.
-    fn parts(&self, take: usize, model: &Model) -> Parts {
-        let num_streams = self.station.layout.streams.len();
-        let mut parts = Parts {
-            widths: vec![WIDTH; num_streams],
-            exponents: vec![1.0; num_streams],
-            effects: self.patterns(model),
-        };
-        let of_take = model.effects.iter().filter(|effect| self.reaches_take(effect, take));
-        parts.effects.extend(of_take.cloned());
+        let mut widths = vec![WIDTH; layout.streams.len()];
+        let mut exponents = vec![1.0; layout.streams.len()];
         for (kind, &value) in self.kinds.iter().zip(&model.base) {
             match *kind {
-                Base::Width(stream) => parts.widths[stream] = value,
-                Base::Exponent(stream) => parts.exponents[stream] = value,
+                Base::Width(stream) => widths[stream] = value,
+                Base::Exponent(stream) => exponents[stream] = value,
                 _ => {}
             }
         }
-        parts
+        let reaching = self.reaching(take, model);
+        let keys: Vec<Keys> = (0..layout.num_channels())
+            .map(|channel| self.keys(channel, model, &widths, &exponents, &reaching))
+            .collect();
+        let known: Vec<Known> = {
+            let mut memory = self.memory(take);
+            let channels = memory.channels.iter_mut().zip(&keys);
+            channels
+                .map(|(memory, keys)| match memory.get(&keys.load) {
+                    None => (None, None, None),
+                    Some(known) => (
+                        Some(Arc::clone(&known.arrived)),
+                        known.activations.get(keys.activation),
+                        known.readings.get(keys.reading),
+                    ),
+                })
+                .collect()
+        };
+        let is_known = |(_, activation, reading): &Known| activation.is_some() && reading.is_some();
+        let of_channels = |channels: Vec<Known>| -> Vec<Series> {
+            channels
+                .into_iter()
+                .flat_map(|(_, activation, reading)| [activation, reading])
+                .flatten()
+                .collect()
+        };
+        if known.iter().all(is_known) {
+            return Ok(of_channels(known));
+        }
+        let observed = &self.takes[take];
+        let scene = observed.scene(self.station);
+        let (theta, response) = self.theta_and_response(model);
+        let mut effects = self.patterns(model);
+        effects.extend(reaching.iter().map(|one| one.effect.clone()));
+        let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
+        let wanted: Vec<bool> =
+            known.iter().map(|channel| channel.0.is_none() && !is_known(channel)).collect();
+        let mut arrived = if wanted.contains(&true) {
+            let inputs = chain.inputs(self.station, &wanted);
+            let geometry = self.geometry(take, &chain, &scene, &reaching, &inputs)?;
+            chain.arrive(&scene, &geometry, &wanted)
+        } else {
+            vec![None; wanted.len()]
+        };
+        let switching = chain.switching(&scene);
+        let reading = |channel: usize, arrived: &Arrived| -> Series {
+            let stream = layout.channels[channel].stream;
+            let on_load = match layout.streams[stream].kind {
+                SensorKind::Proximity => response.proximity_band_m,
+                SensorKind::Pressure => theta.lambda_pre_pa,
+            };
+            let (scale, ceiling) = (1.0 / on_load, observed.ceilings[channel]);
+            // Quiet channels stay where they are, and are most of the work.
+            let mut last = (f64::NAN, f64::NAN);
+            let mut of_load = |&load: &f64| {
+                if load != last.0 {
+                    last = (load, super::reading(load * scale, exponents[stream]).min(ceiling));
+                }
+                last.1
+            };
+            arrived.load().iter().map(&mut of_load).collect()
+        };
+        let channels: Vec<(Known, bool)> = known
+            .into_iter()
+            .enumerate()
+            .map(|(channel, known)| {
+                if is_known(&known) {
+                    return (known, false);
+                }
+                let (load, activation, known_reading) = known;
+                let Some(load) = load.or_else(|| arrived[channel].take().map(Arc::new)) else {
+                    unreachable!("the chain gives every channel that is wanted")
+                };
+                let activation = activation
+                    .unwrap_or_else(|| switching.activation(channel, &load, scene.frame_times_s).into());
+                let reading = known_reading.unwrap_or_else(|| reading(channel, &load));
+                ((Some(load), Some(activation), Some(reading)), true)
+            })
+            .collect();
+        let mut memory = self.memory(take);
+        for ((memory, keys), (known, is_new)) in memory.channels.iter_mut().zip(keys).zip(&channels) {
+            let (true, (Some(load), Some(activation), Some(reading))) = (*is_new, known) else { continue };
+            if memory.get(&keys.load).is_none() {
+                let arrived = Arc::clone(load);
+                let new =
+                    ChannelLoad { arrived, activations: Recent::default(), readings: Recent::default() };
+                memory.put(keys.load.clone(), new);
+            }
+            if let Some(known) = memory.get(&keys.load) {
+                known.activations.put(keys.activation, activation);
+                known.readings.put(keys.reading, reading);
+            }
+        }
+        drop(memory);
+        Ok(of_channels(channels.into_iter().map(|(known, _)| known).collect()))
     }
 
-    fn reaching<'e>(&self, effects: &'e [Effect]) -> Vec<Reaching<'e>> {
-        let num_channels = self.num_units();
-        effects
-            .iter()
-            .map(|effect| {
-                let order = effects::TACTILE.iter().position(|kind| kind.id() == effect.id);
-                let kind = order.map(|order| effects::TACTILE[order]);
-                Reaching {
+    fn memory(&self, take: usize) -> std::sync::MutexGuard<'_, Memory> {
+        self.memories[take].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The effects of `model` that concern `take`.
+    fn reaching<'e>(&self, take: usize, model: &'e Model) -> Vec<Reaching<'e>> {
+        let of_take = model.effects.iter().filter(|effect| self.reaches_take(effect, take));
+        of_take
+            .filter_map(|effect| {
+                let order = effects::TACTILE.iter().position(|kind| kind.id() == effect.id)?;
+                Some(Reaching {
                     effect,
-                    kinematic: kind.is_some_and(|kind| kind.stage() == Stage::Kinematics),
-                    mixes: kind.is_some_and(|kind| kind.mixes_channels()),
-                    order: order.unwrap_or(effects::TACTILE.len()) as u64,
+                    kind: effects::TACTILE[order],
+                    order: order as u64,
                     // A parameter of no single channel: of all that the effect reaches.
-                    channels: match kind {
-                        Some(_) => self.support(effect, ""),
-                        None => vec![false; num_channels],
-                    },
-                }
+                    channels: self.support(effect, ""),
+                })
             })
             .collect()
     }
 
-    fn keys(&self, channel: usize, model: &Model, parts: &Parts, reaching: &[Reaching<'_>]) -> Keys {
+    fn keys(
+        &self,
+        channel: usize,
+        model: &Model,
+        widths: &[f64],
+        exponents: &[f64],
+        reaching: &[Reaching<'_>],
+    ) -> Keys {
         let layout = &self.station.layout;
-        let stream = layout.channels[channel].stream;
-        let mut load = Key::new();
+        let (stream, patch) = (layout.channels[channel].stream, layout.channels[channel].patch);
+        let own_taxel = channel - layout.patches[patch].channels.start;
+        // Effects that mix channels depend on whatever any of theirs does.
+        let mixed = reaching.iter().any(|one| one.channels[channel] && one.kind.mixes_channels());
+        let sized = reaching.iter().any(|one| one.channels[channel] && one.kind.uses_on_loads());
+        let (mut load, mut on_load) = (Key::with_capacity(16), 0);
         for (kind, value) in self.kinds.iter().zip(&model.base) {
-            let concerns = match layout.streams[stream].kind {
-                SensorKind::Proximity => matches!(kind, Base::LambdaCon | Base::Band),
-                SensorKind::Pressure => matches!(kind, Base::Alpha | Base::LambdaPre),
+            let concerns = match (*kind, layout.streams[stream].kind) {
+                (Base::LambdaCon | Base::Band, SensorKind::Proximity)
+                | (Base::Alpha, SensorKind::Pressure) => true,
+                (Base::LambdaPre, SensorKind::Pressure) => {
+                    on_load = value.to_bits();
+                    mixed || sized
+                }
+                (Base::Pattern(set, taxel), _) => {
+                    mixed || (taxel == own_taxel && self.alike[set].contains(&patch))
+                }
+                _ => false,
             };
             if concerns {
                 load.push(value.to_bits());
             }
         }
-        let own = format!("gain_{}", layout.channels[channel].id);
-        // Effects that mix channels depend on whatever any of theirs does.
-        let mixed = reaching.iter().any(|one| one.mixes && one.channels[channel]);
         for one in reaching.iter().filter(|one| mixed || one.channels[channel]) {
-            load.push(one.order);
-            add_place(&mut load, &one.effect.place);
-            match one.effect.parameters.get(&own).filter(|_| !mixed) {
+            match one.effect.parameters.get(&self.gain_names[channel]).filter(|_| !mixed) {
                 // Gains of the channels of a stream concern one channel each.
-                Some(gain) => load.push(gain.to_bits()),
-                None => load.extend(one.effect.parameters.values().map(|value| value.to_bits())),
+                Some(gain) => load.extend([one.order, gain.to_bits()]),
+                None => one.add_to(&mut load),
             }
         }
-        let mut activation = load.clone();
-        activation.push(parts.widths[stream].to_bits());
-        let mut reading = load.clone();
-        reading.push(parts.exponents[stream].to_bits());
-        Keys { load, activation, reading }
+        Keys {
+            load,
+            activation: [on_load, widths[stream].to_bits()],
+            reading: [on_load, exponents[stream].to_bits()],
+        }
     }
 
     /// The geometry of the patches of `channels`.
@@ -265,31 +320,46 @@ impl TactileDomain<'_> {
         channels: &[bool],
     ) -> Result<Arc<Geometry>, DiagnosisError> {
         let layout = &self.station.layout;
-        let wanted: Vec<bool> =
+        let key_of = |concerns: &dyn Fn(&Reaching<'_>) -> bool| {
+            let mut key = Key::new();
+            let moving = reaching.iter().filter(|one| one.is_kinematic() && concerns(one));
+            moving.for_each(|one| one.add_to(&mut key));
+            key
+        };
+        let key = key_of(&|_| true);
+        let mut wanted: Vec<bool> =
             layout.patches.iter().map(|patch| channels[patch.channels.clone()].contains(&true)).collect();
-        let mut key = Key::new();
-        for one in reaching.iter().filter(|one| one.kinematic) {
-            key.push(one.order);
-            add_place(&mut key, &one.effect.place);
-            key.extend(one.effect.parameters.values().map(|value| value.to_bits()));
-        }
-        let lock = || self.memories[take].lock().unwrap_or_else(PoisonError::into_inner);
-        let known = lock().geometries.get(&key);
-        let has = |patches: &[bool]| patches.iter().zip(&wanted).all(|(has, wanted)| *has || !wanted);
-        let mut patches = wanted.clone();
-        if let Some((known_patches, geometry)) = known {
-            if has(&known_patches) {
+        if let Some((has, geometry)) = self.memory(take).geometries.get(&key).cloned() {
+            if has.iter().zip(&wanted).all(|(has, wanted)| *has || !wanted) {
                 return Ok(geometry);
             }
-            patches.iter_mut().zip(known_patches).for_each(|(patch, known)| *patch |= known);
+            wanted.iter_mut().zip(has).for_each(|(wanted, has)| *wanted |= has);
         }
-        let geometry = chain.geometry_of(scene, &patches).map_err(|error| {
+        let keys: Vec<Key> = layout
+            .patches
+            .iter()
+            .map(|patch| key_of(&|one| one.channels[patch.channels.clone()].contains(&true)))
+            .collect();
+        let known: Vec<Option<Arc<PatchGeometry>>> = {
+            let mut memory = self.memory(take);
+            let patches = memory.patches.iter_mut().zip(&keys).zip(&wanted);
+            patches.map(|((kept, key), wanted)| wanted.then(|| kept.get(key).cloned()).flatten()).collect()
+        };
+        let unknown: Vec<bool> =
+            wanted.iter().zip(&known).map(|(wanted, known)| *wanted && known.is_none()).collect();
+        let mut geometry = chain.geometry_of(scene, &unknown).map_err(|error| {
             DiagnosisError::Input(format!("take {:?}: {error}", self.takes[take].take.id))
         })?;
+        let new = unknown.iter().enumerate().filter(|(_, unknown)| **unknown);
+        let new: Vec<(usize, Arc<PatchGeometry>)> =
+            new.map(|(idx, _)| (idx, Arc::new(geometry.patch(idx)))).collect();
+        geometry.adopt(known.iter().enumerate().filter_map(|(idx, known)| Some((idx, &**known.as_ref()?))));
         let geometry = Arc::new(geometry);
-        let mut memory = lock();
-        memory.geometries.entries.retain(|(known, _)| *known != key);
-        memory.geometries.put(key, &Some((patches, Arc::clone(&geometry))));
+        let mut memory = self.memory(take);
+        for (idx, patch) in new {
+            memory.patches[idx].put(keys[idx].clone(), patch);
+        }
+        memory.geometries.put(key, (wanted, Arc::clone(&geometry)));
         Ok(geometry)
     }
 }
@@ -309,10 +379,7 @@ fn add_place(key: &mut Key, place: &Place) {
     key.push(kind);
     for id in ids {
         key.push(id.len() as u64);
-        key.extend(
-            id.as_bytes()
-                .chunks(8)
-                .map(|bytes| bytes.iter().fold(0, |word, byte| word << 8 | u64::from(*byte))),
-        );
+        let words = id.as_bytes().chunks(8);
+        key.extend(words.map(|bytes| bytes.iter().fold(0, |word, byte| word << 8 | u64::from(*byte))));
     }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use palpate_calibration::metrics::{MetricsSum, compare_take};
 use palpate_robot_model::Station;
-use palpate_sim::effects::Chain;
+use palpate_sim::effects::{Chain, Geometry};
 use palpate_sim::{SensorModel, effects::TakeScene};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,20 +33,27 @@ pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
     (0..num_frames).flat_map(of_frame).collect()
 }
 
-/// Activations that `model` reports on a take.
-pub(crate) fn simulated_active(
+fn chain(model: &SensorModel) -> Chain<'_> {
+    Chain { theta: model.theta, response: &model.response, effects: &model.effects, soft_widths: &[] }
+}
+
+/// At the frames, as whoever uses the model sees it.
+fn scene<'a>(station: &'a Station, observed: &'a Observed<'_>) -> TakeScene<'a> {
+    TakeScene { arrival_times_s: &[], ..observed.scene(station) }
+}
+
+/// Where everything is in `takes` under `model`.
+fn geometries(
     station: &Station,
-    observed: &Observed<'_>,
+    takes: &[&Observed<'_>],
     model: &SensorModel,
-) -> Result<Vec<bool>, DiagnosisError> {
-    let chain =
-        Chain { theta: model.theta, response: &model.response, effects: &model.effects, soft_widths: &[] };
-    // At the frames, as whoever uses the model sees it.
-    let scene = TakeScene { arrival_times_s: &[], ..observed.scene(station) };
-    let sensed = chain
-        .sense(&scene)
-        .map_err(|error| DiagnosisError::Input(format!("take {:?}: {error}", observed.take.id)))?;
-    Ok(sensed.activation.iter().map(|activation| *activation > 0.5).collect())
+) -> Result<Vec<Geometry>, DiagnosisError> {
+    let of_take = |observed: &&Observed<'_>| {
+        chain(model)
+            .geometry(&scene(station, observed))
+            .map_err(|error| DiagnosisError::Input(format!("take {:?}: {error}", observed.take.id)))
+    };
+    takes.par_iter().map(of_take).collect()
 }
 
 /// Judges `model` on `takes`.
@@ -55,10 +62,22 @@ pub(crate) fn judge(
     takes: &[&Observed<'_>],
     model: &SensorModel,
 ) -> Result<Vec<Judged>, DiagnosisError> {
+    Ok(judge_at(station, takes, &geometries(station, takes, model)?, model))
+}
+
+/// [`judge`] where the geometry is known.
+fn judge_at(
+    station: &Station,
+    takes: &[&Observed<'_>],
+    geometries: &[Geometry],
+    model: &SensorModel,
+) -> Vec<Judged> {
     takes
         .par_iter()
-        .map(|observed| {
-            let active = simulated_active(station, observed, model)?;
+        .zip(geometries)
+        .map(|(observed, geometry)| {
+            let sensed = chain(model).sense_contact(&scene(station, observed), geometry);
+            let active: Vec<bool> = sensed.activation.iter().map(|activation| *activation > 0.5).collect();
             let real = real_active(observed);
             let num_channels = station.layout.num_channels();
             let times_s = &observed.take.joints.times_s;
@@ -74,12 +93,12 @@ pub(crate) fn judge(
                     })
                     .sum()
             };
-            Ok(Judged {
+            Judged {
                 sums: compare_take(times_s, num_channels, &real, &active),
                 mismatch_s: observed.repetitions.iter().map(|(frames, _)| mismatch(frames)).collect(),
                 total_s: lengths_s.iter().sum::<f64>() * num_channels as f64,
                 active,
-            })
+            }
         })
         .collect()
 }
@@ -162,25 +181,26 @@ pub(crate) fn set_thresholds(
     takes: &[&Observed<'_>],
     model: &mut SensorModel,
 ) -> Result<(), DiagnosisError> {
-    let mut best = gap(&judge(station, takes, model)?);
+    // Thresholds move nothing.
+    let geometries = geometries(station, takes, model)?;
+    let mut best = gap(&judge_at(station, takes, &geometries, model));
     let start = model.theta;
-    let mut attempt = |tried: SensorModel, model: &mut SensorModel| -> Result<(), DiagnosisError> {
-        let gap = gap(&judge(station, takes, &tried)?);
+    let mut attempt = |tried: SensorModel, model: &mut SensorModel| {
+        let gap = gap(&judge_at(station, takes, &geometries, &tried));
         if gap < best {
             best = gap;
             *model = tried;
         }
-        Ok(())
     };
     for factor in [0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.45, 1.7] {
         let mut tried = model.clone();
         tried.theta.lambda_pre_pa = start.lambda_pre_pa * factor;
-        attempt(tried, model)?;
+        attempt(tried, model);
     }
     for shift_m in [-4e-4, -2.5e-4, -1.5e-4, -0.7e-4, 0.7e-4, 1.5e-4, 2.5e-4, 4e-4] {
         let mut tried = model.clone();
         tried.theta.lambda_con_m = start.lambda_con_m + shift_m;
-        attempt(tried, model)?;
+        attempt(tried, model);
     }
     Ok(())
 }
