@@ -9,7 +9,6 @@ mod diagnose;
 mod emulate;
 mod import;
 mod output;
-mod progress;
 mod replay;
 mod serve;
 mod session;

@@ -2,29 +2,21 @@
 
 use burn_tensor::Device;
 
-use crate::{PpoError, networks::Networks, normaliser::Normaliser};
+use crate::{PpoConfig, PpoError, networks::Networks, normaliser::Normaliser, trainer::Counters};
 
 /// A policy without noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actor {
-    networks: Networks,
-    normaliser: Normaliser,
-    action_dim: usize,
-    observation_clip: f64,
-    memory: String,
+    pub(crate) networks: Networks,
+    pub(crate) normaliser: Normaliser,
+    pub(crate) action_dim: usize,
+    /// What it was trained with.
+    pub(crate) config: PpoConfig,
+    pub(crate) counters: Counters,
+    pub(crate) memory: String,
 }
 
 impl Actor {
-    pub(crate) fn new(
-        networks: Networks,
-        normaliser: Normaliser,
-        action_dim: usize,
-        observation_clip: f64,
-        memory: String,
-    ) -> Self {
-        Self { networks, normaliser, action_dim, observation_clip, memory }
-    }
-
     /// Width of an observation.
     pub fn actor_dim(&self) -> usize {
         self.normaliser.mean.len()
@@ -33,6 +25,11 @@ impl Actor {
     /// Width of an action.
     pub fn action_dim(&self) -> usize {
         self.action_dim
+    }
+
+    /// Steps that it was trained for, of all environments.
+    pub fn steps(&self) -> u64 {
+        self.counters.env_steps * self.config.num_envs as u64
     }
 
     /// What the environments remembered in which it learned ([`crate::VectorEnv::memory`]).
@@ -60,6 +57,6 @@ impl Actor {
         }
         let tensors = self.networks.tensors(&Device::flex());
         let (actor, _, _) = self.networks.split(&tensors);
-        Ok(actor.outputs(&self.normaliser.normalise(observations, self.observation_clip)))
+        Ok(actor.outputs(&self.normaliser.normalise(observations, self.config.observation_clip)))
     }
 }

@@ -1,21 +1,24 @@
-//! A training as bytes: a safetensors file that other programs read as well.
+//! A training, or the policy that came out of it, as bytes: a safetensors file that other programs read as well.
 //!
 //! Parameters have their names ([`Networks`]), the optimiser's memory `adam.first.NAME` and `adam.second.NAME`, normalisers
 //! `normaliser.actor.mean` and so on in 64 bits. Everything else is JSON under the key `state` of the file's metadata.
 //! Each tensor has its checksum there, and the JSON its own in the tensor `state.crc32`, because a bit that flips in a
 //! weight would otherwise go unnoticed.
+//!
+//! A policy's file is the same without critic, optimiser and what only a training needs; its parameters have 16 bits.
 
 use std::{
     collections::{BTreeMap, HashMap},
     path::Path,
 };
 
+use half::f16;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::{
     Actor, PpoConfig, PpoError, Trainer, VectorEnv,
-    networks::{Array, Dims, Networks},
+    networks::{Array, Networks},
     normaliser::Normaliser,
     trainer::Counters,
 };
@@ -29,21 +32,29 @@ const STATE_CHECKSUM: &str = "state.crc32";
 struct State {
     format: u32,
     actor_dim: usize,
-    critic_dim: usize,
     action_dim: usize,
-    reward_terms: Vec<String>,
     /// The configuration's file.
     config: String,
     counters: Counters,
-    adam_steps: u64,
-    /// Rows that both normalisers have seen.
+    /// Rows that the normalisers have seen.
     observations: u64,
-    /// Verdicts of the newest episodes, oldest first.
-    recent: Vec<bool>,
     /// Of the environments ([`VectorEnv::memory`]).
     memory: String,
     /// CRC-32 of the bytes of each tensor.
     checksums: BTreeMap<String, u32>,
+    /// Nothing in a policy's file.
+    #[serde(flatten)]
+    training: Option<TrainingState>,
+}
+
+/// What it takes to go on.
+#[derive(Serialize, Deserialize)]
+struct TrainingState {
+    critic_dim: usize,
+    reward_terms: Vec<String>,
+    adam_steps: u64,
+    /// Verdicts of the newest episodes, oldest first.
+    recent: Vec<bool>,
 }
 
 /// What every version of a state says first.
@@ -66,6 +77,12 @@ impl Encoded {
         Self { name, dtype: Dtype::F32, shape: shape.to_vec(), bytes }
     }
 
+    /// Each number as the nearest of 16 bits.
+    fn halves(name: String, shape: [usize; 2], values: &[f32]) -> Self {
+        let bytes = values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect();
+        Self { name, dtype: Dtype::F16, shape: shape.to_vec(), bytes }
+    }
+
     fn doubles(name: String, values: &[f64]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Self { name, dtype: Dtype::F64, shape: vec![values.len()], bytes }
@@ -82,40 +99,25 @@ impl Trainer {
             tensors.push(Encoded::floats(format!("adam.first.{name}"), *shape, &self.adam.first[idx]));
             tensors.push(Encoded::floats(format!("adam.second.{name}"), *shape, &self.adam.second[idx]));
         }
-        for (name, normaliser) in [("actor", &self.normalisers.actor), ("critic", &self.normalisers.critic)] {
-            tensors.push(Encoded::doubles(format!("normaliser.{name}.mean"), &normaliser.mean));
-            tensors.push(Encoded::doubles(format!("normaliser.{name}.squares"), &normaliser.squares));
-        }
+        encode_normaliser(&mut tensors, "actor", &self.normalisers.actor);
+        encode_normaliser(&mut tensors, "critic", &self.normalisers.critic);
         let state = State {
             format: FORMAT,
             actor_dim: self.dims.actor,
-            critic_dim: self.dims.critic,
             action_dim: self.dims.action,
-            reward_terms: self.reward_terms.clone(),
             config: self.config.to_toml(),
             counters: self.counters,
-            adam_steps: self.adam.steps,
             observations: self.normalisers.actor.count,
-            recent: self.recent.iter().copied().collect(),
             memory: self.memory.clone(),
-            checksums: tensors
-                .iter()
-                .map(|tensor| (tensor.name.clone(), crc32fast::hash(&tensor.bytes)))
-                .collect(),
+            checksums: BTreeMap::new(),
+            training: Some(TrainingState {
+                critic_dim: self.dims.critic,
+                reward_terms: self.reward_terms.clone(),
+                adam_steps: self.adam.steps,
+                recent: self.recent.iter().copied().collect(),
+            }),
         };
-        let state = serde_json::to_string(&state).expect("numbers and names are JSON");
-        tensors.push(Encoded {
-            name: STATE_CHECKSUM.to_owned(),
-            dtype: Dtype::U32,
-            shape: vec![1],
-            bytes: crc32fast::hash(state.as_bytes()).to_le_bytes().to_vec(),
-        });
-        let views = tensors.iter().map(|tensor| {
-            let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
-            (tensor.name.as_str(), view.expect("as many bytes as the shape says"))
-        });
-        let metadata = HashMap::from([(STATE_KEY.to_owned(), state)]);
-        safetensors::serialize(views, Some(metadata)).expect("every name is given once")
+        file_bytes(tensors, state)
     }
 
     /// The training that `bytes` hold, to go on with `config` in `env`, which gets its memory back. `path` names the file
@@ -133,18 +135,21 @@ impl Trainer {
     ) -> Result<Self, PpoError> {
         let file = File::open(path, bytes)?;
         let mut trainer = Self::new(config, env)?;
+        let Some(training) = &file.state.training else {
+            return Err(file.error("it holds a policy alone, without the training to go on with".to_owned()));
+        };
         let widths = [
             ("actor_dim", file.state.actor_dim, trainer.dims.actor),
-            ("critic_dim", file.state.critic_dim, trainer.dims.critic),
+            ("critic_dim", training.critic_dim, trainer.dims.critic),
             ("action_dim", file.state.action_dim, trainer.dims.action),
         ];
         if let Some((name, found, expected)) = widths.iter().find(|(_, found, expected)| found != expected) {
             return Err(file.error(format!("{name} is {found}, that of the environments is {expected}")));
         }
-        if file.state.reward_terms != trainer.reward_terms {
+        if training.reward_terms != trainer.reward_terms {
             return Err(file.error(format!(
                 "reward_terms is {:?}, those of the environments are {:?}",
-                file.state.reward_terms, trainer.reward_terms
+                training.reward_terms, trainer.reward_terms
             )));
         }
         let began_with = file.config()?;
@@ -159,11 +164,11 @@ impl Trainer {
             *first = file.floats(&format!("adam.first.{name}"), *shape)?;
             *second = file.floats(&format!("adam.second.{name}"), *shape)?;
         }
-        trainer.adam.steps = file.state.adam_steps;
+        trainer.adam.steps = training.adam_steps;
         trainer.normalisers.actor = file.normaliser("actor", trainer.dims.actor)?;
         trainer.normalisers.critic = file.normaliser("critic", trainer.dims.critic)?;
         trainer.counters = file.state.counters;
-        trainer.recent = file.state.recent.iter().copied().collect();
+        trainer.recent = training.recent.iter().copied().collect();
         trainer.forget_old_verdicts();
         env.restore(&file.state.memory).map_err(|err| file.error(format!("memory: {err}")))?;
         trainer.memory = file.state.memory;
@@ -172,26 +177,81 @@ impl Trainer {
 }
 
 impl Actor {
-    /// The policy of the checkpoint that `bytes` hold. `path` names the file in errors.
+    /// The policy of the checkpoint, or of the policy's file, that `bytes` hold. `path` names the file in errors.
     ///
     /// # Errors
     /// Files that are cut off, altered or of another format, naming the field.
-    pub fn from_checkpoint(path: &Path, bytes: &[u8]) -> Result<Self, PpoError> {
+    pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, PpoError> {
         let file = File::open(path, bytes)?;
         let config = file.config()?;
-        let State { actor_dim: actor, critic_dim: critic, action_dim: action, .. } = file.state;
-        let dims = Dims { actor, critic, action };
-        let mut networks =
-            Networks::new(&config.networks, dims, config.initial_std, config.seed).without_critic();
+        let State { actor_dim, action_dim, counters, .. } = file.state;
+        let mut networks = Networks::of_actor(&config.networks, actor_dim, action_dim);
         for Array { name, shape, values } in &mut networks.arrays {
-            *values = file.floats(name, *shape)?;
+            *values = match file.state.training {
+                Some(_) => file.floats(name, *shape)?,
+                None => file.halves(name, *shape)?,
+            };
         }
-        let normaliser = file.normaliser("actor", actor)?;
-        Ok(Self::new(networks, normaliser, action, config.observation_clip, file.state.memory))
+        let normaliser = file.normaliser("actor", actor_dim)?;
+        Ok(Self { networks, normaliser, action_dim, config, counters, memory: file.state.memory })
+    }
+
+    /// This policy as the bytes of a file of its own, a small part of a checkpoint: parameters are rounded to 16 bits, and
+    /// nothing goes on from it. The policy that is read from it has the same file again.
+    ///
+    /// # Errors
+    /// Parameters too large for 16 bits, by name.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PpoError> {
+        let mut tensors = Vec::new();
+        for Array { name, shape, values } in &self.networks.arrays {
+            if let Some(value) = values.iter().find(|&&value| !f16::from_f32(value).is_finite()) {
+                let problem =
+                    format!("{name} holds {value}, expected at most {} for a policy's file", f16::MAX);
+                return Err(PpoError::Shape(problem));
+            }
+            tensors.push(Encoded::halves(name.clone(), *shape, values));
+        }
+        encode_normaliser(&mut tensors, "actor", &self.normaliser);
+        let state = State {
+            format: FORMAT,
+            actor_dim: self.actor_dim(),
+            action_dim: self.action_dim,
+            config: self.config.to_toml(),
+            counters: self.counters,
+            observations: self.normaliser.count,
+            memory: self.memory.clone(),
+            checksums: BTreeMap::new(),
+            training: None,
+        };
+        Ok(file_bytes(tensors, state))
     }
 }
 
-/// A checkpoint whose state has been read.
+fn encode_normaliser(tensors: &mut Vec<Encoded>, name: &str, normaliser: &Normaliser) {
+    tensors.push(Encoded::doubles(format!("normaliser.{name}.mean"), &normaliser.mean));
+    tensors.push(Encoded::doubles(format!("normaliser.{name}.squares"), &normaliser.squares));
+}
+
+/// The file of `tensors` and `state`, which gets their checksums.
+fn file_bytes(mut tensors: Vec<Encoded>, mut state: State) -> Vec<u8> {
+    let checksum = |tensor: &Encoded| (tensor.name.clone(), crc32fast::hash(&tensor.bytes));
+    state.checksums = tensors.iter().map(checksum).collect();
+    let state = serde_json::to_string(&state).expect("numbers and names are JSON");
+    tensors.push(Encoded {
+        name: STATE_CHECKSUM.to_owned(),
+        dtype: Dtype::U32,
+        shape: vec![1],
+        bytes: crc32fast::hash(state.as_bytes()).to_le_bytes().to_vec(),
+    });
+    let views = tensors.iter().map(|tensor| {
+        let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
+        (tensor.name.as_str(), view.expect("as many bytes as the shape says"))
+    });
+    let metadata = HashMap::from([(STATE_KEY.to_owned(), state)]);
+    safetensors::serialize(views, Some(metadata)).expect("every name is given once")
+}
+
+/// A file whose state has been read.
 struct File<'a> {
     path: &'a Path,
     tensors: SafeTensors<'a>,
@@ -250,6 +310,13 @@ impl<'a> File<'a> {
     fn floats(&self, name: &str, shape: [usize; 2]) -> Result<Vec<f32>, PpoError> {
         let numbers = self.bytes(name, Dtype::F32, &shape)?.as_chunks().0.iter();
         let values: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        self.finite(name, values.iter().all(|value| value.is_finite()))?;
+        Ok(values)
+    }
+
+    fn halves(&self, name: &str, shape: [usize; 2]) -> Result<Vec<f32>, PpoError> {
+        let numbers = self.bytes(name, Dtype::F16, &shape)?.as_chunks().0.iter();
+        let values: Vec<f32> = numbers.map(|bytes| f16::from_le_bytes(*bytes).to_f32()).collect();
         self.finite(name, values.iter().all(|value| value.is_finite()))?;
         Ok(values)
     }

@@ -23,7 +23,7 @@ pub struct PpoConfig {
     pub num_minibatches: usize,
     /// How often an update goes through its batch, at least 1; 4. Too many and the policy runs from its data.
     pub num_epochs: usize,
-    /// Step size of Adam, in 0..=1; 3e-4. At 0 nothing is learned.
+    /// Step size of Adam, in 0..=1; 1e-4. At 0 nothing is learned.
     pub learning_rate: f64,
     /// gamma: what a reward is worth one step later, in 0..=1; 0.99. Episodes of N steps want about 1 - 1/N.
     pub discount: f64,
@@ -31,13 +31,16 @@ pub struct PpoConfig {
     pub gae_lambda: f64,
     /// epsilon: how far an update moves the probability of an action, above 0, below 1; 0.2.
     pub clip: f64,
+    /// Updates at the beginning in which only the critic learns, 0 or more; 6. A policy that begins as something that works is
+    /// led away from it by a critic that knows nothing yet.
+    pub critic_warmup_updates: u64,
     /// Weight of entropy in the loss, 0 or more; 5e-4. Too low and exploration dies early, too high and it never does.
     pub entropy_coefficient: f64,
     /// Weight of the critic's loss, above 0; 0.5.
     pub value_coefficient: f64,
     /// Longest gradient, over all parameters, above 0; 1.
     pub max_gradient_norm: f64,
-    /// Spread of the first actions, above 0; 0.3.
+    /// Spread of the first actions, above 0; 0.15.
     pub initial_std: f64,
     /// Normalised observations end at plus and minus this, above 0; 10.
     pub observation_clip: f64,
@@ -95,14 +98,15 @@ impl Default for PpoConfig {
             batch_size: 16,
             num_minibatches: 4,
             num_epochs: 4,
-            learning_rate: 3e-4,
+            learning_rate: 1e-4,
             discount: 0.99,
             gae_lambda: 0.95,
             clip: 0.2,
+            critic_warmup_updates: 6,
             entropy_coefficient: 5e-4,
             value_coefficient: 0.5,
             max_gradient_norm: 1.0,
-            initial_std: 0.3,
+            initial_std: 0.15,
             observation_clip: 10.0,
             checkpoint_updates: 10,
             networks: NetworksConfig::default(),

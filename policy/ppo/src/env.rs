@@ -1,5 +1,7 @@
 //! What is learned in: many environments that step together.
 
+use std::collections::BTreeMap;
+
 /// An error of an environment; [`crate::PpoError`] says at which step it came up.
 pub type EnvError = Box<dyn std::error::Error + Send + Sync>;
 
@@ -77,6 +79,11 @@ pub trait VectorEnv {
     /// # Errors
     /// Whatever keeps the environments from going on.
     fn step(&mut self, actions: &[f32]) -> Result<StepResult, EnvError>;
+
+    /// Numbers for [`crate::Metrics::environment`], such as how hard a curriculum has become, by name; none unless overridden.
+    fn metrics(&self) -> BTreeMap<String, f64> {
+        BTreeMap::new()
+    }
 
     /// What outlives episodes, such as how far a curriculum is, as text for a checkpoint; nothing unless overridden.
     fn memory(&self) -> String {

@@ -23,6 +23,9 @@ pub struct Metrics {
     pub recent_success_rate: Option<f64>,
     /// Mean of each term of the reward, a step.
     pub reward_terms: BTreeMap<String, f64>,
+    /// What the environments say of themselves after the update's steps ([`crate::VectorEnv::metrics`]).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub environment: BTreeMap<String, f64>,
     /// Mean of the negative clipped surrogate.
     pub policy_loss: f64,
     /// Mean of half the squared error of the critic.

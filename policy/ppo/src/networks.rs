@@ -59,6 +59,24 @@ impl Networks {
         Self { arrays, num_actor_arrays, activation: config.activation }
     }
 
+    /// An actor alone, every parameter of which is yet to be filled in.
+    pub(crate) fn of_actor(config: &NetworksConfig, actor_dim: usize, action_dim: usize) -> Self {
+        let layers = widths(actor_dim, &config.actor, action_dim);
+        let array = |name: String, shape| Array { name, shape, values: Vec::new() };
+        let mut arrays: Vec<Array> = layers
+            .windows(2)
+            .enumerate()
+            .flat_map(|(idx, pair)| {
+                [
+                    array(format!("actor.{idx}.weight"), [pair[0], pair[1]]),
+                    array(format!("actor.{idx}.bias"), [1, pair[1]]),
+                ]
+            })
+            .collect();
+        arrays.push(array("actor.log_std".to_owned(), [1, action_dim]));
+        Self { num_actor_arrays: arrays.len(), arrays, activation: config.activation }
+    }
+
     /// The actor alone.
     pub(crate) fn without_critic(&self) -> Self {
         Self { arrays: self.arrays[..self.num_actor_arrays].to_vec(), ..*self }

@@ -1,6 +1,6 @@
 //! Learning: rollouts in, better policies out.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use rayon::prelude::*;
 
@@ -123,7 +123,7 @@ impl Trainer {
         if !self.counters.updates.is_multiple_of(self.config.checkpoint_updates) {
             self.live = Some(live);
         }
-        Ok(self.metrics(&rollout, &sums, gradient_norm))
+        Ok(Metrics { environment: env.metrics(), ..self.metrics(&rollout, &sums, gradient_norm) })
     }
 
     /// Whether new episodes are to begin, which is when the training can be written down.
@@ -160,13 +160,14 @@ impl Trainer {
 
     /// The policy so far.
     pub fn actor(&self) -> Actor {
-        Actor::new(
-            self.networks.without_critic(),
-            self.normalisers.actor.clone(),
-            self.dims.action,
-            self.config.observation_clip,
-            self.memory.clone(),
-        )
+        Actor {
+            networks: self.networks.without_critic(),
+            normaliser: self.normalisers.actor.clone(),
+            action_dim: self.dims.action,
+            config: self.config.clone(),
+            counters: self.counters,
+            memory: self.memory.clone(),
+        }
     }
 
     pub(crate) fn forget_old_verdicts(&mut self) {
@@ -186,6 +187,8 @@ impl Trainer {
         let minibatch_rows = rows / config.num_minibatches;
         let mut sums = LossSums::default();
         let mut norms = 0.0;
+        let kept_actor =
+            (self.counters.updates < config.critic_warmup_updates).then(|| self.networks.without_critic());
         for epoch in 0..config.num_epochs as u64 {
             let mut order = generator(config.seed, Purpose::Shuffle, self.counters.updates, epoch);
             for minibatch in permutation(&mut order, rows).chunks_exact(minibatch_rows) {
@@ -212,6 +215,9 @@ impl Trainer {
                 norms += norm;
                 let parameters = self.networks.arrays.iter_mut().map(|array| &mut array.values);
                 self.adam.step(parameters, &total, config.learning_rate);
+                if let Some(actor) = &kept_actor {
+                    self.networks.arrays[..actor.arrays.len()].clone_from_slice(&actor.arrays);
+                }
             }
         }
         Ok((sums, norms / (config.num_epochs * config.num_minibatches) as f64))
@@ -240,6 +246,7 @@ impl Trainer {
             success_rate: mean(&|episode| f64::from(u8::from(episode.success))),
             recent_success_rate: self.recent_success_rate(),
             reward_terms: self.reward_terms.iter().cloned().zip(rollout.term_means.iter().copied()).collect(),
+            environment: BTreeMap::new(),
             policy_loss: sums.policy_loss / samples,
             value_loss: sums.value_loss / samples,
             explained_variance: rollout.explained_variance,

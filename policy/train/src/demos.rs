@@ -21,8 +21,8 @@ use self::manifest::{MANIFEST_FILE, Manifest, Settings, ShardFile};
 use self::shard::{Columns, Demonstration, Recorder};
 use crate::files;
 use crate::policy::Policy;
-use crate::progress::{Bar, cancel_on_ctrl_c};
 use crate::task::{self, TaskArgs};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
 /// Trials that are run together; what comes of them does not depend on it.
 const BLOCK: u64 = 32;
@@ -33,7 +33,7 @@ const MAX_TRIALS_EACH: u64 = 20;
 pub(crate) struct DemosArgs {
     #[command(flatten)]
     task: TaskArgs,
-    /// A training's folder, or a checkpoint
+    /// A training's folder, a checkpoint or an exported policy
     #[arg(long)]
     policy: PathBuf,
     /// Number of demonstrations
@@ -162,7 +162,7 @@ impl Job {
             }
             let bytes = shard::encode(&self.columns, &kept)?;
             let name = format!("shard-{:05}.safetensors.zst", manifest.files.len());
-            write_in_one_move(&args.out.join(&name), &bytes)?;
+            files::write_in_one_move(&args.out.join(&name), &bytes)?;
             manifest.add(ShardFile {
                 file: name,
                 sha256: files::sha256(&bytes),
@@ -213,16 +213,4 @@ impl Job {
         );
         Ok(())
     }
-}
-
-/// Replaces `path` by a file with `bytes`: whoever looks, also after a crash, sees the old file or the new one.
-fn write_in_one_move(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let partial = path.with_extension("partial");
-    let write = || {
-        let mut file = File::create(&partial)?;
-        std::io::Write::write_all(&mut file, bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&partial, path)
-    };
-    write().with_context(|| format!("failed to write {path:?}"))
 }

@@ -10,15 +10,15 @@ use palpate_sim::job::Progress as _;
 use rayon::prelude::*;
 
 use crate::policy::Policy;
-use crate::progress::Bar;
 use crate::script;
 use crate::task::{self, TaskArgs};
+use palpate_terminal::Bar;
 
 #[derive(clap::Args)]
 pub(crate) struct EvaluateArgs {
     #[command(flatten)]
     task: TaskArgs,
-    /// A training's folder, or a checkpoint
+    /// A training's folder, a checkpoint or an exported policy
     #[arg(long)]
     policy: PathBuf,
     /// Number of trials

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
+use palpate_grasp::touch::Sense;
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectModel, Station};
 use palpate_sim::SensorModel;
@@ -12,11 +13,12 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use crate::SceneArgs;
+use crate::truth::Emulated;
 
 /// A file that was read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Source {
-    /// What for: "station", "world", "script", "model", "object", "learning", "policy".
+    /// What for: "station", "world", "script", "model" or "truth", "object", "learning", "policy".
     pub(crate) role: String,
     pub(crate) path: String,
     pub(crate) sha256: String,
@@ -83,11 +85,15 @@ pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<G
         &station.robot,
         &config,
     )?;
-    let model = match &args.model {
-        Some(path) => SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?,
-        None => SensorModel::from_toml("nominal model", &station.nominal_model_toml)?,
+    let sense: Box<dyn Sense> = match (&args.truth, &args.model) {
+        (Some(path), _) => {
+            sources.text("truth", path)?;
+            Box::new(Emulated::read(path)?)
+        }
+        (None, Some(path)) => Box::new(SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?),
+        (None, None) => Box::new(SensorModel::from_toml("nominal model", &station.nominal_model_toml)?),
     };
-    let scene = GraspScene::new(station, config, &object(&args.object, sources)?, &model)?;
+    let scene = GraspScene::new(station, config, &object(&args.object, sources)?, &*sense)?;
     Ok((Arc::new(scene), script))
 }
 
@@ -127,4 +133,16 @@ pub(crate) fn text(path: &Path) -> anyhow::Result<String> {
 
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
+}
+
+/// Replaces `path` by a file with `bytes`: whoever looks, also after a crash, sees the old file or the new one.
+pub(crate) fn write_in_one_move(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let partial = path.with_extension("partial");
+    let write = || {
+        let mut file = std::fs::File::create(&partial)?;
+        std::io::Write::write_all(&mut file, bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&partial, path)
+    };
+    write().with_context(|| format!("failed to write {path:?}"))
 }

@@ -2,14 +2,16 @@
 //! they, scores what was learned and keeps it as demonstrations, and measures the grasp world's speed.
 
 mod bench;
+mod curves;
 mod demos;
 mod evaluate;
+mod export;
 mod files;
 mod policy;
 mod ppo;
-mod progress;
 mod script;
 mod task;
+mod truth;
 mod tune;
 
 use std::path::PathBuf;
@@ -36,6 +38,10 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     /// Roll out a policy, and keep the trials that succeed as files to learn from
     Demos(demos::DemosArgs),
+    /// Make a small file of a policy, for `evaluate` and `demos`
+    Export(export::ExportArgs),
+    /// Draw how policies learned
+    Curves(curves::CurvesArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
 }
@@ -52,6 +58,9 @@ pub(crate) struct SceneArgs {
     /// Sensor model [default: the station's nominal model]
     #[arg(long)]
     model: Option<PathBuf>,
+    /// Feel what the emulated station feels, as this truth file says, instead of what a sensor model says
+    #[arg(long, conflicts_with = "model")]
+    truth: Option<PathBuf>,
     /// Script: key positions over time
     #[arg(long, default_value = "assets/grasp/scripts/xarm6_leap_cube.toml")]
     script: PathBuf,
@@ -76,6 +85,8 @@ fn main() -> ExitCode {
         Command::Ppo(args) => ppo::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Demos(args) => demos::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match done {

@@ -32,15 +32,24 @@ impl Watch for () {
     fn after(&mut self, _: &LearnEnv) {}
 }
 
+/// The policy of a training's folder, of a checkpoint or of an exported file; and its file.
+pub(crate) fn read(path: &Path) -> anyhow::Result<(Actor, Source)> {
+    let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!(
+            "failed to read {file:?}; --policy is a training's folder, a checkpoint or an exported policy"
+        )
+    })?;
+    let source =
+        Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
+    Ok((Actor::from_bytes(&file, &bytes)?, source))
+}
+
 impl Policy {
-    /// The policy of a checkpoint, or of a training's folder, if it was trained in `opened`; and its file.
+    /// The policy at `path` ([`read`]), if it was trained in `opened`; and its file.
     pub(crate) fn open(path: &Path, opened: &OpenTask) -> anyhow::Result<(Self, Source)> {
-        let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
-        let bytes = std::fs::read(&file).with_context(|| {
-            format!("failed to read {file:?}; --policy is a training's folder or a checkpoint")
-        })?;
-        let actor = Actor::from_checkpoint(&file, &bytes)?;
-        let error = |problem: String| anyhow::anyhow!("policy {} does not fit: {problem}", file.display());
+        let (actor, source) = read(path)?;
+        let error = |problem: String| anyhow::anyhow!("policy {} does not fit: {problem}", source.path);
         let memory = Memory::from_toml(actor.memory()).map_err(error)?;
         memory.task.check(&opened.record).map_err(error)?;
         let layout = opened.task.layout().clone();
@@ -51,8 +60,6 @@ impl Policy {
         if let Some((what, found, expected)) = dims.iter().find(|(_, found, expected)| found != expected) {
             return Err(error(format!("its {what} have {found} numbers, those of the task {expected}")));
         }
-        let source =
-            Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
         Ok((Self { actor, silenced: Vec::new(), layout }, source))
     }
 

@@ -1,5 +1,6 @@
 //! Learns to grasp one object: `palpate_ppo` in the environments of `palpate_grasp`.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -9,9 +10,12 @@ use palpate_grasp::trial::Outcome;
 use palpate_ppo::{Ending, EnvError, Finish, Observations, PpoConfig, Start, StepResult, VectorEnv};
 use palpate_sim::job::{Cancel, Progress as _};
 
-use crate::progress::{Bar, cancel_on_ctrl_c};
 use crate::task::{Memory, TaskArgs, TaskRecord};
 use crate::{files, task};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
+
+/// The metric of how wide the region of starts is.
+pub(crate) const START_HALF_WIDTH: &str = "start_half_width_m";
 
 #[derive(clap::Args)]
 pub(crate) struct PpoArgs {
@@ -148,6 +152,10 @@ impl VectorEnv for GraspEnvs {
         })
     }
 
+    fn metrics(&self) -> BTreeMap<String, f64> {
+        BTreeMap::from([(START_HALF_WIDTH.to_owned(), self.batch.curriculum().half_width_m)])
+    }
+
     fn memory(&self) -> String {
         Memory { curriculum: self.batch.curriculum().clone(), task: self.record.clone() }.to_toml()
     }
@@ -178,6 +186,7 @@ mod tests {
             station: root.join("assets/stations/xarm6_leap.toml"),
             world: root.join("assets/grasp/xarm6_leap.toml"),
             model: None,
+            truth: None,
             script: root.join("assets/grasp/scripts/xarm6_leap_cube.toml"),
             object: files::shown(&root.join("assets/objects/cube.toml")),
             start_cm: None,

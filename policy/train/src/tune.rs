@@ -9,8 +9,8 @@ use palpate_grasp::{GraspError, Script};
 use palpate_sim::job::Cancel;
 
 use crate::files::Sources;
-use crate::progress::{Bar, cancel_on_ctrl_c};
 use crate::{SceneArgs, files};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
 #[derive(clap::Args)]
 pub(crate) struct TuneArgs {

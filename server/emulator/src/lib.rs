@@ -4,7 +4,7 @@
 //! for each spot of elastomer, sampled converters, firmware thresholds, transport queues. It shares the robot model and
 //! the geometry with `palpate_sim`, never the tactile model: what it hides must not be found by inverting the code that
 //! hid it. [`record_session`] moves it through the primitives and writes takes.
-//! [`devices`] are the station's servos, arm and tactile boards in the bytes of the real ones.
+//! [`TruthSense`] is its sense of touch alone, for a robot and an object that another simulator moves. [`devices`] are the station's servos, arm and tactile boards in the bytes of the real ones.
 
 pub mod actuator;
 mod bench;
@@ -22,4 +22,4 @@ pub use hidden::Hidden;
 pub use session::{EmulationError, record_session};
 pub use stage::Stage;
 pub use truth::{Elastomer, FrontEnd, JointTruth, MountOffset, StreamTruth, Truth};
-pub use world::TruthWorld;
+pub use world::{TruthSense, TruthTouch, TruthWorld};

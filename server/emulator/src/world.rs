@@ -8,6 +8,7 @@ mod linkage;
 mod resistance;
 mod self_contact;
 mod spans;
+mod touch;
 
 use std::sync::Arc;
 
@@ -26,6 +27,7 @@ use elastomer::Layer;
 use front_end::Sensors;
 use linkage::Linkage;
 pub(crate) use resistance::Resistance;
+pub use touch::{TruthSense, TruthTouch};
 
 /// Steps of the soft layers, s.
 const STEP_S: f64 = 1e-3;
@@ -45,6 +47,8 @@ const HUM_PART: u64 = 0xffff;
 pub struct TruthWorld {
     station: Arc<Station>,
     object: Option<Arc<Placed>>,
+    /// What stands beside it.
+    fixed: Vec<Placed>,
     layers: Vec<Layer>,
     sensors: Vec<Sensors>,
     /// Layers that press on each other.
@@ -68,7 +72,7 @@ pub struct TruthWorld {
 /// An object where it stands.
 #[derive(Clone, Debug)]
 pub(crate) struct Placed {
-    surface: SignedDistance,
+    surface: Arc<SignedDistance>,
     object_from_base: Isometry3<f64>,
 }
 
@@ -83,7 +87,12 @@ impl Placed {
             emulation.secrets.object_scales.get(&object.id).map(|&factor| object.shape.scaled(factor));
         let surface = SignedDistance::new(scaled.as_ref().unwrap_or(&object.shape))
             .map_err(|problem| emulation.error(format!("object {:?}", object.id), problem))?;
-        Ok(Self { surface, object_from_base: base_from_object.inverse() })
+        Ok(Self { surface: Arc::new(surface), object_from_base: base_from_object.inverse() })
+    }
+
+    /// The same object elsewhere.
+    pub(crate) fn moved(&self, base_from_object: &Isometry3<f64>) -> Self {
+        Self { surface: Arc::clone(&self.surface), object_from_base: base_from_object.inverse() }
     }
 }
 
@@ -119,9 +128,16 @@ impl TruthWorld {
         seed: u64,
         take_idx: u64,
     ) -> Result<Self, EmulationError> {
+        let placed = Placed::new(emulation, object, base_from_object)?;
+        let mut world = Self::empty(emulation, seed, take_idx)?;
+        world.place(Some(Arc::new(placed)));
+        Ok(world)
+    }
+
+    /// The same without an object.
+    fn empty(emulation: &Emulation, seed: u64, take_idx: u64) -> Result<Self, EmulationError> {
         let station = Arc::clone(&emulation.station);
         let (truth, secrets) = (&emulation.truth, &emulation.secrets);
-        let placed = Placed::new(emulation, object, base_from_object)?;
         let mut world_rng = ChaCha8Rng::seed_from_u64(truth.world_seed);
         let gains: Vec<f64> = station
             .layout
@@ -211,7 +227,8 @@ impl TruthWorld {
         let joints: Vec<_> = station.robot.dofs().collect();
         let revolute = |joint: &palpate_robot_model::Joint| joint.kind == JointKind::Revolute;
         Ok(Self {
-            object: Some(Arc::new(placed)),
+            object: None,
+            fixed: Vec::new(),
             layers,
             sensors,
             touching: self_contact::pairs(&station.layout, &secrets.touching),
@@ -325,6 +342,9 @@ impl TruthWorld {
                     layer.approach(surface, &(object_from_base * self.frames[layer.link]));
                 }
                 None => layer.recede(),
+            }
+            for Placed { surface, object_from_base } in &self.fixed {
+                layer.approach_also(surface, &(object_from_base * self.frames[layer.link]));
             }
         }
         self_contact::press(&mut self.layers, &self.touching, &self.frames);

@@ -6,12 +6,10 @@ use clap::{Args, Subcommand};
 use palpate_diagnosis::actuator::{ActuatorConfig, LogHoldOut, diagnose_actuator};
 use palpate_recording::{ServoLog, Session};
 use palpate_server::Error;
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use palpate_wire::api::DiagnosisReport;
 
-use super::{
-    Outcome, output,
-    progress::{Bar, cancel_on_ctrl_c},
-};
+use super::{Outcome, output};
 
 #[derive(Subcommand)]
 pub(crate) enum ActuatorCommand {

@@ -13,13 +13,11 @@ use palpate_emulator::record_session;
 use palpate_recording::{Session, Take};
 use palpate_robot_model::TactileLayout;
 use palpate_server::{Error, assets};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use serde::Serialize;
 use tempfile::TempDir;
 
-use super::{
-    Outcome, output,
-    progress::{Bar, cancel_on_ctrl_c},
-};
+use super::{Outcome, output};
 
 #[derive(Subcommand)]
 pub(crate) enum BenchCommand {

@@ -5,11 +5,9 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Args, ValueEnum};
 use palpate_blind::{BlindConfig, BlindError, BlindReport, Scores, actuator, tactile};
 use palpate_server::Error;
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
-use super::{
-    Outcome, output,
-    progress::{Bar, cancel_on_ctrl_c},
-};
+use super::{Outcome, output};
 
 #[derive(Args)]
 pub(crate) struct BlindArgs {

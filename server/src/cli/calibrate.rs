@@ -10,12 +10,10 @@ use palpate_server::{
     jobs::{CalibrationArtifacts, calibrate_session},
     library::Library,
 };
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use palpate_wire::api::{CalibrationReport, Metrics};
 
-use super::{
-    Outcome, output,
-    progress::{Bar, cancel_on_ctrl_c},
-};
+use super::{Outcome, output};
 
 #[derive(Args)]
 pub(crate) struct CalibrateArgs {

@@ -13,17 +13,13 @@ use palpate_server::{
     library::Library,
 };
 use palpate_sim::SensorModel;
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use palpate_wire::{
     api::{DiagnosisReport, Metrics},
     wording,
 };
 
-use super::{
-    Outcome,
-    calibrate::hold_out,
-    output,
-    progress::{Bar, cancel_on_ctrl_c},
-};
+use super::{Outcome, calibrate::hold_out, output};
 
 #[derive(Args)]
 pub(crate) struct DiagnoseArgs {

@@ -7,9 +7,10 @@ use palpate_calibration::PairedTake;
 use palpate_recording::Take;
 use palpate_server::{Error, files, jobs::write_replay};
 use palpate_sim::{SensorModel, job::Progress as _};
+use palpate_terminal::Bar;
 use serde_json::json;
 
-use super::{Outcome, output, progress::Bar};
+use super::{Outcome, output};
 
 #[derive(Args)]
 pub(crate) struct ReplayArgs {

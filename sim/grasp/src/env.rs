@@ -5,17 +5,16 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::{ObjectModel, ObjectShape, Station};
-use palpate_sim::SensorModel;
 use palpate_sim::body::{MassProperties, RestPose, Solid};
-use palpate_sim::live::{LiveScene, LiveTouch};
 use palpate_sim::tactile::Readings;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::scene::{links_of_hand, mjcf};
+use crate::touch::{Sense, Touch, TouchScene};
 use crate::{GraspConfig, GraspError, Randomisation, World};
 
-/// A robot, an object and a sensor model: what environments share.
+/// A robot with its sense of touch, and an object: what environments share.
 #[derive(Debug)]
 pub struct GraspScene {
     station: Arc<Station>,
@@ -24,22 +23,22 @@ pub struct GraspScene {
     mass: MassProperties,
     solid: Solid,
     rest_poses: Vec<RestPose>,
-    live: Arc<LiveScene>,
+    touch: Arc<dyn TouchScene>,
     start: Vec<f64>,
     /// By degree of freedom, whether it is one of the hand's.
     in_hand: Vec<bool>,
 }
 
 impl GraspScene {
-    /// Prepares `object` to be grasped by the station's robot, felt as `model` says. The table is felt too.
+    /// Prepares `object` to be grasped by the station's robot, felt by `sense`, such as a sensor model. The table is felt too.
     ///
-    /// Refuses objects without a density, without convex parts or without a stable pose, and a model that does not fit
+    /// Refuses objects without a density, without convex parts or without a stable pose, and a sense that does not fit
     /// the station.
     pub fn new(
         station: Arc<Station>,
         config: GraspConfig,
         object: &ObjectModel,
-        model: &SensorModel,
+        sense: &dyn Sense,
     ) -> Result<Self, GraspError> {
         let mass = MassProperties::of(object).map_err(GraspError::Scene)?;
         let solid = Solid::new(&object.shape).map_err(GraspError::Scene)?;
@@ -48,11 +47,11 @@ impl GraspScene {
         let center_m =
             Translation3::new(table.center_m[0], table.center_m[1], table.top_m - 0.5 * table.size_m[2]);
         let fixed = [(Isometry3::from(center_m), ObjectShape::Box { size_m: table.size_m })];
-        let live = Arc::new(LiveScene::new(Arc::clone(&station), object, model, &fixed)?);
+        let touch = sense.prepare(&station, object, &fixed)?;
         let start = config.start_positions(&station.robot);
         let link_in_hand = links_of_hand(&station.robot, &config);
         let in_hand = station.robot.dofs().map(|joint| link_in_hand[joint.child_link]).collect();
-        Ok(Self { object: object.clone(), mass, solid, rest_poses, live, start, in_hand, station, config })
+        Ok(Self { object: object.clone(), mass, solid, rest_poses, touch, start, in_hand, station, config })
     }
 
     /// Its station.
@@ -164,6 +163,12 @@ impl Start {
         }
         Self { randomisation, positions, base_from_object }
     }
+
+    /// Seed of what is random in touch. No two drawn starts agree in where the object lies.
+    fn touch_seed(&self) -> u64 {
+        let at = &self.base_from_object.translation;
+        at.x.to_bits() ^ at.y.to_bits().rotate_left(u64::BITS / 2)
+    }
 }
 
 /// A uniformly distributed rotation (Shoemake, "Uniform random rotations", 1992).
@@ -206,7 +211,7 @@ pub struct GraspEnv {
     world: World,
     /// What the world was made with.
     randomisation: Randomisation,
-    touch: LiveTouch,
+    touch: Box<dyn Touch>,
     rng: ChaCha8Rng,
     num_steps: u64,
     positions: Vec<f64>,
@@ -220,7 +225,8 @@ impl GraspEnv {
         let rng = stream(seed, env_idx);
         let start = Start::nominal(&scene);
         let world = scene.world(&start)?;
-        let mut touch = LiveTouch::new(Arc::clone(&scene.live));
+        let mut touch = Arc::clone(&scene.touch).touch()?;
+        touch.restart(start.touch_seed())?;
         let readings = touch.feel(0.0, &start.positions, &world.base_from_object())?;
         Ok(Self {
             world,
@@ -251,7 +257,7 @@ impl GraspEnv {
             self.world = scene.world(start)?;
             self.randomisation = start.randomisation.clone();
         }
-        self.touch.restart();
+        self.touch.restart(start.touch_seed())?;
         self.num_steps = 0;
         self.positions.copy_from_slice(&start.positions);
         self.targets.copy_from_slice(&start.positions);

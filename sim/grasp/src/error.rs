@@ -38,6 +38,9 @@ pub enum GraspError {
         /// What it is.
         value: f32,
     },
+    /// A sense of touch that is no sensor model cannot be used.
+    #[error("failed to feel: {0}")]
+    Sense(String),
     /// Touch could not be computed.
     #[error(transparent)]
     Touch(#[from] palpate_sim::replay::ReplayError),

@@ -6,8 +6,8 @@
 //! of them on every core, and [`trial`] the grasping task with its verdicts. [`tune`] makes scripts better by trial,
 //! [`learn`] is the task with actions, observations and rewards for whoever learns.
 //!
-//! Touch is not computed here: [`palpate_sim::live`] gives the same readings from the same sensor model file as replays
-//! do. Nothing here reads a clock or a file, trains a network, or knows a particular robot.
+//! Touch is not computed here: [`touch::Sense`] gives it, as a rule a sensor model, whose readings are those of replays
+//! ([`palpate_sim::live`]). Nothing here reads a clock or a file, trains a network, or knows a particular robot.
 
 mod config;
 mod error;
@@ -22,6 +22,8 @@ pub mod tune;
 mod batch;
 #[cfg(feature = "mujoco")]
 mod env;
+#[cfg(feature = "mujoco")]
+pub mod touch;
 #[cfg(feature = "mujoco")]
 pub mod trial;
 #[cfg(feature = "mujoco")]

@@ -181,7 +181,7 @@ fn the_file_is_safetensors_and_any_reader_gets_the_same_actions_from_it() {
         });
         layer = sums.map(|sum| if idx < 2 && sum < 0.0 { sum.exp_m1() } else { sum }).collect();
     }
-    let actor = Actor::from_checkpoint(Path::new("a file"), &bytes).expect("an actor");
+    let actor = Actor::from_bytes(Path::new("a file"), &bytes).expect("an actor");
     let actions = actor.actions(&observation).expect("actions");
     for (action, expected) in actions.iter().zip(layer) {
         assert!((f64::from(*action) - expected).abs() < 1e-5, "{action} {expected}");
@@ -214,6 +214,38 @@ fn a_checkpoint_of_another_training_is_refused_by_field() {
         refusal(short_config(), &Reach { padding: 1, ..Reach::new(16) }, &bytes),
         "checkpoint c.safetensors: actor_dim is 4, that of the environments is 5"
     );
+}
+
+#[test]
+fn a_policys_file_does_what_the_training_does_and_is_refused_where_a_training_is_wanted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, _) = uninterrupted(folder.path());
+    let trained = Actor::from_bytes(Path::new("a checkpoint"), &whole).expect("an actor");
+    let small = trained.to_bytes().expect("a file");
+    assert!(3 * small.len() < whole.len(), "{} of {} bytes", small.len(), whole.len());
+    let kept = Actor::from_bytes(Path::new("a policy"), &small).expect("an actor");
+    assert_eq!((kept.steps(), kept.memory()), (6 * HORIZON * 16, trained.memory()));
+    assert!(kept.to_bytes().expect("a file") == small, "nothing is rounded twice");
+    let observations: Vec<f32> = (0..400).map(|i| (i % 23) as f32 / 10.0 - 1.1).collect();
+    let [exact, rounded] = [&trained, &kept].map(|actor| actor.actions(&observations).expect("actions"));
+    // Sixteen bits keep three digits of each weight.
+    let largest = exact.iter().fold(0.0_f32, |most, action| most.max(action.abs()));
+    let off = exact.iter().zip(&rounded).fold(0.0_f32, |most, (a, b)| most.max((a - b).abs()));
+    assert!(largest > 0.1 && off > 0.0 && off < 0.005 * largest, "{off} of {largest}");
+
+    let env = Reach::new(16);
+    assert_eq!(
+        refusal(short_config(), &env, &small),
+        "checkpoint c.safetensors: it holds a policy alone, without the training to go on with"
+    );
+    for (at, expected) in [(small.len() - 5, "tensor"), (100, "")] {
+        let mut altered = small.clone();
+        altered[at] ^= 1;
+        let message =
+            Actor::from_bytes(Path::new("p.safetensors"), &altered).expect_err("refused").to_string();
+        assert!(message.starts_with("checkpoint p.safetensors: ") && message.contains(expected), "{message}");
+    }
+    assert!(Actor::from_bytes(Path::new("p.safetensors"), &small[..small.len() / 2]).is_err());
 }
 
 #[test]

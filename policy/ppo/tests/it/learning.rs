@@ -53,6 +53,15 @@ fn without_a_learning_rate_nothing_is_learned() {
 }
 
 #[test]
+fn while_the_critic_warms_up_it_alone_learns() {
+    let config = PpoConfig { critic_warmup_updates: 3, ..small_config() };
+    let (_, metrics) = trained(config, &mut Reach::new(16));
+    assert!(metrics[..3].iter().all(|update| update.kl < 1e-6 && update.clip_fraction == 0.0));
+    assert!(metrics[2].explained_variance > metrics[0].explained_variance + 0.1, "{metrics:#?}");
+    assert!(metrics[3].kl > 1e-5, "{:#?}", metrics[3]);
+}
+
+#[test]
 fn a_critic_that_knows_what_the_actor_cannot_see_learns_where_another_does_not() {
     let learn = |critic_knows| {
         let mut env = Repeat::new(16, 10.0, critic_knows);

@@ -189,6 +189,7 @@ pub(crate) fn small_config() -> PpoConfig {
         num_epochs: 4,
         learning_rate: 2e-3,
         discount: 0.95,
+        critic_warmup_updates: 0,
         initial_std: 0.6,
         networks: NetworksConfig { actor: vec![32, 32], critic: vec![32, 32], ..NetworksConfig::default() },
         ..PpoConfig::default()

@@ -121,6 +121,6 @@ impl Manifest {
     }
 
     pub(crate) fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        super::write_in_one_move(&folder.join(MANIFEST_FILE), self.to_json()?.as_bytes())
+        crate::files::write_in_one_move(&folder.join(MANIFEST_FILE), self.to_json()?.as_bytes())
     }
 }

@@ -120,7 +120,7 @@ fn a_policy_that_does_not_fit_is_refused_by_what_differs() {
             vec!["--script".to_owned(), changed("assets/grasp/scripts/xarm6_leap_cube.toml")],
             "another script (--script): SHA-256 ",
         ),
-        (&empty, vec![], "--policy is a training's folder or a checkpoint"),
+        (&empty, vec![], "--policy is a training's folder, a checkpoint or an exported policy"),
         (run, vec!["--trials".to_owned(), "0".to_owned()], "--trials is 0"),
     ] {
         let mut call = vec!["evaluate", "--policy", policy];
@@ -133,4 +133,73 @@ fn a_policy_that_does_not_fit_is_refused_by_what_differs() {
     let output = palpate_train(&["evaluate", "--policy", run, "--learning", &learning]);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(said.contains("another learning file (--learning): SHA-256 "), "{said}");
+}
+
+#[test]
+fn an_exported_policy_is_small_has_the_scores_of_its_training_and_is_no_training_to_go_on_with() {
+    let folder = tempfile::tempdir().expect("a folder");
+    train(folder.path());
+    let run = folder.path().join("run");
+    let exported = folder.path().join("cube.safetensors");
+    let path = |path: &Path| path.to_str().expect("a path").to_owned();
+    printed(&["export", "--policy", &path(&run), "--out", &path(&exported)]);
+    let small = std::fs::read(&exported).expect("a file");
+    let whole = std::fs::read(run.join("checkpoint.safetensors")).expect("a checkpoint");
+    assert!(4 * small.len() < whole.len(), "{} of {} bytes", small.len(), whole.len());
+    let curve = std::fs::read_to_string(exported.with_extension("jsonl")).expect("a curve");
+    let point: Value = serde_json::from_str(curve.lines().next().expect("a line")).expect("JSON");
+    assert_eq!((point["steps"].as_u64(), point["start_half_width_m"].as_f64()), (Some(4), Some(0.03)));
+
+    let again = folder.path().join("again.safetensors");
+    printed(&["export", "--policy", &path(&exported), "--out", &path(&again)]);
+    assert!(std::fs::read(&again).expect("a file") == small, "what is exported again has the same bytes");
+
+    let score = |policy: &Path, more: &[&str]| {
+        let policy = path(policy);
+        let call = ["evaluate", "--policy", &policy, "--trials", "3", "--seed", "5", "--json"];
+        printed(&[&call, more].concat())
+    };
+    assert_eq!(score(&exported, &[]), score(&run, &[]));
+
+    std::fs::copy(&exported, run.join("checkpoint.safetensors")).expect("a copy");
+    let config = path(&folder.path().join("small.toml"));
+    let output = palpate_train(&["ppo", "--config", &config, "--out", &path(&run), "--resume"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("checkpoint.safetensors: it holds a policy alone"), "{said}");
+
+    let picture = folder.path().join("curves.svg");
+    printed(&["curves", "--policies", &path(folder.path()), "--out", &path(&picture)]);
+    let picture = std::fs::read_to_string(picture).expect("a picture");
+    assert!(picture.contains(">cube</text>"), "{picture}");
+    std::fs::write(exported.with_extension("jsonl"), format!("{curve}{{\n")).expect("a file");
+    let output = palpate_train(&["curves", "--policies", &path(folder.path()), "--out", "/dev/null"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("cube.jsonl:2 is no line of metrics"), "{said}");
+}
+
+#[test]
+fn touch_can_be_that_of_a_truth_file_whose_channels_are_those_of_the_station() {
+    let folder = tempfile::tempdir().expect("a folder");
+    train(folder.path());
+    let bytes = std::fs::read(folder.path().join("run/checkpoint.safetensors")).expect("a checkpoint");
+    let feels = folder.path().join("feels.safetensors");
+    std::fs::write(&feels, zeroed(&bytes, 1.0)).expect("a file");
+    let feels = feels.to_str().expect("a path");
+    let call = ["evaluate", "--policy", feels, "--trials", "4", "--seed", "5", "--start-cm", "5", "--json"];
+    let with = |more: &[&str]| printed(&[&call, more].concat());
+    let truth = ["--truth", "assets/truth/demo.toml"];
+    let one = with(&[&truth[..], &["--threads", "1"]].concat());
+    assert_eq!(with(&[&truth[..], &["--threads", "3"]].concat()), one);
+    assert_eq!(with(&[&truth[..], &["--silence-touch"]].concat()), with(&["--silence-touch"]));
+    assert_ne!(one, with(&["--silence-touch"]), "what the truth lets it feel moves it");
+
+    let refused = |args: &[&str]| {
+        let output = palpate_train(&[&call, args].concat());
+        assert!(!output.status.success(), "{args:?} must be refused");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let said = refused(&["--truth", "assets/truth/bench.toml"]);
+    assert!(said.contains("whose joints and channels are not those of"), "{said}");
+    let said = refused(&["--truth", "assets/truth/demo.toml", "--model", "assets/models/nominal.toml"]);
+    assert!(said.contains("cannot be used with"), "{said}");
 }

@@ -160,6 +160,17 @@ impl Layer {
         }
     }
 
+    /// Tells of another thing that will be there at the end of the coming steps; to be called after [`Layer::approach`].
+    pub(crate) fn approach_also(&mut self, thing: &SignedDistance, thing_from_link: &Isometry3<f64>) {
+        if thing.distance_m(&(thing_from_link * self.centre)) > self.radius_m {
+            return;
+        }
+        for (depth_m, pos) in self.depth_end_m.iter_mut().zip(&self.pos_in_link) {
+            *depth_m = depth_m.max(-thing.distance_m(&(thing_from_link * pos)));
+        }
+        self.awake |= self.depth_end_m.iter().any(|&depth| depth > 0.0);
+    }
+
     /// Tells that there will be no object at the end of the coming steps.
     pub(crate) fn recede(&mut self) {
         std::mem::swap(&mut self.depth_start_m, &mut self.depth_end_m);

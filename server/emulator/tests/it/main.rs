@@ -6,6 +6,7 @@ mod bad_truth;
 mod demo;
 mod hidden;
 mod session;
+mod touch;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -17,9 +17,9 @@ fn what_is_wrong_with_a_learning_file_is_named() {
         ("\"thumb_distal\"", "\"thumb_tipp\"", "opposing_link names link \"thumb_tipp\""),
         ("arm_reach_m = [0.03, 0.03, 0.02]", "arm_reach_m = [0.03, -0.03, 0.02]", "arm_reach_m is -0.03"),
         ("touch_memory = 0.9", "touch_memory = 1.9", "observation.touch_memory is 1.9, expected 0 to 1"),
-        ("scale = 0.1", "scale = 0.0", "reward.scale is 0"),
-        ("half_width_m = [0.02, 0.05]", "half_width_m = [0.05, 0.02]", "expected the smaller one first"),
-        ("window = 256", "window = 0", "start.window is 0"),
+        ("scale = 0.02", "scale = 0.0", "reward.scale is 0"),
+        ("half_width_m = [0.03, 0.05]", "half_width_m = [0.05, 0.02]", "expected the smaller one first"),
+        ("window = 64", "window = 0", "start.window is 0"),
         ("probability = 0.01", "probability = nan", "push.probability is NaN"),
         ("grasp = 0.15", "grsap = 0.15", "unknown field `grsap`"),
     ] {

@@ -18,6 +18,7 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_calibration", 3),
     ("palpate_grasp", 3),
     ("palpate_motion", 3),
+    ("palpate_terminal", 3),
     ("palpate_emulator", 4),
     ("palpate_diagnosis", 5),
     ("palpate_drivers", 5),
@@ -25,7 +26,7 @@ const LEVELS: &[(&str, u32)] = &[
     ("palpate_control", 6),
     ("palpate_server", 7),
     ("palpate_ui", 7),
-    ("palpate_train", 4),
+    ("palpate_train", 5),
     ("e2e", 8),
     // Tools use no crate of ours and no crate of ours uses them: they must build when nothing else does.
     ("tidy", 0),

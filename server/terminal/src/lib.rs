@@ -1,4 +1,5 @@
-//! A progress bar on standard error where that is a terminal, and Ctrl-C as a request to stop.
+//! What long commands share: a progress bar with the time left on standard error, where that is a terminal, and Ctrl-C as
+//! a request to stop.
 
 use std::sync::Arc;
 
@@ -8,18 +9,26 @@ use palpate_sim::job::{Cancel, Progress};
 const STEPS: u64 = 1000;
 
 /// The bar of one command; it goes when dropped.
-pub(super) struct Bar {
+#[derive(Debug)]
+pub struct Bar {
     bar: ProgressBar,
 }
 
 impl Bar {
-    pub(super) fn new() -> Self {
+    /// A bar at its beginning.
+    #[expect(clippy::new_without_default, reason = "whoever makes one draws on the screen")]
+    pub fn new() -> Self {
         // This target draws nothing where standard error is no terminal.
         let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr_with_hz(10));
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg} ({eta} left)") {
             bar.set_style(style);
         }
         Self { bar }
+    }
+
+    /// Prints a line above the bar, also where standard error is no terminal.
+    pub fn line(&self, line: &str) {
+        self.bar.suspend(|| eprintln!("{line}"));
     }
 }
 
@@ -38,8 +47,8 @@ impl Drop for Bar {
     }
 }
 
-/// A flag that the first Ctrl-C sets, so that the job can leave the disk as it was; the second one ends the process.
-pub(super) fn cancel_on_ctrl_c() -> Arc<Cancel> {
+/// A flag that the first Ctrl-C sets, so that the job can leave the disk in order; the second one ends the process.
+pub fn cancel_on_ctrl_c() -> Arc<Cancel> {
     let cancel = Arc::new(Cancel::default());
     let asked = cancel.clone();
     let listen = move || {
