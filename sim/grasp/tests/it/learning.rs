@@ -17,7 +17,7 @@ fn what_is_wrong_with_a_learning_file_is_named() {
         ("\"thumb_distal\"", "\"thumb_tipp\"", "opposing_link names link \"thumb_tipp\""),
         ("arm_reach_m = [0.03, 0.03, 0.02]", "arm_reach_m = [0.03, -0.03, 0.02]", "arm_reach_m is -0.03"),
         ("touch_memory = 0.9", "touch_memory = 1.9", "observation.touch_memory is 1.9, expected 0 to 1"),
-        ("scale = 0.02", "scale = 0.0", "reward.scale is 0"),
+        ("scale = 0.1", "scale = 0.0", "reward.scale is 0"),
         ("half_width_m = [0.03, 0.05]", "half_width_m = [0.05, 0.02]", "expected the smaller one first"),
         ("window = 64", "window = 0", "start.window is 0"),
         ("probability = 0.01", "probability = nan", "push.probability is NaN"),
@@ -37,7 +37,7 @@ mod episodes {
     use std::sync::Arc;
 
     use nalgebra::Translation3;
-    use palpate_grasp::learn::{LearnBatch, LearnStep, LearnTask, REWARD_TERMS, Segment};
+    use palpate_grasp::learn::{Curriculum, LearnBatch, LearnStep, LearnTask, REWARD_TERMS, Segment};
     use palpate_grasp::trial::{self, Outcome};
     use palpate_grasp::{GraspError, GraspScene, Script, Start};
     use palpate_sim::SensorModel;
@@ -185,6 +185,8 @@ mod episodes {
     fn without_actions_the_script_runs_as_in_a_trial() {
         let task = task(true, quiet);
         let mut batch = LearnBatch::new(Arc::clone(&task), 3, 1).expect("environments");
+        let half_width_m = task.scene().config().task.half_width_m;
+        batch.set_curriculum(Curriculum { half_width_m, episodes: 0, successes: 0 });
         batch.reset(0).expect("starts");
         let script = text("grasp/scripts/xarm6_leap_cube.toml");
         let robot = &task.scene().station().robot;
