@@ -129,7 +129,8 @@ pub(crate) fn trace_of(
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
         let mut felt: Vec<ChunkTrace> = probes.iter().map(|probe| probe.empty_chunk(frames.len())).collect();
         let mut root_from_link = Vec::new();
-        for frame in frames {
+        // Where nobody wants to know, nothing need be anywhere.
+        for frame in frames.filter(|_| wanted.contains(&true)) {
             robot.forward_kinematics(
                 &positions[frame * num_dofs..(frame + 1) * num_dofs],
                 &mut root_from_link,

@@ -9,6 +9,8 @@ use palpate_wire::api::{
     Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
 };
 
+use palpate_wire::wording::effect_at;
+
 use crate::DiagnosisError;
 use crate::engine::{Naming, Tried};
 use crate::job::{DiagnosisConfig, Steps, interval, judge_all};
@@ -91,13 +93,13 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     for effect in &naming.withheld {
         notes.push(format!(
             "{} comes nearest, but leaves too much unexplained to be the name of what is missing",
-            effect.id
+            effect_at(&effect.id, &effect.place)
         ));
     }
     for effect in &naming.dropped {
         notes.push(format!(
             "{} was named at first and dropped when later effects accounted for it",
-            effect.id
+            effect_at(&effect.id, &effect.place)
         ));
     }
     Ok(DiagnosisReport {

@@ -296,16 +296,20 @@ impl Chain<'_> {
         if !soft {
             transport.freeze();
         }
-        let past: Vec<Vec<Vec<f64>>> = (0..nominal.streams.len())
-            .map(|stream| if soft { transport.past(stream) } else { Vec::new() })
+        let moments: Vec<(Moments, Vec<Moments>)> = (0..nominal.streams.len())
+            .map(|stream| {
+                let past = if soft { transport.past(stream) } else { Vec::new() };
+                let at = |times_s: &Vec<f64>| Moments::new(&load.times_s, times_s);
+                (at(&transport.device_times_s[stream]), past.iter().map(at).collect())
+            })
             .collect();
         map_chunks(nominal.num_channels(), |channel| {
             let stream = nominal.channels[channel].stream;
             wanted[channel].then(|| {
-                let at = |times_s: &[f64]| arrive(load.of_channel(channel), &load.times_s, times_s);
+                let (present, past) = &moments[stream];
                 Arrived {
-                    present: at(&transport.device_times_s[stream]),
-                    past: past[stream].iter().map(|times_s| at(times_s)).collect(),
+                    present: present.of(load.of_channel(channel)),
+                    past: past.iter().map(|past| past.of(load.of_channel(channel))).collect(),
                     past_share: transport.holds[stream].as_ref().map_or(0.0, |hold| hold.fraction),
                 }
             })
@@ -556,28 +560,47 @@ impl Load {
     }
 }
 
-/// `loads` (frame by frame at `frame_times_s`) at `times_s`: linear between frames, held before the first and after the
-/// last.
-fn arrive(loads: &[f64], frame_times_s: &[f64], times_s: &[f64]) -> Vec<f64> {
-    if times_s == frame_times_s {
-        return loads.to_vec();
+/// Moments between frames.
+enum Moments {
+    /// Those of the frames.
+    Frames,
+    /// Between which two frames each is, and which share of the way from the first to the second.
+    Between(Vec<(u32, u32, f64)>),
+}
+
+impl Moments {
+    /// The moments `times_s`: before the first frame is at the first, after the last at the last.
+    fn new(frame_times_s: &[f64], times_s: &[f64]) -> Self {
+        if times_s == frame_times_s {
+            return Self::Frames;
+        }
+        let num_frames = frame_times_s.len();
+        let mut after = 0;
+        let between = |&time_s: &f64| {
+            // Times nearly increase: walk, in either direction.
+            while after < num_frames && frame_times_s[after] <= time_s {
+                after += 1;
+            }
+            while after > 0 && frame_times_s[after - 1] > time_s {
+                after -= 1;
+            }
+            let (from, to) = (after.saturating_sub(1), after.min(num_frames - 1));
+            let gap_s = frame_times_s[to] - frame_times_s[from];
+            let share = if gap_s > 0.0 { (time_s - frame_times_s[from]) / gap_s } else { 0.0 };
+            (from as u32, to as u32, share)
+        };
+        Self::Between(times_s.iter().map(between).collect())
     }
-    let num_frames = frame_times_s.len();
-    let mut after = 0;
-    let at = |&time_s: &f64| {
-        // Times nearly increase: walk, in either direction.
-        while after < num_frames && frame_times_s[after] <= time_s {
-            after += 1;
-        }
-        while after > 0 && frame_times_s[after - 1] > time_s {
-            after -= 1;
-        }
-        let (from, to) = (after.saturating_sub(1), after.min(num_frames - 1));
-        let gap_s = frame_times_s[to] - frame_times_s[from];
-        let share = if gap_s > 0.0 { (time_s - frame_times_s[from]) / gap_s } else { 0.0 };
-        loads[from] + share * (loads[to] - loads[from])
-    };
-    times_s.iter().map(at).collect()
+
+    /// `loads` (frame by frame) at these moments, linear between frames.
+    fn of(&self, loads: &[f64]) -> Vec<f64> {
+        let Self::Between(moments) = self else { return loads.to_vec() };
+        let at = |&(from, to, share): &(u32, u32, f64)| {
+            let (from, to) = (loads[from as usize], loads[to as usize]);
+            from + share * (to - from)
+        };
+        moments.iter().map(at).collect()
+    }
 }
 
 impl Switching {

@@ -349,6 +349,11 @@ fn finish<D: Domain>(
     while model.effects.len() > known {
         let after = Linear::without_nuisances(domain, model, takes)?;
         let (evidence, _) = joint_evidence(domain, model, takes)?;
+        if let Some(unfounded) = (known..evidence.len()).find(|&idx| evidence[idx] < bar) {
+            dropped.push(model.effects.remove(unfounded));
+            *model = refit(domain, model, takes, REFIT_STEPS)?;
+            continue;
+        }
         let mut carried = Vec::new();
         for idx in known..model.effects.len() {
             let mut without = model.clone();
@@ -368,9 +373,8 @@ fn finish<D: Domain>(
         }
         let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].share.total_cmp(&carried[b].share));
         let Some(weakest) = weakest else { break };
-        let unfounded = (0..carried.len()).find(|&idx| evidence[known + idx] < bar);
-        if let Some(idx) = unfounded.or((carried[weakest].share < LEAST_CARRIED).then_some(weakest)) {
-            dropped.push(model.effects.remove(known + idx));
+        if carried[weakest].share < LEAST_CARRIED {
+            dropped.push(model.effects.remove(known + weakest));
             *model = refit(domain, model, takes, REFIT_STEPS)?;
             continue;
         }
