@@ -122,7 +122,11 @@ fn last_result_is_one_click_away() {
     let api = full_api();
     let runs = [run(JobState::Failed), CalibrationRun { id: "run-6".into(), ..run(JobState::Done) }];
     api.0.borrow_mut().answer(&Request::Runs, serde_json::to_vec(&runs).expect("runs are plain data"));
-    answer(&api, &Request::Run("run-6".into()), &CalibrationRun { id: "run-6".into(), ..run(JobState::Done) });
+    answer(
+        &api,
+        &Request::Run("run-6".into()),
+        &CalibrationRun { id: "run-6".into(), ..run(JobState::Done) },
+    );
     let window = FakeWindow::at("#/calibrate/bench-1");
     let mut harness = page(&api, &window);
     harness.get_by_role_and_label(Role::Button, "Show the last result (run-6)").click();
