@@ -89,7 +89,7 @@ fn lines<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<Vec<T>> 
 const COLUMNS: usize = 5;
 const PANEL: [f64; 2] = [180.0, 110.0];
 const GAP: [f64; 2] = [24.0, 44.0];
-const MARGIN: [f64; 4] = [44.0, 48.0, 40.0, 30.0];
+const MARGIN: [f64; 4] = [44.0, 60.0, 40.0, 30.0];
 /// A rate is that of at least so many episodes.
 const WINDOW: u64 = 100;
 
