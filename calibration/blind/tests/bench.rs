@@ -6,7 +6,14 @@
 use std::path::Path;
 
 use palpate_blind::{BlindConfig, BlindError, BlindReport, actuator, tactile};
-use palpate_sim::job::{Cancel, NoProgress};
+use palpate_diagnosis::{DiagnosisConfig, diagnose};
+use palpate_emulator::{Stage, cases};
+use palpate_sim::{
+    SensorModel,
+    job::{Cancel, NoProgress},
+};
+
+const TUNE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml");
 
 fn config(only: &str, first_seed: u64) -> BlindConfig {
     BlindConfig {
@@ -20,14 +27,29 @@ fn config(only: &str, first_seed: u64) -> BlindConfig {
 }
 
 fn touch(only: &str, seed: u64) -> BlindReport {
-    let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml"));
-    tactile(truth, &config(only, seed), &NoProgress, &Cancel::default()).unwrap()
+    tactile(Path::new(TUNE), &config(only, seed), &NoProgress, &Cancel::default()).unwrap()
 }
 
 #[test]
 fn a_late_stream_is_named() {
     let scores = touch("latency strong", 1).scores;
     assert_eq!((scores.cases, scores.named_correctly), (1, 1), "{scores:?}");
+}
+
+#[test]
+fn a_diagnosis_has_the_same_bits_for_any_number_of_threads() {
+    let stage = Stage::read(Path::new(TUNE)).unwrap();
+    let cases = cases(&stage, 0, 1).unwrap();
+    let case = cases.iter().find(|case| case.label == "latency strong").unwrap();
+    let takes = stage.record(&case.hidden, case.seed).unwrap();
+    let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+    let config = DiagnosisConfig { max_effects: 1, bootstrap_resamples: 20, ..DiagnosisConfig::default() };
+    let report = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let run = || diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
+        serde_json::to_string(&pool.install(run).unwrap().report).unwrap()
+    };
+    assert_eq!(report(1), report(3));
 }
 
 #[test]
