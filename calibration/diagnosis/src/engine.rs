@@ -8,6 +8,7 @@
 
 mod fit;
 mod linear;
+mod merge;
 mod name;
 mod rows;
 mod screen;

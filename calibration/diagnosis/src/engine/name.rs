@@ -7,6 +7,7 @@ use palpate_sim::effects::{Effect, Parameter};
 
 use super::fit::{Fitted, fit, profile, refit};
 use super::linear::{Linear, predict};
+use super::merge::merge;
 use super::screen::{Screened, screen};
 use super::{Domain, Model};
 use crate::DiagnosisError;
@@ -101,7 +102,7 @@ impl Naming {
 }
 
 /// Steps of a full fit after an addition.
-const REFIT_STEPS: usize = 3;
+pub(super) const REFIT_STEPS: usize = 3;
 /// Rivals explain at least this share of what the best does.
 const RIVAL_SHARE: f64 = 0.8;
 /// What still promises more than this share of what it did once the other is named explains something else.
@@ -115,7 +116,7 @@ const MOST_DROPPED: usize = 2;
 /// Numbers of parameters up to this many apart count as equally simple.
 const SIMILAR_COUNT: usize = 7;
 /// Steps of a fit without one effect, to see what it carries.
-const WEIGHING_STEPS: usize = 2;
+pub(super) const WEIGHING_STEPS: usize = 2;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
 const FEW: usize = 2;
 /// What such a trial must remove, over what the effect removes beside the thresholds that are there.
@@ -142,6 +143,7 @@ pub fn name<D: Domain>(
     config: &NamingConfig,
     progress: &dyn Fn(f64, &str) -> Result<(), DiagnosisError>,
 ) -> Result<Naming, DiagnosisError> {
+    let known = start.effects.len();
     let mut model = start.clone();
     let mut rounds: Vec<Round> = Vec::new();
     let mut dropped: Vec<Effect> = Vec::new();
@@ -236,11 +238,16 @@ pub fn name<D: Domain>(
             (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
         });
         rounds.push(Round { before: model.clone(), tried: tried.clone(), named, class });
-        let Some(refitted) = refitted else { break };
+        let Some(refitted) = refitted else {
+            report(1.0, "putting names together")?;
+            if more && merge(domain, &mut model, known, takes, config, &dropped)? {
+                continue;
+            }
+            break;
+        };
         model = refitted;
         drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
     }
-    let known = start.effects.len();
     finish(domain, &mut model, known, takes, config.bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
@@ -311,7 +318,7 @@ fn finalists(screened: &[Screened], num_fits: usize) -> Vec<usize> {
 }
 
 /// Whether an effect of many parameters does what it does in few places only: it then stands in for one that acts there.
-fn stands_in(fitted: &Fitted) -> bool {
+pub(super) fn stands_in(fitted: &Fitted) -> bool {
     if fitted.parameters.len() <= SIMILAR_COUNT {
         return false;
     }
@@ -424,7 +431,12 @@ fn simplest_of_best(
 }
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
-fn founded<D: Domain>(domain: &D, model: &Model, takes: &[usize], bar: f64) -> Result<bool, DiagnosisError> {
+pub(super) fn founded<D: Domain>(
+    domain: &D,
+    model: &Model,
+    takes: &[usize],
+    bar: f64,
+) -> Result<bool, DiagnosisError> {
     let (evidence, _) = joint_evidence(domain, model, takes)?;
     Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
 }
