@@ -26,7 +26,12 @@ pub(crate) fn next_experiment(
     naming: &Naming,
     takes: &[usize],
 ) -> Result<Option<NextExperiment>, DiagnosisError> {
-    let Some((round, named, rival)) = naming.rounds.iter().find_map(rivals) else { return Ok(None) };
+    // What was dropped again has been told apart.
+    let stands = |named: &Effect| {
+        naming.model.effects.iter().any(|effect| effect.id == named.id && effect.place == named.place)
+    };
+    let open = naming.rounds.iter().filter_map(rivals).find(|(_, named, _)| stands(named));
+    let Some((round, named, rival)) = open else { return Ok(None) };
     let parameters = domain.parameters(named);
     if parameters.len() > MOST_PARAMETERS {
         return Ok(None);
