@@ -12,12 +12,15 @@ use crate::files::Sources;
 use crate::{SceneArgs, files};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
+/// What changes unless another file is named.
+const TUNING: &str = "assets/grasp/xarm6_leap_tuning.toml";
+
 #[derive(clap::Args)]
 pub(crate) struct TuneArgs {
     #[command(flatten)]
     scene: SceneArgs,
     /// What may change in the script, and what a trial is worth
-    #[arg(long, default_value = "assets/grasp/xarm6_leap_tuning.toml")]
+    #[arg(long, default_value = TUNING)]
     tuning: PathBuf,
     /// Seed of candidates and trials
     #[arg(long, default_value_t = 1)]
@@ -47,7 +50,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<()> {
     let (scene, script) = files::open(&args.scene, &Sources::default())?;
     let shown = files::shown(&args.tuning);
     let text = files::text(&args.tuning)?;
-    let tuning = TuningConfig::from_toml(&shown, &text, &scene.station().robot, script.keys().len())?;
+    let tuning = TuningConfig::from_toml(&shown, &text, &scene.station().robot, &script)?;
     let params = TuneParams {
         seed: args.seed,
         generations: args.generations,
@@ -134,9 +137,9 @@ fn tell(args: &TuneArgs, bar: &Bar, generation: &Generation, began: Instant) -> 
 /// What a tuned script says of itself, found in this generation: a search that ends there gives the same script.
 fn header(args: &TuneArgs, object: &str, half_width_m: f64, generation: usize) -> String {
     format!(
-        "# A closing script tuned on one object, {object}, started within {:.1} cm. It feels nothing. Made by\n\
+        "# A closing script tuned on one object, {object}, started within {:.1} cm. Made by\n\
          #   palpate-train tune --object {} --start-cm {} --seed {} --generations {} --candidates {} --elite {} \\\n\
-         #     --trials {} --check-trials {}\n\
+         #     --trials {} --check-trials {}{}\n\
          # from {}.\n\n",
         100.0 * half_width_m,
         args.scene.object,
@@ -147,8 +150,18 @@ fn header(args: &TuneArgs, object: &str, half_width_m: f64, generation: usize) -
         args.elite,
         args.trials,
         args.check_trials,
+        other_files(args),
         files::shown(&args.scene.script)
     )
+}
+
+/// The flags that name other files than those that a search takes by itself.
+fn other_files(args: &TuneArgs) -> String {
+    let tuning = (args.tuning != Path::new(TUNING)).then_some(&args.tuning);
+    [("--tuning", tuning), ("--model", args.scene.model.as_ref()), ("--truth", args.scene.truth.as_ref())]
+        .into_iter()
+        .filter_map(|(flag, path)| Some(format!(" \\\n#     {flag} {}", files::shown(path?))))
+        .collect()
 }
 
 /// Writes beside the file first, so that there is never half a script.

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::scene::{links_of_hand, mjcf};
 use crate::touch::{Sense, Touch, TouchScene};
-use crate::{GraspConfig, GraspError, Randomisation, World};
+use crate::{GraspConfig, GraspError, Randomisation, Sensed, World};
 
 /// A robot with its sense of touch, and an object: what environments share.
 #[derive(Debug)]
@@ -222,20 +222,24 @@ pub struct GraspEnv {
 impl GraspEnv {
     /// Environment number `env_idx` of those that share `seed`, at the nominal start.
     pub fn new(scene: Arc<GraspScene>, seed: u64, env_idx: u64) -> Result<Self, GraspError> {
-        let rng = stream(seed, env_idx);
         let start = Start::nominal(&scene);
-        let world = scene.world(&start)?;
+        Self::at(scene, &start, stream(seed, env_idx))
+    }
+
+    /// An environment at `start` that draws from `rng`.
+    pub(crate) fn at(scene: Arc<GraspScene>, start: &Start, rng: ChaCha8Rng) -> Result<Self, GraspError> {
+        let world = scene.world(start)?;
         let mut touch = Arc::clone(&scene.touch).touch()?;
         touch.restart(start.touch_seed())?;
         let readings = touch.feel(0.0, &start.positions, &world.base_from_object())?;
         Ok(Self {
             world,
-            randomisation: start.randomisation,
+            randomisation: start.randomisation.clone(),
             touch,
             rng,
             num_steps: 0,
             positions: start.positions.clone(),
-            targets: start.positions,
+            targets: start.positions.clone(),
             readings,
             scene,
         })
@@ -321,6 +325,11 @@ impl GraspEnv {
     /// Positions after the last step.
     pub fn positions(&self) -> &[f64] {
         &self.positions
+    }
+
+    /// What a script may know now.
+    pub fn sensed(&self) -> Sensed<'_> {
+        Sensed { time_s: self.time_s(), positions: &self.positions, active: &self.readings.active }
     }
 
     /// Time in the episode, s.

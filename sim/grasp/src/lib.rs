@@ -35,7 +35,7 @@ pub use config::{
 };
 pub use error::GraspError;
 pub use randomisation::Randomisation;
-pub use script::{Script, ScriptKey};
+pub use script::{Again, Script, ScriptKey, ScriptRun, Sensed};
 
 #[cfg(feature = "mujoco")]
 pub use {

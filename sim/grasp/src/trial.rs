@@ -1,10 +1,12 @@
 //! Trials of the grasping task and their verdicts.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::env::stream;
-use crate::{Contacts, GraspConfig, GraspError, GraspScene, Script, Start, World};
+use crate::{Contacts, GraspConfig, GraspEnv, GraspError, GraspScene, Script, ScriptRun, Start, World};
 
 /// How a trial ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -142,32 +144,61 @@ pub struct TrialReport {
     pub table_s: f64,
 }
 
-/// One trial of `script`: number `trial` of those with `seed`, cut off after `longest_s`. Scripts feel nothing, so touch is
-/// not computed; the physics is to the bit that of a [`crate::GraspEnv`] with the same numbers.
+/// One trial of `script`: number `trial` of those with `seed`, cut off after `longest_s`. Where the script does not feel,
+/// touch is not computed; the physics is to the bit that of a [`crate::GraspEnv`] with the same numbers.
 pub fn watch(
-    scene: &GraspScene,
+    scene: &Arc<GraspScene>,
     script: &Script,
     seed: u64,
     trial: u64,
     longest_s: f64,
 ) -> Result<TrialReport, GraspError> {
-    let config = scene.config();
-    let start = Start::draw(scene, &mut stream(seed, trial));
-    let mut world = scene.world(&start)?;
-    let mut judge = Judge::new(&world, longest_s);
+    let mut rng = stream(seed, trial);
+    let start = Start::draw(scene, &mut rng);
+    if script.feels() {
+        let env = GraspEnv::at(Arc::clone(scene), &start, rng)?;
+        let mut run = ScriptRun::new(script);
+        let judge = Judge::new(env.world(), longest_s);
+        return judged(env, judge, scene.config(), GraspEnv::world, |env, _| {
+            let targets = run.targets(script, scene.station(), scene.config(), env.sensed());
+            env.step(&targets)
+        });
+    }
+    let world = scene.world(&start)?;
+    let judge = Judge::new(&world, longest_s);
+    judged(
+        world,
+        judge,
+        scene.config(),
+        |world| world,
+        |world, time_s| {
+            world.set_targets(&script.targets_at(time_s));
+            world.step()
+        },
+    )
+}
+
+/// Makes control steps of `simulated`, of which `step` is told the time, until `judge` has a verdict.
+fn judged<T>(
+    mut simulated: T,
+    mut judge: Judge,
+    config: &GraspConfig,
+    world: impl Fn(&T) -> &World,
+    mut step: impl FnMut(&mut T, f64) -> Result<(), GraspError>,
+) -> Result<TrialReport, GraspError> {
     let mut report =
         TrialReport { outcome: Outcome::EmergencyStop, lift_m: 0.0, num_digits: 0, table_s: 0.0 };
-    for step in 0_u32.. {
-        world.set_targets(&script.targets_at(f64::from(step) / config.control_rate_hz));
-        match world.step() {
-            Err(GraspError::Diverged { .. }) => return Ok(report),
+    for idx in 0_u32.. {
+        match step(&mut simulated, f64::from(idx) / config.control_rate_hz) {
+            Err(GraspError::Diverged { .. }) => break,
             other => other?,
         }
+        let world = world(&simulated);
         let contacts = world.contacts();
-        report.lift_m = judge.lift_m(&world);
+        report.lift_m = judge.lift_m(world);
         report.num_digits = contacts.digits.count_ones();
         report.table_s += if contacts.robot_table_n > 0.0 { 1.0 / config.control_rate_hz } else { 0.0 };
-        if let Some(outcome) = judge.look(config, &world, &contacts) {
+        if let Some(outcome) = judge.look(config, world, &contacts) {
             report.outcome = outcome;
             break;
         }
@@ -176,13 +207,13 @@ pub fn watch(
 }
 
 /// The verdict on one trial of `script`: number `trial` of those with `seed`.
-pub fn run(scene: &GraspScene, script: &Script, seed: u64, trial: u64) -> Result<Outcome, GraspError> {
+pub fn run(scene: &Arc<GraspScene>, script: &Script, seed: u64, trial: u64) -> Result<Outcome, GraspError> {
     Ok(watch(scene, script, seed, trial, scene.config().task.episode_s)?.outcome)
 }
 
 /// `trials` trials of `script` on every core, in order.
 pub fn run_all(
-    scene: &GraspScene,
+    scene: &Arc<GraspScene>,
     script: &Script,
     seed: u64,
     trials: u64,

@@ -10,7 +10,7 @@ use super::{Facts, LearnTask, REWARD_TERMS};
 use crate::env::stream;
 use crate::hand::{HandMove, bring};
 use crate::trial::{Judge, Outcome};
-use crate::{Contacts, GraspEnv, GraspError, Start};
+use crate::{Contacts, GraspEnv, GraspError, ScriptRun, Start};
 
 /// An environment in which actions, each within -1 to 1, move the hand's joints and the hand as a whole.
 ///
@@ -22,6 +22,7 @@ pub struct LearnEnv {
     env: GraspEnv,
     rng: ChaCha8Rng,
     judge: Judge,
+    script: Option<ScriptRun>,
     /// Of each hand joint, rad.
     offsets: Vec<f64>,
     hand: HandMove,
@@ -77,6 +78,7 @@ impl LearnEnv {
         let mut this = Self {
             judge,
             rng,
+            script: task.begin_script(),
             offsets: vec![0.0; task.hand_dofs.len()],
             hand: HandMove::default(),
             targets_before: vec![0.0; num_dofs],
@@ -133,6 +135,7 @@ impl LearnEnv {
     /// An episode begins where the environment is.
     fn forget(&mut self) {
         self.judge = Judge::new(self.env.world(), self.task.scene.config().task.episode_s);
+        self.script = self.task.begin_script();
         self.offsets.fill(0.0);
         self.hand = HandMove::default();
         self.targets_before.copy_from_slice(self.env.targets());
@@ -184,7 +187,7 @@ impl LearnEnv {
         let task = Arc::clone(&self.task);
         let bounds = task.bounds();
         let (of_hand, of_root) = self.action.split_at(task.hand_dofs.len());
-        let mut targets = task.base_targets(self.env.time_s());
+        let mut targets = task.base_targets(&mut self.script, self.env.sensed());
         for ((offset, &dof), action) in self.offsets.iter_mut().zip(&task.hand_dofs).zip(of_hand) {
             let moved = *offset + bounds.hand_step_rad * action;
             *offset = moved.clamp(-bounds.hand_reach_rad, bounds.hand_reach_rad);

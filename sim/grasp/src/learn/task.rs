@@ -7,7 +7,7 @@ use palpate_sim::geometry::SignedDistance;
 use super::{Bounds, LearnConfig, ObservationLayout};
 use crate::hand::carrier_dofs;
 use crate::scene::digits;
-use crate::{GraspError, GraspScene, Script};
+use crate::{GraspError, GraspScene, Script, ScriptRun, Sensed};
 
 /// A scene, what is learned in it, and the script that actions are added to.
 #[derive(Debug)]
@@ -97,11 +97,17 @@ impl LearnTask {
         }
     }
 
-    /// Targets that actions are added to.
-    pub(super) fn base_targets(&self, time_s: f64) -> Vec<f64> {
-        match &self.script {
-            Some(script) => script.targets_at(time_s),
-            None => self.scene.config().start_positions(&self.scene.station().robot),
+    /// The script at its beginning.
+    pub(super) fn begin_script(&self) -> Option<ScriptRun> {
+        self.script.as_ref().map(ScriptRun::new)
+    }
+
+    /// Targets that actions are added to, as `run` of [`Self::begin_script`] has them now.
+    pub(super) fn base_targets(&self, run: &mut Option<ScriptRun>, now: Sensed<'_>) -> Vec<f64> {
+        let (station, config) = (self.scene.station(), self.scene.config());
+        match (&self.script, run) {
+            (Some(script), Some(run)) => run.targets(script, station, config, now),
+            _ => config.start_positions(&station.robot),
         }
     }
 

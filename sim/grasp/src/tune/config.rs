@@ -6,7 +6,7 @@ use palpate_robot_model::Robot;
 use serde::Deserialize;
 
 use crate::hand::{HandMove, carrier_dofs};
-use crate::{GraspConfig, GraspError, Script};
+use crate::{Again, GraspConfig, GraspError, Script};
 
 /// Positions of a tuned script are whole multiples of one over this, rad or m, so that its file has all their digits.
 const POSITIONS_PER_UNIT: f64 = 1e4;
@@ -21,6 +21,9 @@ const SHORTEST_S: f64 = 0.05;
 pub struct TuningConfig {
     /// What a trial is worth.
     pub score: ScoreConfig,
+    /// Tries that a script without any is given before the search begins.
+    #[serde(default)]
+    pub again: Vec<Again>,
     /// The numbers that it changes, all zero for the script as it is.
     #[serde(rename = "parameter")]
     pub parameters: Vec<ParameterConfig>,
@@ -48,8 +51,12 @@ pub struct ParameterConfig {
     pub name: String,
     /// What it is added to.
     pub acts_on: ActsOn,
-    /// At which keys of the script, counted from 1.
+    /// At which keys of the script, counted from 1; none where it acts on tries.
+    #[serde(default)]
     pub keys: Vec<usize>,
+    /// At which of its further tries, counted from 1; none where it acts on keys.
+    #[serde(default)]
+    pub again: Vec<usize>,
     /// With [`ActsOn::Joints`]: which joints, each with a factor on the number.
     #[serde(default)]
     pub joints: BTreeMap<String, f64>,
@@ -73,21 +80,64 @@ pub enum ActsOn {
     HandYaw,
     /// Natural logarithm of a factor on the time between a key and the one before.
     Duration,
+    /// [`Again::unfelt_m`] along x, m.
+    UnfeltX,
+    /// Along y.
+    UnfeltY,
+    /// [`Again::felt_m`] along x, m.
+    FeltX,
+    /// Along y.
+    FeltY,
+    /// [`Again::towards`] along x.
+    TowardsX,
+    /// Along y.
+    TowardsY,
+    /// [`Again::channels`], rounded.
+    Channels,
+}
+
+impl ActsOn {
+    /// Whether it is a part of [`Again`].
+    fn is_of_tries(self) -> bool {
+        use ActsOn::{Channels, FeltX, FeltY, TowardsX, TowardsY, UnfeltX, UnfeltY};
+        matches!(self, UnfeltX | UnfeltY | FeltX | FeltY | TowardsX | TowardsY | Channels)
+    }
+
+    /// Adds `value` to its part of `again`.
+    fn change_try(self, again: &mut Again, value: f64) {
+        let add = |to: &mut f64| *to = on_grid(*to + value, POSITIONS_PER_UNIT);
+        match self {
+            Self::UnfeltX => add(&mut again.unfelt_m[0]),
+            Self::UnfeltY => add(&mut again.unfelt_m[1]),
+            Self::FeltX => add(&mut again.felt_m[0]),
+            Self::FeltY => add(&mut again.felt_m[1]),
+            Self::TowardsX => add(&mut again.towards[0]),
+            Self::TowardsY => add(&mut again.towards[1]),
+            // Negative counts end at zero.
+            Self::Channels => again.channels = (f64::from(again.channels) + value).round() as u32,
+            _ => (),
+        }
+    }
 }
 
 impl TuningConfig {
-    /// Reads a file for scripts with `num_keys` keys; `file` names it in errors.
+    /// Reads a file for `script`; `file` names it in errors.
     ///
-    /// Refused, naming parameter and key: no parameters, unknown joints, joints where none belong or are missing, keys that
-    /// the script does not have, spreads that are not above zero, scores below zero.
-    pub fn from_toml(file: &str, text: &str, robot: &Robot, num_keys: usize) -> Result<Self, GraspError> {
+    /// Refused, naming parameter and key: no parameters, unknown joints, joints where none belong or are missing, keys and
+    /// tries that the script does not have, spreads that are not above zero, scores below zero.
+    pub fn from_toml(file: &str, text: &str, robot: &Robot, script: &Script) -> Result<Self, GraspError> {
         let error = |problem: String| GraspError::Config { file: file.to_owned(), problem };
         let config: Self = toml::from_str(text).map_err(|err| error(err.to_string()))?;
-        config.check(robot, num_keys).map_err(error)?;
+        config.check(robot, script).map_err(error)?;
         Ok(config)
     }
 
-    fn check(&self, robot: &Robot, num_keys: usize) -> Result<(), String> {
+    fn check(&self, robot: &Robot, script: &Script) -> Result<(), String> {
+        let num_keys = script.keys().len();
+        for (idx, again) in self.again.iter().enumerate() {
+            again.check(num_keys).map_err(|problem| format!("again {}: {problem}", idx + 1))?;
+        }
+        let num_again = self.again_of(script).len();
         let score = &self.score;
         let weights = [
             ("lift", score.lift),
@@ -106,11 +156,19 @@ impl TuningConfig {
             if !(parameter.spread.is_finite() && parameter.spread > 0.0) {
                 return at(format!("spread is {}, expected a number above zero", parameter.spread));
             }
-            if parameter.keys.is_empty() {
-                return at("keys is empty, expected the numbers of some keys of the script".to_owned());
+            let (own, own_name, most, other, other_name) = if parameter.acts_on.is_of_tries() {
+                (&parameter.again, "again", num_again, &parameter.keys, "keys")
+            } else {
+                (&parameter.keys, "keys", num_keys, &parameter.again, "again")
+            };
+            if own.is_empty() {
+                return at(format!("{own_name} is empty, expected some numbers from 1 to {most}"));
             }
-            if let Some(key) = parameter.keys.iter().find(|key| !(1..=num_keys).contains(*key)) {
-                return at(format!("there is no key {key}, expected 1 to {num_keys}"));
+            if let Some(number) = own.iter().find(|number| !(1..=most).contains(*number)) {
+                return at(format!("{own_name} holds {number}, expected 1 to {most}"));
+            }
+            if !other.is_empty() {
+                return at(format!("{other_name} has no place beside what it acts on"));
             }
             if parameter.joints.is_empty() == (parameter.acts_on == ActsOn::Joints) {
                 return at("joints belong to acts_on = \"joints\", and only there".to_owned());
@@ -127,10 +185,15 @@ impl TuningConfig {
         Ok(())
     }
 
+    /// The tries of `script`, or those that it is given.
+    fn again_of<'a>(&'a self, script: &'a Script) -> &'a [Again] {
+        if script.feels() { script.again() } else { &self.again }
+    }
+
     /// `script` with `values`, one per parameter, added; `None` where the arm does not reach. Joints stop at their limits.
     ///
     /// # Panics
-    /// If there is not one value per parameter, or the script has fewer keys than this was read for: a caller's bug.
+    /// If there is not one value per parameter, or this was read for a script with more keys or tries: a caller's bug.
     pub fn apply(
         &self,
         values: &[f64],
@@ -141,10 +204,14 @@ impl TuningConfig {
         assert_eq!(values.len(), self.parameters.len(), "one value per parameter");
         let num_keys = script.keys().len();
         let mut keys = script.keys().to_vec();
+        let mut again = self.again_of(script).to_vec();
         let mut stretch = vec![0.0; num_keys];
         let mut moves = vec![HandMove::default(); num_keys];
         let mut joints: BTreeMap<(usize, &str), f64> = BTreeMap::new();
         for (parameter, &value) in self.parameters.iter().zip(values) {
+            for one in &parameter.again {
+                parameter.acts_on.change_try(&mut again[one - 1], value);
+            }
             for key in parameter.keys.iter().map(|key| key - 1) {
                 match parameter.acts_on {
                     ActsOn::Joints => {
@@ -157,6 +224,7 @@ impl TuningConfig {
                     ActsOn::HandZ => moves[key].offset_m.z += value,
                     ActsOn::HandYaw => moves[key].yaw_rad += value,
                     ActsOn::Duration => stretch[key] += value,
+                    _ => (),
                 }
             }
         }
@@ -185,7 +253,7 @@ impl TuningConfig {
             after_s = on_grid(after_s + span_s, TIMES_PER_S);
             key.at_s = after_s;
         }
-        Script::new(keys, robot, config).ok()
+        Script::new(keys, again, robot, config).ok()
     }
 }
 

@@ -1,5 +1,6 @@
 //! The cross-entropy method.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use palpate_sim::job::{Cancel, Progress};
@@ -74,7 +75,7 @@ pub struct TuneReport {
 /// The same seed gives the same bits for any number of threads. Stops early when `cancel` is set: the generation under way
 /// is forgotten, what was found before is kept. `None` when not even the first script was scored by then.
 pub fn tune(
-    scene: &GraspScene,
+    scene: &Arc<GraspScene>,
     script: &Script,
     config: &TuningConfig,
     params: &TuneParams,
@@ -159,7 +160,7 @@ fn normal(rng: &mut impl Rng) -> f64 {
 
 /// What stays the same during a search.
 struct Search<'a> {
-    scene: &'a GraspScene,
+    scene: &'a Arc<GraspScene>,
     script: &'a Script,
     config: &'a TuningConfig,
     params: &'a TuneParams,
@@ -172,7 +173,7 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(
-        scene: &'a GraspScene,
+        scene: &'a Arc<GraspScene>,
         script: &'a Script,
         config: &'a TuningConfig,
         params: &'a TuneParams,

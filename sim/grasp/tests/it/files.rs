@@ -1,6 +1,6 @@
 //! What people write, and the scene that is made of it.
 
-use palpate_grasp::{GraspConfig, Randomisation, Script, scene};
+use palpate_grasp::{GraspConfig, Randomisation, scene};
 use palpate_sim::body::MassProperties;
 
 use super::{WORLD, config, object, station, text};
@@ -54,31 +54,6 @@ fn the_shipped_ranges_are_those_of_the_paper() {
     // Evaluation: 4 x 4 cm, 10 s, 1.5 cm, 1 s.
     let task = &config.task;
     assert_eq!([task.half_width_m, task.episode_s, task.lift_m, task.hold_s], [0.02, 10.0, 0.015, 1.0]);
-}
-
-#[test]
-fn a_script_is_linear_between_its_keys_and_its_faults_are_named() {
-    let station = station();
-    let config = config(&station);
-    let read = |text: &str| Script::from_toml("s.toml", text, &station.robot, &config);
-    let script =
-        read("key = [{ at_s = 1.0 }, { at_s = 3.0, joints = { thumb_ip = 0.8 } }]").expect("a script");
-    let dof = station.robot.dofs().position(|joint| joint.name == "thumb_ip").expect("a joint");
-    for (time_s, expected) in [(0.0, 0.0), (1.0, 0.0), (2.0, 0.4), (3.0, 0.8), (9.0, 0.8)] {
-        assert!((script.targets_at(time_s)[dof] - expected).abs() < 1e-12, "{time_s}");
-    }
-    for (text, expected) in [
-        ("key = [{ at_s = 0.0 }]", "key 1: at_s is 0, expected a time after 0 s"),
-        ("key = [{ at_s = 2.0 }, { at_s = 1.0 }]", "key 2: at_s is 1"),
-        ("key = [{ at_s = 1.0, joints = { tumb = 0.0 } }]", "key 1: there is no joint \"tumb\""),
-        ("key = [{ at_s = 1.0, joints = { thumb_ip = 7.0 } }]", "beyond its limits"),
-    ] {
-        let message = read(text).expect_err(text).to_string();
-        assert!(message.starts_with("s.toml: ") && message.contains(expected), "{message}");
-    }
-    let shipped = "grasp/scripts/xarm6_leap_cube.toml";
-    Script::from_toml(shipped, &self::text(shipped), &station.robot, &config)
-        .expect("the shipped script is valid");
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod files;
 mod learning;
 #[cfg(feature = "mujoco")]
 mod physics;
+mod scripts;
 mod tuning;
 
 use std::path::{Path, PathBuf};

@@ -15,22 +15,25 @@ fn script(station: &Station, config: &GraspConfig) -> Script {
 
 #[test]
 fn what_is_wrong_with_a_tuning_file_is_named() {
-    let robot = &station().robot;
+    let station = station();
+    let (robot, script) = (&station.robot, script(&station, &config(&station)));
     for (from, to, expected) in [
         ("spread = 0.012", "spread = -0.012", "parameter \"forward\": spread is -0.012"),
         ("spread = 0.012", "spread = 0.0", "parameter \"forward\": spread is 0"),
-        ("keys = [2, 6]", "keys = [2, 7]", "there is no key 7, expected 1 to 6"),
-        ("keys = [2, 6]", "keys = [0]", "there is no key 0"),
+        ("keys = [2, 6]", "keys = [2, 7]", "keys holds 7, expected 1 to 6"),
+        ("keys = [2, 6]", "keys = [0]", "keys holds 0"),
         ("keys = [2, 6]", "keys = []", "keys is empty"),
         ("index_pip = 1.0", "index_pop = 1.0", "there is no joint \"index_pop\""),
         ("index_pip = 1.0", "index_pip = nan", "the factor of joint \"index_pip\" is NaN"),
         ("\"hand_x\"", "\"joints\"", "joints belong to acts_on = \"joints\""),
         ("\"hand_x\"", "\"hand_w\"", "unknown variant `hand_w`"),
         ("lift = 0.3", "lift = -0.3", "score.lift is -0.3"),
+        ("keys = [2, 6]", "keys = [2, 6]\nagain = [1]", "again has no place beside what it acts on"),
+        ("\"hand_x\"", "\"unfelt_x\"", "again is empty, expected some numbers from 1 to 0"),
     ] {
         let shipped = text(TUNING);
         assert!(shipped.contains(from), "{from:?} is not in the file");
-        let message = TuningConfig::from_toml("t.toml", &shipped.replacen(from, to, 1), robot, 6)
+        let message = TuningConfig::from_toml("t.toml", &shipped.replacen(from, to, 1), robot, &script)
             .expect_err(to)
             .to_string();
         assert!(message.starts_with("t.toml: ") && message.contains(expected), "{to}: {message}");
@@ -38,11 +41,42 @@ fn what_is_wrong_with_a_tuning_file_is_named() {
 }
 
 #[test]
+fn a_search_gives_a_script_another_try_and_changes_what_it_names() {
+    const TUNING: &str = "grasp/xarm6_leap_tuning_again.toml";
+    let station = station();
+    let (robot, config) = (&station.robot, config(&station));
+    let script = script(&station, &config);
+    let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &script).expect("a tuning file");
+    let with = |name: &str, value: f64| {
+        let values: Vec<f64> =
+            tuning.parameters.iter().map(|p| if p.name == name { value } else { 0.0 }).collect();
+        assert!(values.contains(&value), "no parameter {name}");
+        tuning.apply(&values, &script, robot, &config).expect("within reach")
+    };
+    let given = with("time to close", 0.0);
+    assert_eq!((given.keys(), given.again()), (script.keys(), tuning.again.as_slice()));
+    let mut expected = tuning.again.clone();
+    expected[0].unfelt_m[1] += 0.01;
+    let moved = with("left when nothing was felt", 0.01);
+    assert!((moved.again()[0].unfelt_m[1] - expected[0].unfelt_m[1]).abs() < 1e-9);
+    expected[0].unfelt_m[1] = moved.again()[0].unfelt_m[1];
+    assert_eq!(moved.again(), expected);
+    // Counts are whole, and not negative.
+    for (value, channels) in [(0.4, 1), (0.6, 2), (-0.6, 0), (-3.0, 0)] {
+        assert_eq!(with("channels that are enough", value).again()[0].channels, channels, "{value}");
+    }
+    // A script that tries again already goes on from its own tries.
+    let again = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &moved).expect("a tuning file");
+    let unchanged = again.apply(&vec![0.0; again.parameters.len()], &moved, robot, &config);
+    assert_eq!(unchanged, Some(moved));
+}
+
+#[test]
 fn a_parameter_changes_what_it_names_and_nothing_else() {
     let station = station();
     let (robot, config) = (&station.robot, config(&station));
-    let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, 6).expect("a tuning file");
     let script = script(&station, &config);
+    let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &script).expect("a tuning file");
     let with = |name: &str, value: f64| {
         let values: Vec<f64> =
             tuning.parameters.iter().map(|p| if p.name == name { value } else { 0.0 }).collect();
@@ -79,7 +113,7 @@ fn a_parameter_changes_what_it_names_and_nothing_else() {
 
 #[cfg(feature = "mujoco")]
 mod search {
-    use std::sync::Mutex;
+    use std::sync::{Arc, Mutex};
 
     use palpate_grasp::trial::{self, Outcome};
     use palpate_grasp::tune::{Generation, TuneParams, TuneReport, tune};
@@ -93,11 +127,11 @@ mod search {
     const PARAMS: TuneParams =
         TuneParams { seed: 5, generations: 2, candidates: 6, elite: 2, trials: 2, check_trials: 3 };
 
-    fn scene(id: &str) -> GraspScene {
+    fn scene(id: &str) -> Arc<GraspScene> {
         let station = station();
         let model = SensorModel::from_toml("nominal.toml", &station.nominal_model_toml).expect("a model");
         let config = config(&station);
-        GraspScene::new(station, config, &object(id), &model).expect("a scene")
+        Arc::new(GraspScene::new(station, config, &object(id), &model).expect("a scene"))
     }
 
     fn search(
@@ -108,8 +142,8 @@ mod search {
     ) -> (Option<TuneReport>, Vec<Generation>) {
         let scene = scene("ball");
         let robot = &scene.station().robot;
-        let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, 6).expect("a tuning file");
         let script = script(scene.station(), scene.config());
+        let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &script).expect("a tuning file");
         let told = Mutex::new(Vec::new());
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().expect("threads");
         let report = pool.install(|| {
@@ -184,12 +218,12 @@ mod search {
 
     #[test]
     fn a_trial_without_touch_ends_as_one_with_it() {
-        let scene = std::sync::Arc::new(scene("egg"));
+        let scene = scene("egg");
         let script = script(scene.station(), scene.config());
         let longest_s = scene.config().task.episode_s;
         for number in 0..2 {
             let report = trial::watch(&scene, &script, 3, number, longest_s).expect("a trial");
-            let mut env = GraspEnv::new(std::sync::Arc::clone(&scene), 3, number).expect("an environment");
+            let mut env = GraspEnv::new(Arc::clone(&scene), 3, number).expect("an environment");
             env.reset().expect("a start");
             let mut judge = trial::Judge::new(env.world(), longest_s);
             let outcome: Outcome = loop {
