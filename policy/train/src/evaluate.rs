@@ -27,9 +27,6 @@ pub(crate) struct EvaluateArgs {
     /// Seed of starts, randomised physics and noise of readings
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Tell the policy of no touch
-    #[arg(long)]
-    silence_touch: bool,
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
@@ -39,7 +36,6 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let opened = task::open(&args.task)?;
     let (policy, _) = Policy::open(&args.policy, &opened)?;
     let task = &opened.task;
-    let policy = if args.silence_touch { policy.without_touch(task) } else { policy };
     let (bar, done) = (Bar::new(), AtomicU64::new(0));
     let outcomes: Vec<Outcome> = (0..args.trials)
         .into_par_iter()

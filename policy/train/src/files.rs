@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
-use palpate_grasp::touch::Sense;
+use palpate_grasp::touch::{NoTouch, Sense};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectModel, Station};
 use palpate_sim::SensorModel;
@@ -86,6 +86,7 @@ pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<G
         &config,
     )?;
     let sense: Box<dyn Sense> = match (&args.truth, &args.model) {
+        _ if args.silence_touch => Box::new(NoTouch),
         (Some(path), _) => {
             sources.text("truth", path)?;
             Box::new(Emulated::read(path)?)

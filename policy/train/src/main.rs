@@ -28,7 +28,7 @@ struct Args {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Run trials of a script that feels nothing, and score them
+    /// Run trials of a script, and score them
     Script(script::ScriptArgs),
     /// Tune a script on one object by the cross-entropy method
     Tune(tune::TuneArgs),
@@ -61,6 +61,9 @@ pub(crate) struct SceneArgs {
     /// Feel what the emulated station feels, as this truth file says, instead of what a sensor model says
     #[arg(long, conflicts_with = "model")]
     truth: Option<PathBuf>,
+    /// Feel nothing at all
+    #[arg(long)]
+    silence_touch: bool,
     /// Script: key positions over time
     #[arg(long, default_value = "assets/grasp/scripts/xarm6_leap_cube.toml")]
     script: PathBuf,

@@ -1,10 +1,9 @@
 //! A policy that has been learned, and what it does in a trial.
 
-use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use palpate_grasp::learn::{LearnEnv, LearnTask, ObservationLayout};
+use palpate_grasp::learn::{LearnEnv, ObservationLayout};
 use palpate_grasp::trial::Outcome;
 use palpate_ppo::{Actor, CHECKPOINT_FILE};
 
@@ -14,8 +13,6 @@ use crate::task::{Memory, OpenTask};
 /// A policy that always does what it thinks best.
 pub(crate) struct Policy {
     actor: Actor,
-    /// What it sees as zeros.
-    silenced: Vec<Range<usize>>,
     layout: ObservationLayout,
 }
 
@@ -60,13 +57,7 @@ impl Policy {
         if let Some((what, found, expected)) = dims.iter().find(|(_, found, expected)| found != expected) {
             return Err(error(format!("its {what} have {found} numbers, those of the task {expected}")));
         }
-        Ok((Self { actor, silenced: Vec::new(), layout }, source))
-    }
-
-    /// The same policy, for which every touch is zero.
-    pub(crate) fn without_touch(mut self, task: &LearnTask) -> Self {
-        self.silenced = task.layout().touch_inputs().collect();
-        self
+        Ok((Self { actor, layout }, source))
     }
 
     /// Runs the trial that has just begun in `env` to its verdict.
@@ -75,9 +66,6 @@ impl Policy {
         let mut critic = vec![0.0; self.layout.critic_dim()];
         loop {
             env.observe(&mut actor, &mut critic);
-            for silenced in &self.silenced {
-                actor[silenced.clone()].fill(0.0);
-            }
             let action = self.actor.actions(&actor)?;
             if let Some(idx) = action.iter().position(|value| !value.is_finite()) {
                 bail!(

@@ -91,3 +91,45 @@ impl Touch for LiveTouch {
         Ok(self.feel(time_s, positions, base_from_object)?)
     }
 }
+
+/// The sense of a robot that feels nothing: what is left when touch is taken away.
+#[derive(Clone, Copy, Debug)]
+pub struct NoTouch;
+
+/// Readings of a station on which nothing is active, whatever happens; raw values are zero.
+#[derive(Clone, Debug)]
+struct Nothing(Readings);
+
+impl Sense for NoTouch {
+    fn prepare(
+        &self,
+        station: &Arc<Station>,
+        _object: &ObjectModel,
+        _fixed: &[FixedBody],
+    ) -> Result<Arc<dyn TouchScene>, GraspError> {
+        let num_channels = station.layout.num_channels();
+        let (raw, active) = (vec![0.0; num_channels], vec![false; num_channels]);
+        Ok(Arc::new(Nothing(Readings { num_frames: 1, num_channels, raw, active })))
+    }
+}
+
+impl TouchScene for Nothing {
+    fn touch(self: Arc<Self>) -> Result<Box<dyn Touch>, GraspError> {
+        Ok(Box::new(Self::clone(&self)))
+    }
+}
+
+impl Touch for Nothing {
+    fn restart(&mut self, _seed: u64) -> Result<(), GraspError> {
+        Ok(())
+    }
+
+    fn feel(
+        &mut self,
+        _time_s: f64,
+        _positions: &[f64],
+        _base_from_object: &Isometry3<f64>,
+    ) -> Result<Readings, GraspError> {
+        Ok(self.0.clone())
+    }
+}

@@ -5,9 +5,6 @@ use std::ops::Range;
 use palpate_robot_model::Station;
 use serde::Serialize;
 
-const TOUCH: &str = "touch";
-const PAST_TOUCH: &str = "past_touch";
-
 /// Numbers that belong together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Segment {
@@ -55,8 +52,8 @@ impl ObservationLayout {
             segment("joint_positions", "rad or m", joints.clone()),
             segment("commands", "rad or m", joints.clone()),
             segment("tracking_errors", "rad or m", joints.clone()),
-            segment(TOUCH, "0 or 1", channels.clone()),
-            segment(PAST_TOUCH, "0 to 1", channels),
+            segment("touch", "0 or 1", channels.clone()),
+            segment("past_touch", "0 to 1", channels),
             segment("last_action", "-1 to 1", action.clone()),
             segment("phase", "0 to 1", vec!["episode".to_owned()]),
         ];
@@ -84,12 +81,6 @@ impl ObservationLayout {
             segment("push", "N", axes("object")),
         ];
         Self { actor, privileged, action }
-    }
-
-    /// Where the actor's observation depends on touch.
-    pub fn touch_inputs(&self) -> impl Iterator<Item = Range<usize>> {
-        let of_touch = self.actor.iter().filter(|segment| [TOUCH, PAST_TOUCH].contains(&segment.name));
-        of_touch.map(|segment| segment.range.clone())
     }
 
     /// Length of the actor's observation.
