@@ -15,9 +15,9 @@ const LINK_DIR: &str = "MUJOCO_DYNAMIC_LINK_DIR";
 /// The version that the bindings in Cargo.lock are made for.
 const VERSION: &str = "3.17.0";
 
-/// Crates with a `mujoco` feature, and the learner, which one of them uses: tested with the whole workspace instead, its
+/// Crates with a `mujoco` feature, and the learners, which one of them uses: tested with the whole workspace instead, their
 /// tensor library would be built a second time.
-const CRATES: &[&str] = &["palpate_grasp", "palpate_ppo", "palpate_train"];
+const CRATES: &[&str] = &["palpate_encoder", "palpate_grasp", "palpate_ppo", "palpate_train"];
 
 /// The folder of the library: the one that `MUJOCO_DYNAMIC_LINK_DIR` names, or else one below `target/tools`, fetched
 /// from PyPI (pip checks the wheel's hash) unless it is there.

@@ -22,7 +22,8 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     std::fs::create_dir_all(&artifacts)?;
     let mut cargo = shell::cargo(&paths::root());
     cargo
-        .args(["test", "--workspace", "--exclude", "xtask", "--exclude", "palpate_ppo", "--no-fail-fast"])
+        .args(["test", "--workspace", "--exclude", "xtask", "--no-fail-fast"])
+        .args(["--exclude", "palpate_encoder", "--exclude", "palpate_ppo"])
         .env("PALPATE_UI_DIST", paths::target().join("page"))
         .env("PALPATE_BIN", palpate)
         .env("PALPATE_PYTHON", python)

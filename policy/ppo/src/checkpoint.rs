@@ -7,26 +7,20 @@
 //!
 //! A policy's file is the same without critic, optimiser and what only a training needs; its parameters have 16 bits.
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    path::Path,
-};
+use std::{collections::BTreeMap, path::Path};
 
-use half::f16;
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use palpate_training::{Array, Encoded, TensorFile, encode};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Actor, PpoConfig, PpoError, Trainer, VectorEnv,
-    networks::{Array, Networks},
-    normaliser::Normaliser,
+    Actor, PpoConfig, PpoError, Trainer, VectorEnv, networks::Networks, normaliser::Normaliser,
     trainer::Counters,
 };
 
 /// Version of the file; another one is refused.
 const FORMAT: u32 = 1;
-const STATE_KEY: &str = "state";
-const STATE_CHECKSUM: &str = "state.crc32";
+
+type File<'a> = TensorFile<'a, State>;
 
 #[derive(Serialize, Deserialize)]
 struct State {
@@ -57,38 +51,6 @@ struct TrainingState {
     recent: Vec<bool>,
 }
 
-/// What every version of a state says first.
-#[derive(Deserialize)]
-struct Format {
-    format: u32,
-}
-
-/// Bytes of a tensor on their way into a file.
-struct Encoded {
-    name: String,
-    dtype: Dtype,
-    shape: Vec<usize>,
-    bytes: Vec<u8>,
-}
-
-impl Encoded {
-    fn floats(name: String, shape: [usize; 2], values: &[f32]) -> Self {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        Self { name, dtype: Dtype::F32, shape: shape.to_vec(), bytes }
-    }
-
-    /// Each number as the nearest of 16 bits.
-    fn halves(name: String, shape: [usize; 2], values: &[f32]) -> Self {
-        let bytes = values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect();
-        Self { name, dtype: Dtype::F16, shape: shape.to_vec(), bytes }
-    }
-
-    fn doubles(name: String, values: &[f64]) -> Self {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        Self { name, dtype: Dtype::F64, shape: vec![values.len()], bytes }
-    }
-}
-
 impl Trainer {
     /// This training as the bytes of a checkpoint. Episodes under way are not in it ([`Trainer::is_between_episodes`]).
     pub fn to_checkpoint(&self) -> Vec<u8> {
@@ -101,7 +63,7 @@ impl Trainer {
         }
         encode_normaliser(&mut tensors, "actor", &self.normalisers.actor);
         encode_normaliser(&mut tensors, "critic", &self.normalisers.critic);
-        let state = State {
+        encode(tensors, |checksums| State {
             format: FORMAT,
             actor_dim: self.dims.actor,
             action_dim: self.dims.action,
@@ -109,15 +71,14 @@ impl Trainer {
             counters: self.counters,
             observations: self.normalisers.actor.count,
             memory: self.memory.clone(),
-            checksums: BTreeMap::new(),
+            checksums,
             training: Some(TrainingState {
                 critic_dim: self.dims.critic,
                 reward_terms: self.reward_terms.clone(),
                 adam_steps: self.adam.steps,
                 recent: self.recent.iter().copied().collect(),
             }),
-        };
-        file_bytes(tensors, state)
+        })
     }
 
     /// The training that `bytes` hold, to go on with `config` in `env`, which gets its memory back. `path` names the file
@@ -133,10 +94,12 @@ impl Trainer {
         path: &Path,
         bytes: &[u8],
     ) -> Result<Self, PpoError> {
-        let file = File::open(path, bytes)?;
+        let file = File::open(path, bytes, FORMAT)?;
         let mut trainer = Self::new(config, env)?;
         let Some(training) = &file.state.training else {
-            return Err(file.error("it holds a policy alone, without the training to go on with".to_owned()));
+            return Err(file
+                .error("it holds a policy alone, without the training to go on with".to_owned())
+                .into());
         };
         let widths = [
             ("actor_dim", file.state.actor_dim, trainer.dims.actor),
@@ -144,17 +107,23 @@ impl Trainer {
             ("action_dim", file.state.action_dim, trainer.dims.action),
         ];
         if let Some((name, found, expected)) = widths.iter().find(|(_, found, expected)| found != expected) {
-            return Err(file.error(format!("{name} is {found}, that of the environments is {expected}")));
+            return Err(file
+                .error(format!("{name} is {found}, that of the environments is {expected}"))
+                .into());
         }
         if training.reward_terms != trainer.reward_terms {
-            return Err(file.error(format!(
-                "reward_terms is {:?}, those of the environments are {:?}",
-                training.reward_terms, trainer.reward_terms
-            )));
+            return Err(file
+                .error(format!(
+                    "reward_terms is {:?}, those of the environments are {:?}",
+                    training.reward_terms, trainer.reward_terms
+                ))
+                .into());
         }
-        let began_with = file.config()?;
+        let began_with = self::config(&file)?;
         if let Some((field, found, expected)) = difference(&began_with, &trainer.config) {
-            return Err(file.error(format!("{field} is {found}, that of the configuration is {expected}")));
+            return Err(file
+                .error(format!("{field} is {found}, that of the configuration is {expected}"))
+                .into());
         }
 
         let memory = trainer.adam.first.iter_mut().zip(&mut trainer.adam.second);
@@ -165,8 +134,8 @@ impl Trainer {
             *second = file.floats(&format!("adam.second.{name}"), *shape)?;
         }
         trainer.adam.steps = training.adam_steps;
-        trainer.normalisers.actor = file.normaliser("actor", trainer.dims.actor)?;
-        trainer.normalisers.critic = file.normaliser("critic", trainer.dims.critic)?;
+        trainer.normalisers.actor = normaliser(&file, "actor", trainer.dims.actor)?;
+        trainer.normalisers.critic = normaliser(&file, "critic", trainer.dims.critic)?;
         trainer.counters = file.state.counters;
         trainer.recent = training.recent.iter().copied().collect();
         trainer.forget_old_verdicts();
@@ -182,8 +151,8 @@ impl Actor {
     /// # Errors
     /// Files that are cut off, altered or of another format, naming the field.
     pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, PpoError> {
-        let file = File::open(path, bytes)?;
-        let config = file.config()?;
+        let file = File::open(path, bytes, FORMAT)?;
+        let config = config(&file)?;
         let State { actor_dim, action_dim, counters, .. } = file.state;
         let mut networks = Networks::of_actor(&config.networks, actor_dim, action_dim);
         for Array { name, shape, values } in &mut networks.arrays {
@@ -192,7 +161,7 @@ impl Actor {
                 None => file.halves(name, *shape)?,
             };
         }
-        let normaliser = file.normaliser("actor", actor_dim)?;
+        let normaliser = normaliser(&file, "actor", actor_dim)?;
         Ok(Self { networks, normaliser, action_dim, config, counters, memory: file.state.memory })
     }
 
@@ -203,16 +172,11 @@ impl Actor {
     /// Parameters too large for 16 bits, by name.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PpoError> {
         let mut tensors = Vec::new();
-        for Array { name, shape, values } in &self.networks.arrays {
-            if let Some(value) = values.iter().find(|&&value| !f16::from_f32(value).is_finite()) {
-                let problem =
-                    format!("{name} holds {value}, expected at most {} for a policy's file", f16::MAX);
-                return Err(PpoError::Shape(problem));
-            }
-            tensors.push(Encoded::halves(name.clone(), *shape, values));
+        for array in &self.networks.arrays {
+            tensors.push(Encoded::halves(array).map_err(PpoError::Shape)?);
         }
         encode_normaliser(&mut tensors, "actor", &self.normaliser);
-        let state = State {
+        Ok(encode(tensors, |checksums| State {
             format: FORMAT,
             actor_dim: self.actor_dim(),
             action_dim: self.action_dim,
@@ -220,10 +184,9 @@ impl Actor {
             counters: self.counters,
             observations: self.normaliser.count,
             memory: self.memory.clone(),
-            checksums: BTreeMap::new(),
+            checksums,
             training: None,
-        };
-        Ok(file_bytes(tensors, state))
+        }))
     }
 }
 
@@ -232,113 +195,17 @@ fn encode_normaliser(tensors: &mut Vec<Encoded>, name: &str, normaliser: &Normal
     tensors.push(Encoded::doubles(format!("normaliser.{name}.squares"), &normaliser.squares));
 }
 
-/// The file of `tensors` and `state`, which gets their checksums.
-fn file_bytes(mut tensors: Vec<Encoded>, mut state: State) -> Vec<u8> {
-    let checksum = |tensor: &Encoded| (tensor.name.clone(), crc32fast::hash(&tensor.bytes));
-    state.checksums = tensors.iter().map(checksum).collect();
-    let state = serde_json::to_string(&state).expect("numbers and names are JSON");
-    tensors.push(Encoded {
-        name: STATE_CHECKSUM.to_owned(),
-        dtype: Dtype::U32,
-        shape: vec![1],
-        bytes: crc32fast::hash(state.as_bytes()).to_le_bytes().to_vec(),
-    });
-    let views = tensors.iter().map(|tensor| {
-        let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
-        (tensor.name.as_str(), view.expect("as many bytes as the shape says"))
-    });
-    let metadata = HashMap::from([(STATE_KEY.to_owned(), state)]);
-    safetensors::serialize(views, Some(metadata)).expect("every name is given once")
+fn config(file: &File) -> Result<PpoConfig, PpoError> {
+    let config = PpoConfig::from_toml("config", &file.state.config);
+    config.map_err(|err| file.error(err.to_string()).into())
 }
 
-/// A file whose state has been read.
-struct File<'a> {
-    path: &'a Path,
-    tensors: SafeTensors<'a>,
-    state: State,
-}
-
-impl<'a> File<'a> {
-    fn open(path: &'a Path, bytes: &'a [u8]) -> Result<Self, PpoError> {
-        let error = |problem: String| PpoError::Checkpoint { path: path.to_owned(), problem };
-        let no_tensors = |err| error(format!("not a whole safetensors file: {err}"));
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(no_tensors)?;
-        let tensors = SafeTensors::deserialize(bytes).map_err(no_tensors)?;
-        let state = header
-            .metadata()
-            .as_ref()
-            .and_then(|metadata| metadata.get(STATE_KEY))
-            .ok_or_else(|| error(format!("its metadata has no {STATE_KEY:?}: it holds no training")))?;
-        let checksum = tensors.tensor(STATE_CHECKSUM).ok().map(|view| view.data().to_vec());
-        if checksum.as_deref() != Some(&crc32fast::hash(state.as_bytes()).to_le_bytes()) {
-            return Err(error(format!("{STATE_KEY} does not match {STATE_CHECKSUM}: the file was altered")));
-        }
-        let unreadable = |err| error(format!("{STATE_KEY}: {err}"));
-        let Format { format } = serde_json::from_str(state).map_err(unreadable)?;
-        if format != FORMAT {
-            return Err(error(format!("format is {format}, expected {FORMAT}")));
-        }
-        let state = serde_json::from_str(state).map_err(unreadable)?;
-        Ok(Self { path, tensors, state })
-    }
-
-    fn error(&self, problem: String) -> PpoError {
-        PpoError::Checkpoint { path: self.path.to_owned(), problem }
-    }
-
-    fn config(&self) -> Result<PpoConfig, PpoError> {
-        PpoConfig::from_toml("config", &self.state.config).map_err(|err| self.error(err.to_string()))
-    }
-
-    fn bytes(&self, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&[u8], PpoError> {
-        let view = self.tensors.tensor(name).map_err(|_| self.error(format!("it has no tensor {name}")))?;
-        if view.dtype() != dtype || view.shape() != shape {
-            return Err(self.error(format!(
-                "tensor {name} is {:?} {:?}, expected {dtype:?} {shape:?}",
-                view.dtype(),
-                view.shape()
-            )));
-        }
-        if self.state.checksums.get(name) != Some(&crc32fast::hash(view.data())) {
-            return Err(
-                self.error(format!("tensor {name} does not match its checksum: the file was altered"))
-            );
-        }
-        Ok(view.data())
-    }
-
-    fn floats(&self, name: &str, shape: [usize; 2]) -> Result<Vec<f32>, PpoError> {
-        let numbers = self.bytes(name, Dtype::F32, &shape)?.as_chunks().0.iter();
-        let values: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
-        self.finite(name, values.iter().all(|value| value.is_finite()))?;
-        Ok(values)
-    }
-
-    fn halves(&self, name: &str, shape: [usize; 2]) -> Result<Vec<f32>, PpoError> {
-        let numbers = self.bytes(name, Dtype::F16, &shape)?.as_chunks().0.iter();
-        let values: Vec<f32> = numbers.map(|bytes| f16::from_le_bytes(*bytes).to_f32()).collect();
-        self.finite(name, values.iter().all(|value| value.is_finite()))?;
-        Ok(values)
-    }
-
-    fn doubles(&self, name: &str, len: usize) -> Result<Vec<f64>, PpoError> {
-        let numbers = self.bytes(name, Dtype::F64, &[len])?.as_chunks().0.iter();
-        let values: Vec<f64> = numbers.map(|bytes| f64::from_le_bytes(*bytes)).collect();
-        self.finite(name, values.iter().all(|value| value.is_finite()))?;
-        Ok(values)
-    }
-
-    fn finite(&self, name: &str, holds: bool) -> Result<(), PpoError> {
-        if holds { Ok(()) } else { Err(self.error(format!("tensor {name} holds numbers that are none"))) }
-    }
-
-    fn normaliser(&self, name: &str, dim: usize) -> Result<Normaliser, PpoError> {
-        Ok(Normaliser {
-            count: self.state.observations,
-            mean: self.doubles(&format!("normaliser.{name}.mean"), dim)?,
-            squares: self.doubles(&format!("normaliser.{name}.squares"), dim)?,
-        })
-    }
+fn normaliser(file: &File, name: &str, dim: usize) -> Result<Normaliser, PpoError> {
+    Ok(Normaliser {
+        count: file.state.observations,
+        mean: file.doubles(&format!("normaliser.{name}.mean"), dim)?,
+        squares: file.doubles(&format!("normaliser.{name}.squares"), dim)?,
+    })
 }
 
 /// The first field in which two configurations learn differently: name, value in `left`, value in `right`.

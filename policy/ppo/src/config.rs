@@ -1,5 +1,6 @@
 //! How to learn, as a file.
 
+use palpate_training::{Expectation, TrainingError};
 use serde::{Deserialize, Serialize};
 
 use crate::PpoError;
@@ -121,15 +122,6 @@ impl Default for NetworksConfig {
     }
 }
 
-/// Where a field stands and what it may be.
-struct Expectation {
-    /// Keys down to the field.
-    path: &'static [&'static str],
-    value: String,
-    holds: bool,
-    expected: &'static str,
-}
-
 impl PpoConfig {
     /// Preset `quick` (two cores, minutes) or `paper` (the method's table, 2048 environments).
     ///
@@ -139,7 +131,7 @@ impl PpoConfig {
         match name {
             "quick" => Ok(Self::default()),
             "paper" => Self::from_toml("preset paper", include_str!("../presets/paper.toml")),
-            other => Err(PpoError::UnknownPreset(other.to_owned())),
+            other => Err(TrainingError::UnknownPreset(other.to_owned()).into()),
         }
     }
 
@@ -157,11 +149,7 @@ impl PpoConfig {
     /// # Ok::<(), palpate_ppo::PpoError>(())
     /// ```
     pub fn from_toml(file: &str, text: &str) -> Result<Self, PpoError> {
-        let config: Self = toml::from_str(text).map_err(|err| PpoError::Config {
-            file: file.to_owned(),
-            line: err.span().map(|span| line_of(text, span.start)),
-            problem: err.message().to_owned(),
-        })?;
+        let config: Self = palpate_training::parse(file, text)?;
         config.check(file, text)?;
         Ok(config)
     }
@@ -190,35 +178,11 @@ impl PpoConfig {
     }
 
     fn check(&self, file: &str, text: &str) -> Result<(), PpoError> {
-        let Some(broken) = self.expectations().into_iter().find(|expectation| !expectation.holds) else {
-            return Ok(());
-        };
-        Err(PpoError::Config {
-            file: file.to_owned(),
-            line: line_of_field(text, broken.path),
-            problem: format!("{} is {}, expected {}", broken.path.join("."), broken.value, broken.expected),
-        })
+        Ok(palpate_training::check(file, text, self.expectations())?)
     }
 
     fn expectations(&self) -> Vec<Expectation> {
-        let count = |path, value: u64| Expectation {
-            path,
-            value: value.to_string(),
-            holds: value >= 1,
-            expected: "1 or more",
-        };
-        let share = |path, value: f64| Expectation {
-            path,
-            value: value.to_string(),
-            holds: (0.0..=1.0).contains(&value),
-            expected: "a number in 0..=1",
-        };
-        let positive = |path, value: f64| Expectation {
-            path,
-            value: value.to_string(),
-            holds: value > 0.0 && value.is_finite(),
-            expected: "a number above 0",
-        };
+        let (count, share, positive) = (Expectation::count, Expectation::share, Expectation::positive);
         let widths = |path, widths: &[usize]| Expectation {
             path,
             value: format!("{widths:?}"),
@@ -253,12 +217,7 @@ impl PpoConfig {
                 holds: self.clip > 0.0 && self.clip < 1.0,
                 expected: "a number above 0 and below 1",
             },
-            Expectation {
-                path: &["entropy_coefficient"],
-                value: self.entropy_coefficient.to_string(),
-                holds: self.entropy_coefficient >= 0.0 && self.entropy_coefficient.is_finite(),
-                expected: "0 or more",
-            },
+            Expectation::not_negative(&["entropy_coefficient"], self.entropy_coefficient),
             positive(&["value_coefficient"], self.value_coefficient),
             positive(&["max_gradient_norm"], self.max_gradient_norm),
             positive(&["initial_std"], self.initial_std),
@@ -283,22 +242,6 @@ impl PpoConfig {
         }
         all
     }
-}
-
-/// Line of the byte at `offset`, from 1.
-fn line_of(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
-}
-
-/// Line of the field at `path`, if `text` has it.
-fn line_of_field(text: &str, path: &[&str]) -> Option<usize> {
-    let document = toml::de::DeTable::parse(text).ok()?;
-    let mut table = document.get_ref();
-    let (field, tables) = path.split_last()?;
-    for name in tables {
-        table = table.get(*name)?.get_ref().as_table()?;
-    }
-    Some(line_of(text, table.get(*field)?.span().start))
 }
 
 #[cfg(test)]

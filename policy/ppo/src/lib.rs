@@ -12,7 +12,6 @@
 //! Nothing here knows what the environments simulate.
 
 mod actor;
-mod adam;
 mod checkpoint;
 mod config;
 mod env;
@@ -33,5 +32,6 @@ pub use env::{Ending, EnvError, Observations, StepResult, VectorEnv};
 pub use error::PpoError;
 pub use gae::{Gae, Transition};
 pub use metrics::Metrics;
-pub use run::{CHECKPOINT_FILE, CONFIG_FILE, Finish, METRICS_FILE, Progress, Start, train};
+pub use palpate_training::{CHECKPOINT_FILE, METRICS_FILE, Start, TrainingError};
+pub use run::{CONFIG_FILE, Finish, Progress, train};
 pub use trainer::Trainer;

@@ -1,26 +1,17 @@
 //! Actor and critic: their parameters as plain arrays, and the same as tensors that compute.
 
 use burn_tensor::{Device, Tensor, TensorData, activation};
+use palpate_training::{Array, fill_normal};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::{
     Activation, NetworksConfig,
-    seed::{Purpose, fill_normal, generator},
+    seed::{Purpose, generator},
 };
 
 /// Rows that one thread computes at a time. Fixed, because the order of a sum is part of its bits.
 pub(crate) const CHUNK_ROWS: usize = 256;
-
-/// A named matrix.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Array {
-    pub(crate) name: String,
-    /// Rows and columns; a bias has one row.
-    pub(crate) shape: [usize; 2],
-    /// Row by row.
-    pub(crate) values: Vec<f32>,
-}
 
 /// Every parameter that is learned: layers `actor.N.weight`, `[inputs, outputs]`, and `actor.N.bias`, `[1, outputs]`, then
 /// `actor.log_std`, `[1, action_dim]`, then the layers of `critic`.

@@ -2,12 +2,14 @@
 
 use burn_tensor::Device;
 
+use palpate_training::fill_normal;
+
 use crate::{
     Ending, EnvError, Gae, Observations, PpoConfig, PpoError, StepResult, Transition, VectorEnv,
     loss::Samples,
     networks::{Dims, Networks},
     normaliser::Normaliser,
-    seed::{Purpose, fill_normal, generator},
+    seed::{Purpose, generator},
 };
 
 /// Episodes that are under way.

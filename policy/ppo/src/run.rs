@@ -1,33 +1,14 @@
 //! A training in a folder: configuration, checkpoint and metrics as files.
 
-use std::{
-    fs::{File, OpenOptions, TryLockError},
-    io::Write,
-    ops::ControlFlow,
-    path::Path,
-    time::Instant,
-};
+use std::{ops::ControlFlow, path::Path, time::Instant};
 
-use serde::{Deserialize, Serialize};
+use palpate_training::{CHECKPOINT_FILE, MetricsLog, Start, TrainingError, file_error, write_in_one_move};
+use serde::Serialize;
 
 use crate::{Metrics, PpoConfig, PpoError, Trainer, VectorEnv};
 
-/// The newest checkpoint.
-pub const CHECKPOINT_FILE: &str = "checkpoint.safetensors";
 /// The configuration with every field, as it was when the run began or resumed.
 pub const CONFIG_FILE: &str = "ppo.toml";
-/// One line of JSON for each update: [`Metrics`] and `steps_per_s`.
-pub const METRICS_FILE: &str = "metrics.jsonl";
-
-/// Whether to begin or to go on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Start {
-    /// Begin; a folder that holds a checkpoint is refused.
-    Fresh,
-    /// Go on from the folder's checkpoint, or begin if the run was ended before the first one.
-    Resume,
-}
-
 /// Why a training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
@@ -78,7 +59,7 @@ pub fn train<E: VectorEnv + ?Sized>(
     let mut log = MetricsLog::open(folder)?;
     let checkpoint = folder.join(CHECKPOINT_FILE);
     let mut trainer = match (start, checkpoint.exists()) {
-        (Start::Fresh, true) => return Err(PpoError::RunExists(folder.to_owned())),
+        (Start::Fresh, true) => return Err(TrainingError::RunExists(folder.to_owned()).into()),
         (Start::Resume, true) => {
             let bytes = std::fs::read(&checkpoint).map_err(file_error("read", &checkpoint))?;
             Trainer::from_checkpoint(config, env, &checkpoint, &bytes)?
@@ -127,68 +108,4 @@ fn finish(trainer: &Trainer) -> Option<Finish> {
         return Some(Finish::Success);
     }
     (trainer.updates() >= config.num_updates()).then_some(Finish::Steps)
-}
-
-/// Replaces `path` by a file with `bytes`: whoever looks, also after a crash, sees the old file or the new one.
-fn write_in_one_move(path: &Path, bytes: &[u8]) -> Result<(), PpoError> {
-    let partial = path.with_extension("partial");
-    let write = || {
-        let mut file = File::create(&partial)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&partial, path)
-    };
-    write().map_err(file_error("write", path))
-}
-
-fn file_error(doing: &'static str, path: &Path) -> impl Fn(std::io::Error) -> PpoError {
-    let path = path.to_owned();
-    move |source| PpoError::File { doing, path: path.clone(), source }
-}
-
-/// The metrics file, which this process alone writes while it is open.
-struct MetricsLog {
-    path: std::path::PathBuf,
-    file: File,
-}
-
-/// What a line of metrics must have to be kept.
-#[derive(Deserialize)]
-struct LineNumber {
-    update: u64,
-}
-
-impl MetricsLog {
-    fn open(folder: &Path) -> Result<Self, PpoError> {
-        let path = folder.join(METRICS_FILE);
-        let open = OpenOptions::new().read(true).append(true).create(true).open(&path);
-        let file = open.map_err(file_error("open", &path))?;
-        file.try_lock().map_err(|err| match err {
-            TryLockError::WouldBlock => PpoError::RunInUse(folder.to_owned()),
-            TryLockError::Error(source) => file_error("lock", &path)(source),
-        })?;
-        Ok(Self { path, file })
-    }
-
-    /// Drops what was written after the update numbered `last`, also a line that a crash cut off.
-    fn keep_up_to(&self, last: u64) -> Result<(), PpoError> {
-        let bytes = std::fs::read(&self.path).map_err(file_error("read", &self.path))?;
-        let is_kept = |line: &&[u8]| {
-            let number: Option<LineNumber> = serde_json::from_slice(line).ok();
-            line.ends_with(b"\n") && number.is_some_and(|line| line.update <= last)
-        };
-        let kept: usize =
-            bytes.split_inclusive(|&byte| byte == b'\n').take_while(is_kept).map(<[u8]>::len).sum();
-        self.file.set_len(kept as u64).map_err(file_error("write", &self.path))
-    }
-
-    fn append(&mut self, line: &MetricsLine) -> Result<(), PpoError> {
-        let mut text = serde_json::to_string(line).expect("numbers and names are JSON");
-        text.push('\n');
-        self.file.write_all(text.as_bytes()).map_err(file_error("write", &self.path))
-    }
-
-    fn sync(&self) -> Result<(), PpoError> {
-        self.file.sync_data().map_err(file_error("write", &self.path))
-    }
 }

@@ -2,16 +2,16 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use palpate_training::{Adam, clip_norm, permutation};
 use rayon::prelude::*;
 
 use crate::{
     Actor, Metrics, PpoConfig, PpoError, VectorEnv,
-    adam::{Adam, clip_norm},
     loss::{LossParams, LossSums, Samples, entropy, gradients},
     networks::{CHUNK_ROWS, Dims, Networks},
     normaliser::Normaliser,
     rollout::{Behaviour, Episode, Live, Normalisers, Rollout},
-    seed::{Purpose, generator, permutation},
+    seed::{Purpose, generator},
 };
 
 /// A training under way.
@@ -214,7 +214,7 @@ impl Trainer {
                 }
                 norms += norm;
                 let parameters = self.networks.arrays.iter_mut().map(|array| &mut array.values);
-                self.adam.step(parameters, &total, config.learning_rate);
+                self.adam.step(parameters, &total, config.learning_rate, 0.0);
                 if let Some(actor) = &kept_actor {
                     self.networks.arrays[..actor.arrays.len()].clone_from_slice(&actor.arrays);
                 }

@@ -9,7 +9,7 @@ use std::{
 
 use palpate_ppo::{
     Actor, CHECKPOINT_FILE, CONFIG_FILE, Finish, METRICS_FILE, PpoConfig, PpoError, Progress, Start,
-    StopConfig, Trainer, train,
+    StopConfig, Trainer, TrainingError, train,
 };
 use proptest::prelude::*;
 use safetensors::SafeTensors;
@@ -143,11 +143,11 @@ fn a_run_neither_overwrites_another_nor_shares_its_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     uninterrupted(folder.path());
     let refusal = run(folder.path(), Start::Fresh, &mut Reach::new(16)).expect_err("a run is there");
-    assert!(matches!(refusal, PpoError::RunExists(_)), "{refusal}");
+    assert!(matches!(refusal, PpoError::Training(TrainingError::RunExists(_))), "{refusal}");
     let held = fs::File::open(folder.path().join(METRICS_FILE)).expect("metrics");
     held.lock().expect("a lock");
     let refusal = run(folder.path(), Start::Resume, &mut Reach::new(16)).expect_err("in use");
-    assert!(matches!(refusal, PpoError::RunInUse(_)), "{refusal}");
+    assert!(matches!(refusal, PpoError::Training(TrainingError::RunInUse(_))), "{refusal}");
 }
 
 #[test]

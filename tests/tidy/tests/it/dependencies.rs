@@ -9,8 +9,10 @@ use crate::root;
 /// The level of each crate: a crate uses only crates of lower levels, also in its tests.
 const LEVELS: &[(&str, u32)] = &[
     ("palpate_device_protocol", 0),
-    ("palpate_ppo", 0),
     ("palpate_robot_model", 0),
+    ("palpate_training", 0),
+    ("palpate_encoder", 1),
+    ("palpate_ppo", 1),
     ("palpate_safety", 1),
     ("palpate_wire", 1),
     ("palpate_recording", 2),

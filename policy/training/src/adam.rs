@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015) on plain arrays.
+//! Adam (Kingma and Ba 2015) on plain arrays, with decay of weights beside it (AdamW, Loshchilov and Hutter 2019).
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
@@ -6,28 +6,30 @@ const EPSILON: f64 = 1e-8;
 
 /// The optimiser's memory of a list of arrays.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Adam {
+pub struct Adam {
     /// Steps taken.
-    pub(crate) steps: u64,
+    pub steps: u64,
     /// Running means of gradients, one array for each of the parameters.
-    pub(crate) first: Vec<Vec<f32>>,
+    pub first: Vec<Vec<f32>>,
     /// Running means of squared gradients.
-    pub(crate) second: Vec<Vec<f32>>,
+    pub second: Vec<Vec<f32>>,
 }
 
 impl Adam {
     /// An optimiser for arrays of these lengths.
-    pub(crate) fn new(lengths: impl Iterator<Item = usize>) -> Self {
+    pub fn new(lengths: impl Iterator<Item = usize>) -> Self {
         let zeros: Vec<Vec<f32>> = lengths.map(|len| vec![0.0; len]).collect();
         Self { steps: 0, first: zeros.clone(), second: zeros }
     }
 
-    /// Moves `parameters` against `gradients`, both as long as the arrays this was made for.
-    pub(crate) fn step<'a>(
+    /// Moves `parameters` against `gradients`, both as long as the arrays this was made for, after shrinking each of them by
+    /// `learning_rate * weight_decay` of itself.
+    pub fn step<'a>(
         &mut self,
         parameters: impl Iterator<Item = &'a mut Vec<f32>>,
         gradients: &[Vec<f32>],
         learning_rate: f64,
+        weight_decay: f64,
     ) {
         self.steps += 1;
         let steps = self.steps as f64;
@@ -35,20 +37,21 @@ impl Adam {
         let second_correction = (1.0 - BETA_2.powf(steps)).sqrt();
         let rate = (learning_rate * second_correction / (1.0 - BETA_1.powf(steps))) as f32;
         let epsilon = (EPSILON * second_correction) as f32;
+        let kept = (1.0 - learning_rate * weight_decay) as f32;
         let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
         let memory = self.first.iter_mut().zip(&mut self.second);
         for ((values, gradient), (first, second)) in parameters.zip(gradients).zip(memory) {
             for (((value, &slope), first), second) in values.iter_mut().zip(gradient).zip(first).zip(second) {
                 *first = beta_1 * *first + (1.0 - beta_1) * slope;
                 *second = beta_2 * *second + (1.0 - beta_2) * slope * slope;
-                *value -= rate * *first / (second.sqrt() + epsilon);
+                *value = *value * kept - rate * *first / (second.sqrt() + epsilon);
             }
         }
     }
 }
 
 /// Scales `gradients` down to a norm of at most `max_norm`, over all arrays; gives the norm before.
-pub(crate) fn clip_norm(gradients: &mut [Vec<f32>], max_norm: f64) -> f64 {
+pub fn clip_norm(gradients: &mut [Vec<f32>], max_norm: f64) -> f64 {
     let norm = gradients.iter().flatten().map(|&slope| f64::from(slope).powi(2)).sum::<f64>().sqrt();
     if norm > max_norm {
         let scale = (max_norm / norm) as f32;
@@ -66,12 +69,20 @@ mod tests {
         let mut adam = Adam::new([1].into_iter());
         let mut parameters = [vec![1.0_f32]];
         // The first step has the size of the rate, whatever the slope.
-        adam.step(parameters.iter_mut(), &[vec![40.0]], 0.1);
+        adam.step(parameters.iter_mut(), &[vec![40.0]], 0.1, 0.0);
         assert!((parameters[0][0] - 0.9).abs() < 1e-6);
         // m = 0.1 * (0.9 * 40 - 20) = 1.6, corrected 1.6 / 0.19; v = 1e-3 * (0.999 * 1600 + 400), corrected / 1.999e-3.
-        adam.step(parameters.iter_mut(), &[vec![-20.0]], 0.1);
+        adam.step(parameters.iter_mut(), &[vec![-20.0]], 0.1, 0.0);
         let expected = 0.9 - 0.1 * (1.6 / 0.19) / (1.9984_f64 / 1.999e-3).sqrt();
         assert!((f64::from(parameters[0][0]) - expected).abs() < 1e-6, "{parameters:?}");
+    }
+
+    #[test]
+    fn decay_shrinks_values_whatever_the_slope() {
+        let mut adam = Adam::new([2].into_iter());
+        let mut parameters = [vec![1.0_f32, -3.0]];
+        adam.step(parameters.iter_mut(), &[vec![0.0, 0.0]], 0.1, 0.5);
+        assert_eq!(parameters, [vec![0.95, -2.85]]);
     }
 
     #[test]

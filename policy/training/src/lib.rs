@@ -1,0 +1,20 @@
+//! What every training shares, whatever it learns: noise by key, the optimiser, configurations that are refused by line and
+//! field, tensors in a file with checksums, and the folder of a run.
+//!
+//! Parameters are [`Array`]s, plain numbers with a name: optimiser and files work on these. Nothing here computes a network.
+
+mod adam;
+mod array;
+mod config;
+mod error;
+mod file;
+mod folder;
+mod seed;
+
+pub use adam::{Adam, clip_norm};
+pub use array::Array;
+pub use config::{Expectation, check, parse};
+pub use error::TrainingError;
+pub use file::{Encoded, TensorFile, encode};
+pub use folder::{CHECKPOINT_FILE, METRICS_FILE, MetricsLog, Start, file_error, write_in_one_move};
+pub use seed::{fill_normal, generator, permutation};
