@@ -3,8 +3,8 @@
 //! Trials are numbered from zero, and a trial follows from the seed and its number. Shards take the trials that succeed in
 //! their order, so that the files are the same for any number of threads, and whether or not a run was interrupted.
 
-mod manifest;
-mod shard;
+pub(crate) mod manifest;
+pub(crate) mod shard;
 
 use std::collections::VecDeque;
 use std::fs::{File, TryLockError};

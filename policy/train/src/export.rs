@@ -1,31 +1,65 @@
-//! Makes a small file of a policy, and one of how it learned.
+//! Makes a small file of a policy, and one of how it learned; or a small file of an encoder.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use palpate_encoder::{CHECKPOINT_FILE, Encoder};
 
 use crate::files::write_in_one_move;
 use crate::{curves, policy};
 
 #[derive(clap::Args)]
 pub(crate) struct ExportArgs {
-    /// A training's folder, or a checkpoint
-    #[arg(long)]
-    policy: PathBuf,
-    /// File to write; the learning curve of a training's folder goes beside it
+    #[command(flatten)]
+    of: Of,
+    /// File to write; the learning curve of a policy's folder goes beside it
     #[arg(long)]
     out: PathBuf,
 }
 
+#[derive(clap::Args)]
+#[group(required = true, multiple = false)]
+struct Of {
+    /// A training's folder, or a checkpoint
+    #[arg(long)]
+    policy: Option<PathBuf>,
+    /// The same of a pretraining
+    #[arg(long)]
+    encoder: Option<PathBuf>,
+}
+
 pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<()> {
-    let (actor, _) = policy::read(&args.policy)?;
-    let bytes = actor.to_bytes()?;
-    write_in_one_move(&args.out, &bytes)?;
-    if args.policy.is_dir() {
-        curves::export(&args.policy, &args.out)?;
+    match &args.of {
+        Of { policy: Some(policy), .. } => export_policy(policy, &args.out),
+        Of { encoder, .. } => {
+            export_encoder(encoder.as_deref().context("--policy or --encoder is given")?, &args.out)
+        }
     }
+}
+
+fn export_policy(path: &Path, out: &Path) -> anyhow::Result<()> {
+    let (actor, _) = policy::read(path)?;
+    let bytes = actor.to_bytes()?;
+    write_in_one_move(out, &bytes)?;
+    if path.is_dir() {
+        curves::export(path, out)?;
+    }
+    eprintln!("{} holds the policy of {} steps in {} kB", out.display(), actor.steps(), bytes.len() / 1000);
+    Ok(())
+}
+
+fn export_encoder(path: &Path, out: &Path) -> anyhow::Result<()> {
+    let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!("failed to read {file:?}; --encoder is a pretraining's folder or checkpoint")
+    })?;
+    let encoder = Encoder::from_bytes(&file, &bytes)?;
+    let bytes = encoder.to_bytes()?;
+    write_in_one_move(out, &bytes)?;
     eprintln!(
-        "{} holds the policy of {} steps in {} kB",
-        args.out.display(),
-        actor.steps(),
+        "{} holds the encoder of {} updates in {} kB",
+        out.display(),
+        encoder.updates(),
         bytes.len() / 1000
     );
     Ok(())

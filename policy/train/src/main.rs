@@ -1,9 +1,11 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, scores what was learned and keeps it as demonstrations, and measures the grasp world's speed.
+//! they, scores what was learned and keeps it as demonstrations, pretrains the tactile encoder on these, and measures the
+//! grasp world's speed.
 
 mod bench;
 mod curves;
 mod demos;
+mod encode;
 mod evaluate;
 mod export;
 mod files;
@@ -38,7 +40,9 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     /// Roll out a policy, and keep the trials that succeed as files to learn from
     Demos(demos::DemosArgs),
-    /// Make a small file of a policy, for `evaluate` and `demos`
+    /// Pretrain the tactile encoder with what demonstrations know beyond touch
+    Encode(encode::EncodeArgs),
+    /// Make a small file of a policy, for `evaluate` and `demos`, or of an encoder
     Export(export::ExportArgs),
     /// Draw how policies learned
     Curves(curves::CurvesArgs),
@@ -88,6 +92,7 @@ fn main() -> ExitCode {
         Command::Ppo(args) => ppo::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Demos(args) => demos::run(&args),
+        Command::Encode(args) => encode::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),

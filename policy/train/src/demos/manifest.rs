@@ -36,15 +36,30 @@ pub(crate) struct ShardFile {
     pub(crate) trials: Score,
 }
 
+impl ShardFile {
+    /// The file in `folder`, refused if it is not the one that was written.
+    pub(crate) fn read(&self, folder: &Path) -> anyhow::Result<Vec<u8>> {
+        let path = folder.join(&self.file);
+        let bytes = std::fs::read(&path).with_context(|| format!("failed to read {path:?}"))?;
+        if sha256(&bytes) != self.sha256 {
+            bail!(
+                "{path:?} does not match the SHA-256 in {MANIFEST_FILE}: it was altered or cut off; delete the \
+                 folder and make the demonstrations again"
+            );
+        }
+        Ok(bytes)
+    }
+}
+
 /// The manifest.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Manifest {
     format: u32,
-    settings: Settings,
+    pub(crate) settings: Settings,
     /// Trials of all files together.
     pub(crate) trials: Score,
-    tensors: Vec<Tensor>,
-    sources: Vec<Source>,
+    pub(crate) tensors: Vec<Tensor>,
+    pub(crate) sources: Vec<Source>,
     pub(crate) files: Vec<ShardFile>,
 }
 
@@ -69,14 +84,21 @@ impl Manifest {
         self.files.push(ShardFile { trials, ..file });
     }
 
-    /// Takes over the files that `folder` has. Refuses other demonstrations, and files that were altered, by name.
-    pub(crate) fn resume(&mut self, folder: &Path) -> anyhow::Result<()> {
+    /// The manifest of `folder`. Files are not looked at ([`ShardFile::read`]).
+    pub(crate) fn read(folder: &Path) -> anyhow::Result<Self> {
         let path = folder.join(MANIFEST_FILE);
         let text = std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
         let found: Self = serde_json::from_str(&text).with_context(|| format!("{path:?} is no manifest"))?;
         if found.format != FORMAT {
             bail!("{path:?}: format is {}, expected {FORMAT}", found.format);
         }
+        Ok(found)
+    }
+
+    /// Takes over the files that `folder` has. Refuses other demonstrations, and files that were altered, by name.
+    pub(crate) fn resume(&mut self, folder: &Path) -> anyhow::Result<()> {
+        let path = folder.join(MANIFEST_FILE);
+        let found = Self::read(folder)?;
         // Read as well, so that numbers lose the same bits.
         let wanted: Self = serde_json::from_str(&self.to_json()?)?;
         let [old, new] = [&found.settings, &wanted.settings].map(|settings| {
@@ -103,14 +125,7 @@ impl Manifest {
             bail!("{path:?}: tensors differ from those of this call; choose another folder");
         }
         for file in found.files {
-            let path = folder.join(&file.file);
-            let bytes = std::fs::read(&path).with_context(|| format!("failed to read {path:?}"))?;
-            if sha256(&bytes) != file.sha256 {
-                bail!(
-                    "{path:?} does not match the SHA-256 in {MANIFEST_FILE}: it was altered or cut off; delete the \
-                     folder and make the demonstrations again"
-                );
-            }
+            file.read(folder)?;
             self.add(file);
         }
         Ok(())

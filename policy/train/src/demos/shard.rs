@@ -103,8 +103,32 @@ impl Columns {
         Self { tensors: of_steps.chain(of_demos).collect(), widths }
     }
 
+    /// Those that a manifest tells of.
+    pub(crate) fn of_tensors(tensors: Vec<Tensor>) -> anyhow::Result<Self> {
+        let mut widths = [0; STEP_TENSORS.len()];
+        for (width, (name, _)) in widths.iter_mut().zip(STEP_TENSORS) {
+            let tensor = tensors.iter().find(|tensor| tensor.name == name);
+            let tensor = tensor.with_context(|| format!("it tells of no tensor {name}"))?;
+            *width = tensor.segments.iter().map(|segment| segment.columns.len()).sum();
+        }
+        Ok(Self { tensors, widths })
+    }
+
     pub(crate) fn tensors(&self) -> &[Tensor] {
         &self.tensors
+    }
+
+    /// The columns called `segment` of the tensor of steps called `tensor`.
+    pub(crate) fn segment(&self, tensor: &'static str, segment: &str) -> anyhow::Result<Segmented<'_>> {
+        let found = self
+            .tensors
+            .iter()
+            .find(|one| one.name == tensor)
+            .and_then(|tensor| tensor.segments.iter().find(|one| one.name == segment));
+        let found = found.with_context(|| format!("tensor {tensor} has no columns {segment}"))?;
+        let tensor =
+            STEP_TENSORS.iter().position(|(name, _)| *name == tensor).context("a tensor of steps")?;
+        Ok(Segmented { tensor, width: self.widths[tensor], columned: found })
     }
 }
 
@@ -115,6 +139,29 @@ pub(crate) struct Demonstration {
     pub(crate) num_steps: usize,
     /// Of each of [`STEP_TENSORS`], `[num_steps, columns]`.
     values: [Vec<f32>; STEP_TENSORS.len()],
+}
+
+/// Columns of a tensor of steps.
+pub(crate) struct Segmented<'a> {
+    /// Index in [`STEP_TENSORS`].
+    tensor: usize,
+    /// Columns of the tensor.
+    width: usize,
+    columned: &'a Columned,
+}
+
+impl Segmented<'_> {
+    /// Names of the columns.
+    pub(crate) fn columns(&self) -> &[String] {
+        &self.columned.columns
+    }
+
+    /// These columns of all steps of `demonstration`, row by row.
+    pub(crate) fn of(&self, demonstration: &Demonstration) -> Vec<f32> {
+        let range = self.columned.first..self.columned.first + self.columned.columns.len();
+        let rows = demonstration.values[self.tensor].chunks_exact(self.width);
+        rows.flat_map(|row| &row[range.clone()]).copied().collect()
+    }
 }
 
 /// Makes a demonstration of a trial under way.

@@ -2,6 +2,7 @@
 #![cfg(feature = "mujoco")]
 
 mod demonstrations;
+mod encoders;
 mod policies;
 
 use std::path::Path;
