@@ -192,6 +192,7 @@ mod tests {
             start_cm: None,
             threads: None,
             json: false,
+            silence_touch: false,
         };
         let shipped = files::text(&root.join("assets/grasp/xarm6_leap_learning.toml")).expect("a file");
         let mut changed = tempfile::NamedTempFile::new().expect("a file");
