@@ -228,3 +228,6 @@ impl Trainer {
         Ok((gradients, terms))
     }
 }
+
+#[cfg(test)]
+mod tests;
