@@ -115,6 +115,8 @@ fn a_parameter_changes_what_it_names_and_nothing_else() {
 mod search {
     use std::sync::{Arc, Mutex};
 
+    use palpate_grasp::learn::{Conditions, LearnConfig, LearnEnv, LearnTask};
+    use palpate_grasp::touch::NoTouch;
     use palpate_grasp::trial::{self, Outcome};
     use palpate_grasp::tune::{Generation, TuneParams, TuneReport, tune};
     use palpate_grasp::{GraspEnv, GraspScene, Start};
@@ -214,6 +216,32 @@ mod search {
         let (report, told) = search(&PARAMS, 2, &CancelAfter(25.0 / 33.0, &cancel), &cancel);
         assert_eq!(told, whole.1[..2]);
         assert_eq!(report.expect("a script").generations, told);
+    }
+
+    #[test]
+    fn a_script_that_tries_again_needs_its_touch_and_has_it_among_actions_too() {
+        let file = "grasp/scripts/again/egg_diagnosed.toml";
+        let felt = scene("egg");
+        let (station, config) = (Arc::clone(felt.station()), felt.config().clone());
+        let script = Script::from_toml(file, &text(file), &station.robot, &config).expect("a script");
+        let outcomes = trial::run_all(&felt, &script, 77, 4).expect("trials");
+        let numb = GraspScene::new(station, config, &object("egg"), &NoTouch).expect("a scene");
+        let unfelt = trial::run_all(&Arc::new(numb), &script, 77, 4).expect("trials");
+        let wins = |outcomes: &[Outcome]| outcomes.iter().filter(|&&one| one == Outcome::Success).count();
+        assert!(wins(&outcomes) > wins(&unfelt), "{outcomes:?}, without touch {unfelt:?}");
+        // Under a policy that does nothing, the same happens.
+        let learning = "grasp/xarm6_leap_learning.toml";
+        let learning = LearnConfig::from_toml(learning, &text(learning), &felt.station().robot);
+        let task = LearnTask::new(felt, Some(script), learning.expect("a learning file")).expect("a task");
+        let task = Arc::new(task);
+        let mut env = LearnEnv::for_trials(Arc::clone(&task)).expect("an environment");
+        let still = vec![0.0; task.layout().action_dim()];
+        for (trial, expected) in outcomes.iter().enumerate() {
+            env.begin_trial(77, trial as u64, Conditions::Evaluation).expect("a start");
+            let outcome =
+                std::iter::repeat_with(|| env.step(&still).expect("a step")).find_map(|outcome| outcome);
+            assert_eq!(outcome, Some(*expected), "trial {trial}");
+        }
     }
 
     #[test]
