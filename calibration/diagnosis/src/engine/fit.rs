@@ -24,7 +24,7 @@ pub(crate) struct Fitted {
 /// A candidate with the model's own parameters fitted anew beside it.
 pub(crate) struct Profiled {
     pub(crate) model: Model,
-    /// Loss that it removes on each take.
+    /// Loss that it removes on each take, with the weights of the model without it.
     pub(crate) gains: Vec<f64>,
 }
 
@@ -58,7 +58,7 @@ pub(crate) fn profile<D: Domain>(
             starts.push(start);
         }
     }
-    let mut best: Option<Linear<'_, D>> = None;
+    let mut best: Option<(f64, Profiled)> = None;
     for start in starts {
         let mut tried = linear.moved_to(linear.with(start))?;
         for _ in 0..PROFILE_STEPS {
@@ -80,14 +80,16 @@ pub(crate) fn profile<D: Domain>(
                 break;
             }
         }
-        if best.as_ref().is_none_or(|best| tried.loss < best.loss) {
-            best = Some(tried);
+        let after = linear.losses_of(&tried.predicted);
+        let gains: Vec<f64> = (linear.loss_by_take().iter().zip(after))
+            .map(|(before, after)| before - after.iter().sum::<f64>())
+            .collect();
+        let gained = gains.iter().sum();
+        if best.as_ref().is_none_or(|(most, _)| gained > *most) {
+            best = Some((gained, Profiled { model: tried.model, gains }));
         }
     }
-    Ok(best.map(|best| {
-        let gains = linear.loss_by_take().iter().zip(best.loss_by_take()).map(|(a, b)| a - b).collect();
-        Profiled { model: best.model, gains }
-    }))
+    Ok(best.map(|(_, profiled)| profiled))
 }
 
 /// The first of ever shorter steps from `from` that lowers the loss; `None` if none does. `stepped` takes the share of the
@@ -224,4 +226,99 @@ fn moved<D: Domain>(domain: &D, model: &Model, step: &[f64], scale: f64) -> Mode
         of_effects = rest;
     }
     moved
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::ops::Range;
+
+    use palpate_robot_model::Place;
+
+    use super::super::{BaseParameter, Series};
+    use super::*;
+
+    /// Events, of which the model is sure and every tenth is otherwise. Its effect makes the model less sure.
+    struct Events {
+        observed: Vec<f64>,
+        block: Range<usize>,
+    }
+
+    const EVENTS: usize = 100;
+    const SURE: f64 = 0.98;
+
+    impl Domain for Events {
+        fn num_takes(&self) -> usize {
+            1
+        }
+
+        fn blocks(&self, _take: usize) -> &[Range<usize>] {
+            std::slice::from_ref(&self.block)
+        }
+
+        fn observed(&self, _take: usize, _signal: usize) -> &[f64] {
+            &self.observed
+        }
+
+        fn base(&self) -> &[BaseParameter] {
+            const LEVEL: &[BaseParameter] =
+                &[BaseParameter { name: String::new(), lower: -1e-3, upper: 1e-3, dose: 1e-3 }];
+            LEVEL
+        }
+
+        fn candidates(&self) -> Vec<Effect> {
+            Vec::new()
+        }
+
+        fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
+            let name = "doubt".to_owned();
+            vec![Parameter { name, lower: 0.0, upper: 1.0, neutral: 0.0, smallest: 0.01, dose: 0.3 }]
+        }
+
+        fn num_units(&self) -> usize {
+            1
+        }
+
+        fn support(&self, _effect: &Effect, _parameter: &str) -> Vec<bool> {
+            vec![true]
+        }
+
+        fn predict(&self, _take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
+            let doubt: f64 = model.effects.iter().map(|effect| effect.parameter("doubt")).sum();
+            let sure = 0.5 + (SURE - 0.5) * (1.0 - doubt) + model.base[0];
+            Ok(vec![vec![sure; EVENTS].into()])
+        }
+
+        fn weights(&self, _take: usize, _signal: usize, prediction: &[f64]) -> Vec<f64> {
+            prediction.iter().map(|p| (p * (1.0 - p) + 0.02).sqrt().recip()).collect()
+        }
+    }
+
+    #[test]
+    fn what_only_makes_the_model_less_sure_removes_nothing() {
+        let observed = (0..EVENTS).map(|event| f64::from(u8::from(event % 10 != 0))).collect();
+        let events = Events { observed, block: 0..EVENTS };
+        let doubt = |size: f64| Effect {
+            id: "doubt".to_owned(),
+            place: Place::Stream("all".to_owned()),
+            parameters: BTreeMap::from([("doubt".to_owned(), size)]),
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        };
+        let model = Model { base: vec![0.0], effects: Vec::new() };
+        let linear = Linear::new(&events, &model, &[0]).unwrap();
+        let unsure = linear.moved_to(linear.with(doubt(0.3))).unwrap();
+        assert!(
+            unsure.loss < 0.5 * linear.loss,
+            "with weights of its own: {} of {}",
+            unsure.loss,
+            linear.loss
+        );
+
+        let parameters = events.parameters(&doubt(0.0));
+        let profiled = profile(&linear, &doubt(0.0), &parameters).unwrap().unwrap();
+        let found = profiled.model.effects[0].parameter("doubt");
+        let gained: f64 = profiled.gains.iter().sum();
+        assert!(found < 0.1 && gained < 0.1 * linear.loss, "doubt {found} gains {gained} of {}", linear.loss);
+    }
 }

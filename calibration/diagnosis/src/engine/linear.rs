@@ -242,14 +242,15 @@ impl<'a, D: Domain> Linear<'a, D> {
         self.losses.chunks_exact(kinds.len()).map(of_take).sum()
     }
 
-    /// Loss of `predicted` (by take) by kind of row, with the weights of this model's predictions: what a model is unsure
-    /// of weighs less, so that losses with weights of their own do not compare.
-    pub(crate) fn losses_of(&self, predicted: &[Vec<Series>]) -> Vec<f64> {
-        let mut losses = vec![0.0; self.rows.num_kinds];
+    /// Loss of `predicted` by take and kind of row, as [`Self::loss_by_take`] has it for this model, with the weights of
+    /// this model's predictions: what a model is unsure of weighs less, so that losses with weights of their own do not
+    /// compare.
+    pub(crate) fn losses_of(&self, predicted: &[Vec<Series>]) -> Vec<Vec<f64>> {
+        let mut losses = vec![vec![0.0; self.rows.num_kinds]; self.takes.len()];
         for (idx, segment) in self.segments.iter().enumerate() {
             let (take, signal) = (self.rows.take(idx), self.rows.signal(idx));
             let after = &predicted[take][signal];
-            let loss = &mut losses[self.rows.kind(idx)];
+            let loss = &mut losses[take][self.rows.kind(idx)];
             if Arc::ptr_eq(&segment.predicted, after) {
                 *loss += segment.loss;
                 continue;

@@ -368,8 +368,11 @@ fn finish<D: Domain>(
             let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
             let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
             let back = after.losses_of(&predict(domain, &without, takes)?);
-            let sum = |losses: &[f64], of: &[bool]| -> f64 {
-                losses.iter().zip(of).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum()
+            let sum = |losses: &[Vec<f64>], of: &[bool]| -> f64 {
+                let of_take = |losses: &Vec<f64>| -> f64 {
+                    losses.iter().zip(of).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum()
+                };
+                losses.iter().map(of_take).sum()
             };
             let before = after.losses_of(&after.predicted);
             let gained = |of: &[bool]| sum(&back, of) - sum(&before, of);

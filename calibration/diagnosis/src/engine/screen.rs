@@ -116,17 +116,18 @@ fn dosed_largely<D: Domain>(
     Ok(screened)
 }
 
-/// Large doses of what acts on a patch or an object, as multiples of the standard one.
+/// Large doses of what acts on a patch, an object or a joint, as multiples of the standard one.
 const PLACED_DOSES: [f64; 4] = [2.0, -2.0, 4.0, -4.0];
 
-/// Replaces estimates for effects of patches and objects by large doses of one parameter where those remove more than the
-/// estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of which a small dose
-/// knows nothing. One simulation serves all patches, and all objects, of which no take has two.
+/// Replaces estimates for effects of patches, objects and joints by large doses of one parameter where those remove more
+/// than the estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of which a small
+/// dose knows nothing. One simulation serves all patches, all objects, of which no take has two, and a joint of every
+/// limb; joints that move everything would cost one each and are left out.
 fn dose_places_largely<D: Domain>(
     linear: &Linear<'_, D>,
     screened: &mut [Screened],
 ) -> Result<(), DiagnosisError> {
-    let (mut of_patches, mut of_objects) = (Vec::new(), BTreeMap::<_, Vec<_>>::new());
+    let (mut apart, mut of_objects) = (Vec::new(), BTreeMap::<_, Vec<_>>::new());
     for (owner, candidate) in screened.iter().enumerate() {
         for (idx, parameter) in candidate.parameters.iter().enumerate() {
             for (dose_idx, step) in PLACED_DOSES.map(|share| share * parameter.dose).into_iter().enumerate() {
@@ -138,7 +139,10 @@ fn dose_places_largely<D: Domain>(
                 effect.parameters.insert(parameter.name.clone(), value);
                 let item = Item { owner, parameter: idx, effect, step, name: parameter.name.clone() };
                 match candidate.effect.place {
-                    Place::Patch(_) => of_patches.push(item),
+                    Place::Patch(_) => apart.push(item),
+                    Place::Joint(_) if linear.domain.support(&item.effect, &item.name).contains(&false) => {
+                        apart.push(item);
+                    }
                     Place::Object(_) => {
                         let everywhere = vec![true; linear.domain.num_units()];
                         let pass =
@@ -150,7 +154,7 @@ fn dose_places_largely<D: Domain>(
             }
         }
     }
-    for pass in pack(linear.domain, of_patches).into_iter().chain(of_objects.into_values()) {
+    for pass in pack(linear.domain, apart).into_iter().chain(of_objects.into_values()) {
         let mut model = linear.model.clone();
         model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
         let removed = linear.removed(&predict(linear.domain, &model, &linear.takes)?);
