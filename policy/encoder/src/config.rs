@@ -71,7 +71,7 @@ pub struct NetworkConfig {
     pub points_per_query: usize,
 }
 
-/// Weights of the losses, each 0 or more, with the paper's names of them; and what the paper leaves open.
+/// Weights of the losses, each 0 or more, with the paper's names of them; and what shapes them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LossConfig {
@@ -93,13 +93,13 @@ pub struct LossConfig {
     pub empty_object: f64,
     /// lambda_empty_pose: place of an object that nothing feels; 2.
     pub empty_pose: f64,
-    /// Focal loss: weight of active channels against idle ones, in 0..=1; 0.25 (Lin et al. 2017).
+    /// Focal loss: weight of active channels against idle ones, in 0..=1; 0.25.
     pub focal_alpha: f64,
-    /// Focal loss: how much what is known already counts less, 0 or more; 2 (Lin et al. 2017).
+    /// Focal loss: how much what is known already counts less, 0 or more; 2.
     pub focal_gamma: f64,
-    /// Points of the object repel each other below this distance, m, above 0; 0.005.
+    /// Points of the object repel each other below this distance, m, above 0; 0.005 (paper: 0.015).
     pub repulsion_m: f64,
-    /// Points of the object are inside the hand below this distance from one of its points, m, above 0; 0.003.
+    /// Points of the object are inside the hand below this distance from one of its points, m, above 0; 0.003 (paper: 0.005).
     pub penetration_m: f64,
 }
 
@@ -289,7 +289,10 @@ mod tests {
         let network = &paper.network;
         assert_eq!((network.width, network.layers, network.heads, network.feed_forward), (384, 6, 6, 1536));
         assert_eq!((paper.frame_stride, paper.inputs), (1, InputsConfig { positions: true, touch: true }));
-        assert_eq!(paper.loss, LossConfig::default());
+        assert_eq!((network.decoder_layers, network.points_per_query), (6, 16));
+        let ours = LossConfig::default();
+        assert_eq!((ours.focal_alpha, ours.focal_gamma), (0.25, 2.0));
+        assert_eq!(paper.loss, LossConfig { repulsion_m: 0.015, penetration_m: 0.005, ..ours });
     }
 
     #[test]
