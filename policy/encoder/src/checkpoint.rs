@@ -83,7 +83,7 @@ impl Trainer {
             let problem = "it holds an encoder alone, without the training to go on with";
             return Err(file.error(problem.to_owned()).into());
         };
-        if let Some((field, found, expected)) = difference(&read_config(&file)?, &config) {
+        if let Some((field, found, expected)) = palpate_training::difference(&read_config(&file)?, &config) {
             let problem = format!("{field} is {found}, that of the configuration is {expected}");
             return Err(file.error(problem).into());
         }
@@ -175,22 +175,4 @@ fn scaling(file: &File) -> Result<Scaling, EncoderError> {
 fn read_config(file: &File) -> Result<EncoderConfig, EncoderError> {
     let config = EncoderConfig::from_toml("config", &file.state.config);
     config.map_err(|err| file.error(err.to_string()).into())
-}
-
-/// The first field in which two configurations differ: name, value in `left`, value in `right`.
-fn difference(left: &EncoderConfig, right: &EncoderConfig) -> Option<(String, String, String)> {
-    let table = |config: &EncoderConfig| {
-        toml::Table::try_from(config.clone()).expect("numbers, tables and names are TOML")
-    };
-    fn first(path: &str, left: &toml::Table, right: &toml::Table) -> Option<(String, String, String)> {
-        left.iter().find_map(|(field, value)| match (value, &right[field]) {
-            (toml::Value::Table(left), toml::Value::Table(right)) => {
-                first(&format!("{path}{field}."), left, right)
-            }
-            (left, right) => {
-                (left != right).then(|| (format!("{path}{field}"), left.to_string(), right.to_string()))
-            }
-        })
-    }
-    first("", &table(left), &table(right))
 }

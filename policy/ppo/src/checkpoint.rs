@@ -210,15 +210,8 @@ fn normaliser(file: &File, name: &str, dim: usize) -> Result<Normaliser, PpoErro
 
 /// The first field in which two configurations learn differently: name, value in `left`, value in `right`.
 fn difference(left: &PpoConfig, right: &PpoConfig) -> Option<(String, String, String)> {
-    let table = |config: &PpoConfig| {
-        // How long to learn does not change what is learned until then.
-        let PpoConfig { total_steps, stop, .. } = PpoConfig::default();
-        let comparable = PpoConfig { total_steps, stop, ..config.clone() };
-        toml::Table::try_from(comparable).expect("numbers, lists and names are TOML")
-    };
-    let (left, right) = (table(left), table(right));
-    left.iter()
-        .map(|(field, value)| (field, value.to_string(), right[field].to_string()))
-        .find(|(_, left, right)| left != right)
-        .map(|(field, left, right)| (field.clone(), left, right))
+    // How long to learn does not change what is learned until then.
+    let PpoConfig { total_steps, stop, .. } = PpoConfig::default();
+    let comparable = |config: &PpoConfig| PpoConfig { total_steps, stop: stop.clone(), ..config.clone() };
+    palpate_training::difference(&comparable(left), &comparable(right))
 }

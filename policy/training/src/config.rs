@@ -1,6 +1,8 @@
 //! Configurations as files that are refused by line and field.
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use crate::TrainingError;
 
@@ -69,6 +71,24 @@ pub fn check(file: &str, text: &str, expectations: Vec<Expectation>) -> Result<(
     })
 }
 
+/// The first field in which two configurations differ, by its keys with dots between them: its name, its value in `left` and
+/// that in `right`.
+pub fn difference<C: Serialize>(left: &C, right: &C) -> Option<(String, String, String)> {
+    // JSON and not TOML, whose integers do not reach as far as a seed does.
+    let value = |config: &C| serde_json::to_value(config).expect("fields have names");
+    first_difference("", &value(left), &value(right))
+}
+
+fn first_difference(path: &str, left: &Value, right: &Value) -> Option<(String, String, String)> {
+    match (left, right) {
+        (Value::Object(left), Value::Object(right)) => left.iter().find_map(|(field, value)| {
+            let path = if path.is_empty() { field.clone() } else { format!("{path}.{field}") };
+            first_difference(&path, value, right.get(field).unwrap_or(&Value::Null))
+        }),
+        _ => (left != right).then(|| (path.to_owned(), left.to_string(), right.to_string())),
+    }
+}
+
 /// Line of the byte at `offset`, from 1.
 fn line_of(text: &str, offset: usize) -> usize {
     1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
@@ -83,4 +103,37 @@ fn line_of_field(text: &str, path: &[&str]) -> Option<usize> {
         table = table.get(*name)?.get_ref().as_table()?;
     }
     Some(line_of(text, table.get(*field)?.span().start))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Clone, Serialize)]
+    struct Config {
+        seed: u64,
+        network: Network,
+    }
+
+    #[derive(Clone, Serialize)]
+    struct Network {
+        widths: Vec<usize>,
+        dropout: Option<f64>,
+    }
+
+    #[test]
+    fn configurations_differ_by_field_however_large_their_numbers_are() {
+        let left = Config { seed: u64::MAX, network: Network { widths: vec![8, 4], dropout: None } };
+        assert_eq!(difference(&left, &left), None);
+        let told =
+            |right: &Config| difference(&left, right).map(|(field, a, b)| format!("{field}: {a}, {b}"));
+        let right = Config { seed: u64::MAX - 1, ..left.clone() };
+        assert_eq!(told(&right).as_deref(), Some("seed: 18446744073709551615, 18446744073709551614"));
+        let mut right = left.clone();
+        right.network.widths = vec![8];
+        assert_eq!(told(&right).as_deref(), Some("network.widths: [8,4], [8]"));
+        right = left.clone();
+        right.network.dropout = Some(0.5);
+        assert_eq!(told(&right).as_deref(), Some("network.dropout: null, 0.5"));
+    }
 }

@@ -13,7 +13,7 @@ mod seed;
 
 pub use adam::{Adam, clip_norm};
 pub use array::Array;
-pub use config::{Expectation, check, parse};
+pub use config::{Expectation, check, difference, parse};
 pub use error::TrainingError;
 pub use file::{Encoded, TensorFile, encode};
 pub use folder::{CHECKPOINT_FILE, METRICS_FILE, MetricsLog, Start, file_error, write_in_one_move};

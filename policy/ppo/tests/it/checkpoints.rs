@@ -209,7 +209,7 @@ fn a_checkpoint_of_another_training_is_refused_by_field() {
     assert!(message.starts_with("checkpoint c.safetensors: reward_terms is "), "{message}");
     let mut wider = short_config();
     wider.networks.critic = vec![64];
-    assert!(refusal(wider, &env, &bytes).contains("networks is "), "networks");
+    assert!(refusal(wider, &env, &bytes).contains("networks.critic is "), "networks");
     assert_eq!(
         refusal(short_config(), &Reach { padding: 1, ..Reach::new(16) }, &bytes),
         "checkpoint c.safetensors: actor_dim is 4, that of the environments is 5"
