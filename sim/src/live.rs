@@ -70,7 +70,7 @@ impl LiveScene {
             model: model.clone(),
             object_distance,
             fixed,
-            probes: replay::probes(&layout),
+            probes: replay::probes(&layout, model.response.pad_softness_m),
             layout,
             plain,
             station,

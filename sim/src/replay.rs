@@ -23,7 +23,8 @@ pub struct ContactTrace {
 /// What one patch felt, frame by frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PatchTrace {
-    /// Smallest signed distance over the patch's nodes, m, one per frame. Far frames hold a lower bound on it instead
+    /// Smallest signed distance over the patch's nodes, m, one per frame; a soft minimum for soft pads
+    /// ([`crate::Response::pad_softness_m`]). Far frames hold a lower bound on it instead
     /// (never below [`NEAR_M`]), because no threshold reaches that far.
     Proximity {
         /// One value per frame, m.
@@ -109,13 +110,15 @@ pub fn contact_trace(
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
-    trace_of(robot, layout, object, base_from_object, positions, &vec![true; layout.patches.len()])
+    trace_of(robot, layout, 0.0, object, base_from_object, positions, &vec![true; layout.patches.len()])
 }
 
-/// [`contact_trace`] of the patches in `wanted`; those of all others hold no frame.
+/// [`contact_trace`] of the patches in `wanted`, proximity patches being soft by `softness_m`
+/// ([`crate::Response::pad_softness_m`]); those of all others hold no frame.
 pub(crate) fn trace_of(
     robot: &Robot,
     layout: &TactileLayout,
+    softness_m: f64,
     object: &SignedDistance,
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
@@ -123,7 +126,7 @@ pub(crate) fn trace_of(
 ) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
     let num_dofs = robot.num_dofs();
-    let probes = probes(layout);
+    let probes = probes(layout, softness_m);
     let object_from_base = base_from_object.inverse();
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
@@ -178,13 +181,16 @@ pub(crate) fn feel_frame<'a>(
     trace.append(nearest.unwrap_or_else(|| probes.iter().map(Probe::untouched).collect()));
 }
 
-/// The patches of `layout`, prepared.
-pub(crate) fn probes(layout: &TactileLayout) -> Vec<Probe> {
-    layout.patches.iter().map(|patch| Probe::new(layout, patch)).collect()
+/// The patches of `layout`, prepared; `softness_m` as for [`trace_of`].
+pub(crate) fn probes(layout: &TactileLayout, softness_m: f64) -> Vec<Probe> {
+    layout.patches.iter().map(|patch| Probe::new(layout, patch, softness_m)).collect()
 }
 
 /// Frames per unit of parallel work: some hundred microseconds, and many more units than cores.
 const CHUNK_FRAMES: usize = 32;
+
+/// Nodes farther than the nearest by this many softnesses count for nothing: less than one part in three thousand.
+const SOFT_TAIL: f64 = 8.0;
 
 /// Room for rounding in a bound from the bounding sphere, m.
 const ROUNDING_M: f64 = 1e-9;
@@ -219,6 +225,7 @@ pub(crate) struct Probe {
     link: usize,
     kind: SensorKind,
     stiffness_pa_per_m: f64,
+    softness_m: f64,
     nodes_in_link: Vec<Point3<f64>>,
     /// A ball that holds every node.
     center_in_link: Point3<f64>,
@@ -232,7 +239,7 @@ enum ChunkTrace {
 }
 
 impl Probe {
-    fn new(layout: &TactileLayout, patch: &Patch) -> Self {
+    fn new(layout: &TactileLayout, patch: &Patch, softness_m: f64) -> Self {
         let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
         let first = nodes_in_link.first().copied().unwrap_or_else(Point3::origin);
         let (mut low, mut high) = (first, first);
@@ -246,6 +253,7 @@ impl Probe {
             link: patch.link,
             kind: layout.streams[patch.stream].kind,
             stiffness_pa_per_m: patch.stiffness_pa_per_m,
+            softness_m,
             nodes_in_link,
             center_in_link,
             radius_m,
@@ -259,6 +267,23 @@ impl Probe {
                 ChunkTrace::Pressure { counts: Vec::with_capacity(num_frames), entries: Vec::new() }
             }
         }
+    }
+
+    /// `-s ln sum_i exp(-d_i / s)` over the distances of all nodes, of which the smallest is `smallest_m`.
+    fn soft_distance_m(
+        &self,
+        object: &SignedDistance,
+        object_from_link: &Isometry3<f64>,
+        smallest_m: f64,
+    ) -> f64 {
+        let mut sum = 0.0;
+        let limit_m = smallest_m + SOFT_TAIL * self.softness_m;
+        object.for_each_distance_below(object_from_link, &self.nodes_in_link, limit_m, |_, distance_m| {
+            if distance_m < limit_m {
+                sum += ((smallest_m - distance_m) / self.softness_m).exp();
+            }
+        });
+        smallest_m - self.softness_m * sum.max(1.0).ln()
     }
 
     /// One frame with nothing near.
@@ -285,6 +310,9 @@ impl Probe {
                     smallest = f64::INFINITY;
                 } else if smallest <= NEAR_M {
                     smallest = object.min_distance_below_m(object_from_link, &self.nodes_in_link, NEAR_M);
+                    if smallest < NEAR_M && self.softness_m > 0.0 {
+                        smallest = self.soft_distance_m(object, object_from_link, smallest);
+                    }
                 }
                 min_distance_m.push(smallest);
             }
@@ -411,4 +439,60 @@ pub enum ReplayError {
         /// Position of the object in the base frame, m.
         position_m: [f64; 3],
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_robot_model::ObjectShape;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A pad of 5 x 5 nodes in the plane z = 0.
+    fn pad(softness_m: f64) -> Probe {
+        let nodes_in_link: Vec<Point3<f64>> = (0..25)
+            .map(|node| Point3::new(f64::from(node % 5 - 2) * 2e-3, f64::from(node / 5 - 2) * 2e-3, 0.0))
+            .collect();
+        Probe {
+            link: 0,
+            kind: SensorKind::Proximity,
+            stiffness_pa_per_m: 0.0,
+            softness_m,
+            nodes_in_link,
+            center_in_link: Point3::origin(),
+            radius_m: 6e-3,
+        }
+    }
+
+    fn felt_m(probe: &Probe, object: &ObjectShape, object_from_link: Isometry3<f64>) -> f64 {
+        let object = SignedDistance::new(object).expect("valid");
+        let mut felt = probe.empty_chunk(1);
+        probe.feel(&object, &object_from_link, &mut felt);
+        match felt {
+            ChunkTrace::Proximity { min_distance_m } => min_distance_m[0],
+            ChunkTrace::Pressure { .. } => unreachable!("the pad senses proximity"),
+        }
+    }
+
+    const BALL: ObjectShape = ObjectShape::Sphere { radius_m: 0.03 };
+
+    proptest! {
+        #[test]
+        fn a_soft_pad_is_nearer_by_at_most_what_all_of_it_adds(
+            height_m in 0.02..0.06, softness_m in 1e-5..3e-3, side_m in -0.01..0.01,
+        ) {
+            let pose = Isometry3::translation(side_m, 0.0, height_m);
+            let (hard, soft) = (felt_m(&pad(0.0), &BALL, pose), felt_m(&pad(softness_m), &BALL, pose));
+            prop_assert!(soft <= hard && hard - soft <= softness_m * 25.0_f64.ln() + 1e-12, "{soft} {hard}");
+        }
+    }
+
+    #[test]
+    fn a_flat_face_loads_a_soft_pad_more_than_a_ball_as_deep() {
+        let block = ObjectShape::Box { size_m: [0.06; 3] };
+        let deep = Isometry3::translation(0.0, 0.0, 0.029);
+        let apart_m = |pad: &Probe| felt_m(pad, &BALL, deep) - felt_m(pad, &block, deep);
+        assert!(apart_m(&pad(0.0)).abs() < 1e-12);
+        assert!(apart_m(&pad(2e-4)) > 2e-4, "{}", apart_m(&pad(2e-4)));
+    }
 }

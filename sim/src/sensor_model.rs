@@ -76,6 +76,11 @@ pub struct Response {
     /// rises from nothing to its threshold.
     #[serde(default = "Response::default_band_m")]
     pub proximity_band_m: f64,
+    /// How far, in m, a node of a proximity patch may be behind the nearest one and still add to what the patch reads:
+    /// a pad reads the force on all of its area, so that a wide contact reads more than a point at the same depth. The
+    /// patch's distance is then `-s ln sum_i exp(-d_i / s)` over its nodes (a soft minimum); at 0 that of the nearest.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pad_softness_m: f64,
     /// By stream id, the load below which a channel switches off again, over the one at which it switches on; 1
     /// (no hysteresis) where absent.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -84,7 +89,7 @@ pub struct Response {
 
 impl Default for Response {
     fn default() -> Self {
-        Self { proximity_band_m: Self::default_band_m(), off_fractions: BTreeMap::new() }
+        Self { proximity_band_m: Self::default_band_m(), pad_softness_m: 0.0, off_fractions: BTreeMap::new() }
     }
 }
 
@@ -106,6 +111,11 @@ impl Response {
     pub fn off_fraction(&self, stream: &str) -> f64 {
         self.off_fractions.get(stream).copied().unwrap_or(1.0)
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// A sensor model that cannot be used.
@@ -131,9 +141,11 @@ impl SensorModel {
         }
     }
 
-    /// Whether theta alone decides what it reads: no effects, no hysteresis.
+    /// Whether theta alone decides what it reads: no effects, no hysteresis, no soft pads.
     pub fn is_plain(&self) -> bool {
-        self.effects.is_empty() && self.response.off_fractions.values().all(|&fraction| fraction == 1.0)
+        self.effects.is_empty()
+            && self.response.pad_softness_m == 0.0
+            && self.response.off_fractions.values().all(|&fraction| fraction == 1.0)
     }
 
     /// The file's text.

@@ -3,6 +3,9 @@
 //! Signals: `2 * channel`, the event (0 or 1); one further, the raw reading above its reference, in units of the stream's
 //! switching threshold (NaN where a take is binary only).
 //!
+//! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a latch
+//! know nothing of frames that are 100 ms apart. Every stream lags behind by up to some milliseconds, which is fitted along.
+//!
 //! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
 //! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.
 
@@ -10,6 +13,7 @@ pub(crate) mod adequacy;
 pub(crate) mod find;
 mod forward;
 pub(crate) mod judge;
+mod moments;
 pub(crate) mod next;
 mod observe;
 
@@ -37,8 +41,11 @@ enum Base {
     Alpha,
     LambdaPre,
     Band,
+    Softness,
     Width(usize),
     Exponent(usize),
+    /// What filter and transport of a stream delay its readings by, s.
+    Lag(usize),
     /// Gain of the taxel at this place, in every patch of this set of [`TactileDomain::alike`].
     Pattern(usize, usize),
 }
@@ -65,6 +72,10 @@ pub struct TactileDomain<'a> {
 
 /// Width of the switching curve to begin with, in units of the load at which a channel switches.
 const WIDTH: f64 = 0.2;
+/// A delay that is no news: the input filter of a board and its transport.
+const LONGEST_LAG_S: f64 = 0.0075;
+/// Softness of pads to begin with, m.
+const SOFTNESS_M: f64 = 2e-4;
 /// Readings without touch vary by at least this, in units of the switching threshold.
 const LEAST_NOISE: f64 = 0.01;
 
@@ -95,6 +106,8 @@ impl<'a> TactileDomain<'a> {
             if raw {
                 let band_m = start.response.proximity_band_m;
                 add(Base::Band, "proximity_band_m".into(), band_m, [1e-4, 5e-3], 1e-4);
+                let softness_m = start.response.pad_softness_m.max(SOFTNESS_M);
+                add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, 3e-3], 5e-5);
             }
         }
         if has(SensorKind::Pressure) {
@@ -106,6 +119,7 @@ impl<'a> TactileDomain<'a> {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
             if raw {
                 add(Base::Exponent(idx), format!("exponent.{}", stream.id), 1.0, [0.3, 3.0], 0.05);
+                add(Base::Lag(idx), format!("lag_s.{}", stream.id), 0.0, [0.0, LONGEST_LAG_S], 0.002);
             }
         }
         let alike = alike(station);
@@ -153,13 +167,36 @@ impl<'a> TactileDomain<'a> {
                 Base::Alpha => theta.alpha_per_m = value,
                 Base::LambdaPre => theta.lambda_pre_pa = value,
                 Base::Band => response.proximity_band_m = value,
-                Base::Width(_) | Base::Exponent(_) | Base::Pattern(..) => {}
+                Base::Softness => response.pad_softness_m = value,
+                Base::Width(_) | Base::Exponent(_) | Base::Lag(_) | Base::Pattern(..) => {}
             }
         }
         (theta, response)
     }
 
-    /// The patterns of patches that are alike, as gains of their channels.
+    /// What the model has of its own and effects can say: the lags of streams, and the patterns of patches that are
+    /// alike, as gains of their channels.
+    fn own_effects(&self, model: &Model) -> Vec<Effect> {
+        let mut effects = self.lags(model);
+        effects.extend(self.patterns(model));
+        effects
+    }
+
+    fn lags(&self, model: &Model) -> Vec<Effect> {
+        let of_base = self.kinds.iter().zip(&model.base);
+        let lags = of_base.filter_map(|(kind, &lag_s)| match *kind {
+            Base::Lag(stream) if lag_s > 0.0 => Some(Effect {
+                id: "latency".to_owned(),
+                place: Place::Stream(self.station.layout.streams[stream].id.clone()),
+                parameters: BTreeMap::from([("delay_s".to_owned(), lag_s)]),
+                interval: BTreeMap::new(),
+                takes: Vec::new(),
+            }),
+            _ => None,
+        });
+        lags.collect()
+    }
+
     fn patterns(&self, model: &Model) -> Vec<Effect> {
         let layout = &self.station.layout;
         let mut by_stream: BTreeMap<usize, BTreeMap<String, f64>> = BTreeMap::new();
@@ -324,9 +361,11 @@ impl Domain for TactileDomain<'_> {
         };
         let senses = |kind: SensorKind| of(&|channel| layout.streams[channel.stream].kind == kind);
         match self.kinds[idx] {
-            Base::LambdaCon | Base::Band => senses(SensorKind::Proximity),
+            Base::LambdaCon | Base::Band | Base::Softness => senses(SensorKind::Proximity),
             Base::Alpha | Base::LambdaPre => senses(SensorKind::Pressure),
-            Base::Width(stream) | Base::Exponent(stream) => of(&|channel| channel.stream == stream),
+            Base::Width(stream) | Base::Exponent(stream) | Base::Lag(stream) => {
+                of(&|channel| channel.stream == stream)
+            }
             Base::Pattern(set, taxel) => of(&|channel| {
                 let patch = &layout.patches[channel.patch];
                 self.alike[set].contains(&channel.patch)

@@ -177,6 +177,7 @@ impl Chain<'_> {
         let trace = trace_of(
             &scene.station.robot,
             &layout,
+            self.response.pad_softness_m,
             &distance,
             &kinematics.base_from_object,
             &kinematics.positions,

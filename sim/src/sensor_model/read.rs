@@ -121,6 +121,14 @@ impl Source<'_> {
                 &format!("a positive number of m, at most {NEAR_M}"),
             )?;
         }
+        if let Some(softness_m) = text.pad_softness_m {
+            response.pad_softness_m = self.number(
+                "response.pad_softness_m",
+                &softness_m,
+                |value| (0.0..=MOST_SOFTNESS_M).contains(&value),
+                &format!("a number of m between 0 and {MOST_SOFTNESS_M}"),
+            )?;
+        }
         for (stream, fraction) in &text.off_fractions {
             let fraction = self.number(
                 &format!("response.off_fractions.{stream}"),
@@ -163,6 +171,9 @@ impl Source<'_> {
     }
 }
 
+/// Softest pad that a model may have, m.
+const MOST_SOFTNESS_M: f64 = 0.01;
+
 #[derive(Deserialize)]
 struct FormatOnly {
     format: Spanned<u32>,
@@ -195,6 +206,7 @@ struct ThetaText {
 #[serde(deny_unknown_fields)]
 struct ResponseText {
     proximity_band_m: Option<Spanned<f64>>,
+    pad_softness_m: Option<Spanned<f64>>,
     #[serde(default)]
     off_fractions: BTreeMap<String, Spanned<f64>>,
 }

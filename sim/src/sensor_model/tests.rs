@@ -67,6 +67,7 @@ theta = { lambda_con_m = 0.002, alpha_per_m = 250, lambda_pre_pa = 1200.0 }
 
 [response]
 proximity_band_m = 0.0012
+pad_softness_m = 0.0004
 off_fractions = { fsr = 0.75 }
 
 [[effect]]
@@ -109,21 +110,26 @@ fn bad_effects_name_the_line_and_what_was_expected() {
         (
             "joint_backlash",
             "gremlins",
-            "line 10: there is no effect \"gremlins\", expected one of joint_offset, ",
+            "line 11: there is no effect \"gremlins\", expected one of joint_offset, ",
         ),
         (
             "width_rad = 0.018",
             "width_rad = nan",
-            "line 12: parameter width_rad of effect joint_backlash is NaN",
+            "line 13: parameter width_rad of effect joint_backlash is NaN",
         ),
-        ("[0.015, 0.021]", "[0.021, 0.015]", "line 13: interval of width_rad"),
-        ("{ width_rad = [", "{ wide_rad = [", "line 13: effect joint_backlash has an interval for wide_rad"),
-        ("joint = \"index_pip\"", "elbow = \"x\"", "line 11: unknown variant `elbow`"),
+        ("[0.015, 0.021]", "[0.021, 0.015]", "line 14: interval of width_rad"),
+        ("{ width_rad = [", "{ wide_rad = [", "line 14: effect joint_backlash has an interval for wide_rad"),
+        ("joint = \"index_pip\"", "elbow = \"x\"", "line 12: unknown variant `elbow`"),
         ("where = { joint = \"index_pip\" }\n", "", "missing field `where`"),
-        ("takes", "take", "line 14: unknown field `take`"),
+        ("takes", "take", "line 15: unknown field `take`"),
         ("0.0012", "-1", "line 6: response.proximity_band_m is -1, expected a positive number"),
-        ("fsr = 0.75", "fsr = 1.5", "line 7: response.off_fractions.fsr is 1.5, expected a number above 0"),
-        ("off_fractions", "off_fraction", "line 7: unknown field `off_fraction`"),
+        (
+            "0.0004",
+            "0.4",
+            "line 7: response.pad_softness_m is 0.4, expected a number of m between 0 and 0.01",
+        ),
+        ("fsr = 0.75", "fsr = 1.5", "line 8: response.off_fractions.fsr is 1.5, expected a number above 0"),
+        ("off_fractions", "off_fraction", "line 8: unknown field `off_fraction`"),
     ];
     for (from, to, expected) in cases {
         assert!(DIAGNOSED.contains(from), "{from:?} is not in the fixture");

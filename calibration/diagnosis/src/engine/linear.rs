@@ -150,7 +150,13 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// Linearises `model` over `takes`; its own parameters and those of its effects become nuisances.
     pub(crate) fn new(domain: &'a D, model: &Model, takes: &[usize]) -> Result<Self, DiagnosisError> {
         let mut linear = Self::without_nuisances(domain, model, takes)?;
-        let columns = linear.nuisance_columns()?;
+        let mut columns = linear.nuisance_columns()?;
+        // A parameter that is driven to the end of its range takes up no more of what drives it.
+        for ((column, value), bounds) in columns.iter_mut().zip(&model.base).zip(domain.base()) {
+            if *value <= bounds.lower || *value >= bounds.upper {
+                *column = Column::default();
+            }
+        }
         linear.project(&columns);
         Ok(linear)
     }

@@ -16,7 +16,8 @@ const ROWS: usize = 400;
 const TAKES: usize = 4;
 const NOISE: f64 = 0.1;
 
-/// Rows are `level + sum of size * shape(row)`; each shape is an effect.
+/// Rows are `level + sum of size * shape(row)`; each shape is an effect. A second number of the base, where there is one,
+/// is how much of the slow shape is no news.
 struct Sines {
     observed: Vec<Vec<f64>>,
     blocks: Vec<Range<usize>>,
@@ -117,7 +118,8 @@ impl Domain for Sines {
     fn predict(&self, _take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
         let of_row = |row: usize| -> f64 {
             let effects = model.effects.iter();
-            model.base[0] + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
+            let expected = model.base.get(1).map_or(0.0, |size| size * shape("slow", row));
+            model.base[0] + expected + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
         };
         Ok(vec![(0..ROWS).map(of_row).collect()])
     }
@@ -137,6 +139,21 @@ fn two_hidden_shapes_are_named_with_their_sizes() {
         let error = (effect.parameter("size") - size).abs();
         assert!(error < 4.0 * errors[0], "{effect:?} is {error} off, standard error {}", errors[0]);
     }
+}
+
+#[test]
+fn what_the_model_takes_up_is_no_news_as_far_as_its_range_goes() {
+    let named = |hidden: f64| {
+        let mut sines = Sines::new(&[("slow", hidden)], 5);
+        let slow = "slow".to_owned();
+        sines.base.push(BaseParameter { name: slow, lower: 0.0, upper: 0.1, dose: 0.02 });
+        let start = Model { base: vec![0.7, hidden.min(0.1)], effects: Vec::new() };
+        let naming = name(&sines, &start, &[0, 1, 2, 3], &config(), &|_, _| Ok(())).unwrap();
+        naming.model.effects.iter().map(|effect| effect.parameter("size")).collect::<Vec<_>>()
+    };
+    assert!(named(0.08).is_empty());
+    let beyond = named(0.3);
+    assert!(beyond.len() == 1 && beyond[0] > 0.15, "{beyond:?}");
 }
 
 #[test]

@@ -178,7 +178,7 @@ impl TactileDomain<'_> {
         let observed = &self.takes[take];
         let scene = observed.scene(self.station);
         let (theta, response) = self.theta_and_response(model);
-        let mut effects = self.patterns(model);
+        let mut effects = self.own_effects(model);
         effects.extend(reaching.iter().map(|one| one.effect.clone()));
         let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
         let wanted: Vec<bool> =
@@ -206,7 +206,7 @@ impl TactileDomain<'_> {
                 }
                 last.1
             };
-            arrived.load().iter().map(&mut of_load).collect()
+            observed.at_frames(&arrived.load()).iter().map(&mut of_load).collect()
         };
         let channels: Vec<(Known, bool)> = known
             .into_iter()
@@ -219,8 +219,9 @@ impl TactileDomain<'_> {
                 let Some(load) = load.or_else(|| arrived[channel].take().map(Arc::new)) else {
                     unreachable!("the chain gives every channel that is wanted")
                 };
-                let activation = activation
-                    .unwrap_or_else(|| switching.activation(channel, &load, scene.frame_times_s).into());
+                let activation = activation.unwrap_or_else(|| {
+                    observed.at_frames(&switching.activation(channel, &load, scene.frame_times_s))
+                });
                 let reading = known_reading.unwrap_or_else(|| reading(channel, &load));
                 ((Some(load), Some(activation), Some(reading)), true)
             })
@@ -281,7 +282,7 @@ impl TactileDomain<'_> {
         let (mut load, mut on_load) = (Key::with_capacity(16), 0);
         for (kind, value) in self.kinds.iter().zip(&model.base) {
             let concerns = match (*kind, layout.streams[stream].kind) {
-                (Base::LambdaCon | Base::Band, SensorKind::Proximity)
+                (Base::LambdaCon | Base::Band | Base::Softness, SensorKind::Proximity)
                 | (Base::Alpha, SensorKind::Pressure) => true,
                 (Base::LambdaPre, SensorKind::Pressure) => {
                     on_load = value.to_bits();
@@ -290,6 +291,7 @@ impl TactileDomain<'_> {
                 (Base::Pattern(set, taxel), _) => {
                     mixed || (taxel == own_taxel && self.alike[set].contains(&patch))
                 }
+                (Base::Lag(lagging), _) => lagging == stream,
                 _ => false,
             };
             if concerns {
@@ -326,7 +328,9 @@ impl TactileDomain<'_> {
             moving.for_each(|one| one.add_to(&mut key));
             key
         };
-        let key = key_of(&|_| true);
+        let softness = chain.response.pad_softness_m.to_bits();
+        let mut key = key_of(&|_| true);
+        key.push(softness);
         let mut wanted: Vec<bool> =
             layout.patches.iter().map(|patch| channels[patch.channels.clone()].contains(&true)).collect();
         if let Some((has, geometry)) = self.memory(take).geometries.get(&key).cloned() {
@@ -338,7 +342,13 @@ impl TactileDomain<'_> {
         let keys: Vec<Key> = layout
             .patches
             .iter()
-            .map(|patch| key_of(&|one| one.channels[patch.channels.clone()].contains(&true)))
+            .map(|patch| {
+                let mut key = key_of(&|one| one.channels[patch.channels.clone()].contains(&true));
+                if layout.streams[patch.stream].kind == SensorKind::Proximity {
+                    key.push(softness);
+                }
+                key
+            })
             .collect();
         let known: Vec<Option<Arc<PatchGeometry>>> = {
             let mut memory = self.memory(take);

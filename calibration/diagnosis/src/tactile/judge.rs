@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use palpate_calibration::metrics::{MetricsSum, compare_take};
 use palpate_robot_model::Station;
+use palpate_sim::SensorModel;
 use palpate_sim::effects::{Chain, Geometry};
-use palpate_sim::{SensorModel, effects::TakeScene};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -37,11 +37,6 @@ fn chain(model: &SensorModel) -> Chain<'_> {
     Chain { theta: model.theta, response: &model.response, effects: &model.effects, soft_widths: &[] }
 }
 
-/// At the frames, as whoever uses the model sees it.
-fn scene<'a>(station: &'a Station, observed: &'a Observed<'_>) -> TakeScene<'a> {
-    TakeScene { arrival_times_s: &[], ..observed.scene(station) }
-}
-
 /// Where everything is in `takes` under `model`.
 fn geometries(
     station: &Station,
@@ -50,7 +45,7 @@ fn geometries(
 ) -> Result<Vec<Geometry>, DiagnosisError> {
     let of_take = |observed: &&Observed<'_>| {
         chain(model)
-            .geometry(&scene(station, observed))
+            .geometry(&observed.scene_at_frames(station))
             .map_err(|error| DiagnosisError::Input(format!("take {:?}: {error}", observed.take.id)))
     };
     takes.par_iter().map(of_take).collect()
@@ -76,7 +71,7 @@ fn judge_at(
         .par_iter()
         .zip(geometries)
         .map(|(observed, geometry)| {
-            let sensed = chain(model).sense_contact(&scene(station, observed), geometry);
+            let sensed = chain(model).sense_contact(&observed.scene_at_frames(station), geometry);
             let active: Vec<bool> = sensed.activation.iter().map(|activation| *activation > 0.5).collect();
             let real = real_active(observed);
             let num_channels = station.layout.num_channels();

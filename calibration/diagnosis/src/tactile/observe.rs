@@ -8,6 +8,7 @@ use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+use super::moments::Moments;
 use crate::DiagnosisError;
 use crate::engine::Series;
 
@@ -31,12 +32,16 @@ pub(crate) struct Observed<'a> {
     pub(crate) take: &'a Take,
     pub(crate) object: &'a ObjectModel,
     pub(crate) has_raw: bool,
-    /// Measured joint positions, as in [`TakeScene::positions`].
-    pub(crate) positions: Vec<f64>,
-    /// Per stream, when the sample in effect at each frame arrived, s.
+    /// Moments at which touch is simulated: those of the joint frames and, near contact, more between them.
+    moments: Moments,
+    /// Joint positions at the moments, as in [`TakeScene::positions`].
+    positions: Vec<f64>,
+    /// Per stream, when the sample in effect at each moment arrived, s.
     pub(crate) arrivals_s: Vec<Vec<f64>>,
     /// As [`TakeScene::frozen_for_s`]; empty without raw readings, whose noise is what tells.
-    pub(crate) frozen_for_s: Vec<Vec<f64>>,
+    frozen_for_s: Vec<Vec<f64>>,
+    /// The same at the joint frames.
+    frozen_at_frames_s: Vec<Vec<f64>>,
     /// Frame by frame, as [`super::TactileDomain`] numbers them.
     pub(crate) signals: Vec<Vec<f64>>,
     /// Ranges of frames that belong together.
@@ -65,6 +70,7 @@ impl<'a> Observed<'a> {
         let layout = &station.layout;
         let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
         let frame_times_s = &take.joints.times_s;
+        let moments = Moments::new(frame_times_s, &felt_s(take));
         let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * 2];
         let mut arrivals_s = Vec::new();
         let mut frozen_for_s = Vec::new();
@@ -73,16 +79,15 @@ impl<'a> Observed<'a> {
         for ((stream, config), log) in layout.streams.iter().zip(&station.streams).zip(&take.streams) {
             let width = stream.channels.len();
             let repeated_for_s = repeated_for_s(log, width);
-            let mut frozen = vec![0.0; num_frames];
-            let mut arrivals = frame_times_s.clone();
-            let mut num_arrived = 0;
-            for (frame, arrival) in arrivals.iter_mut().enumerate() {
-                while log.times_s.get(num_arrived).is_some_and(|&time_s| time_s <= frame_times_s[frame]) {
-                    num_arrived += 1;
-                }
-                let Some(sample) = num_arrived.checked_sub(1) else { continue };
+            let mut frozen = vec![0.0; moments.times_s().len()];
+            let mut arrivals = moments.times_s().to_vec();
+            for (moment, arrival) in arrivals.iter_mut().enumerate() {
+                let Some(sample) = sample_in_effect(log, *arrival) else { continue };
                 *arrival = log.times_s[sample];
-                frozen[frame] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
+                frozen[moment] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
+            }
+            for (frame, &time_s) in frame_times_s.iter().enumerate() {
+                let Some(sample) = sample_in_effect(log, time_s) else { continue };
                 for (idx, channel) in stream.channels.clone().enumerate() {
                     signals[2 * channel][frame] = f64::from(u8::from(log.active[sample * width + idx]));
                     if let (Some(raw), Some(reference)) =
@@ -104,17 +109,21 @@ impl<'a> Observed<'a> {
         let repetitions = repetitions(take);
         let blocks = repetitions.iter().map(|(frames, _)| frames.clone()).collect();
         let has_raw = take.has_raw();
-        let positions = take.joints.positions.clone();
+        let positions = moments.interpolated(&take.joints.positions, station.robot.num_dofs());
         if !has_raw {
             frozen_for_s.clear();
         }
+        let at_frames = |of_moments: &Vec<f64>| moments.frames().iter().map(|&at| of_moments[at]).collect();
+        let frozen_at_frames_s = frozen_for_s.iter().map(at_frames).collect();
         Ok(Self {
             take,
             object,
             has_raw,
+            moments,
             positions,
             arrivals_s,
             frozen_for_s,
+            frozen_at_frames_s,
             signals,
             blocks,
             repetitions,
@@ -143,14 +152,17 @@ impl<'a> Observed<'a> {
     /// This take with what a model predicts in place of what was measured, and noise.
     pub(crate) fn simulated(&self, station: &Station, predicted: &[Series], rng: &mut ChaCha8Rng) -> Self {
         let num_channels = station.layout.num_channels();
-        let mut simulated = self.clone();
+        let num_dofs = station.robot.num_dofs();
+        let mut positions = self.take.joints.positions.clone();
         for (dof, joint) in station.robot.dofs().enumerate() {
             if joint.kind == JointKind::Revolute {
-                for frame in simulated.positions.chunks_exact_mut(station.robot.num_dofs()) {
+                for frame in positions.chunks_exact_mut(num_dofs) {
                     frame[dof] += JOINT_NOISE_RAD * gaussian(rng);
                 }
             }
         }
+        let mut simulated = self.clone();
+        simulated.positions = self.moments.interpolated(&positions, num_dofs);
         let off_fractions: Vec<f64> = station
             .layout
             .channels
@@ -179,18 +191,49 @@ impl<'a> Observed<'a> {
         simulated
     }
 
-    /// What the simulation needs of it.
+    /// What the simulation needs of it, at the moments at which touch is simulated.
     pub(crate) fn scene<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
         TakeScene {
             station,
             object: self.object,
             base_from_object: &self.take.meta.base_from_object,
-            frame_times_s: &self.take.joints.times_s,
+            frame_times_s: self.moments.times_s(),
             positions: &self.positions,
             arrival_times_s: &self.arrivals_s,
             frozen_for_s: &self.frozen_for_s,
         }
     }
+
+    /// The same at the joint frames alone, as whoever replays the take sees it.
+    pub(crate) fn scene_at_frames<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
+        TakeScene {
+            frame_times_s: &self.take.joints.times_s,
+            positions: &self.take.joints.positions,
+            arrival_times_s: &[],
+            frozen_for_s: &self.frozen_at_frames_s,
+            ..self.scene(station)
+        }
+    }
+
+    /// Of values at the moments, those at the joint frames.
+    pub(crate) fn at_frames(&self, of_moments: &[f64]) -> Series {
+        self.moments.frames().iter().map(|&moment| of_moments[moment]).collect()
+    }
+}
+
+/// When anything was felt, s.
+fn felt_s(take: &Take) -> Vec<f64> {
+    let of_stream = |log: &StreamLog| -> Vec<f64> {
+        let width = log.active.len() / log.times_s.len().max(1);
+        let samples = log.times_s.iter().zip(log.active.chunks_exact(width.max(1)));
+        samples.filter(|(_, active)| active.contains(&true)).map(|(&time_s, _)| time_s).collect()
+    };
+    take.streams.iter().flat_map(of_stream).collect()
+}
+
+/// The last sample of `log` that had arrived by `time_s`.
+fn sample_in_effect(log: &StreamLog, time_s: f64) -> Option<usize> {
+    log.times_s.partition_point(|&arrival_s| arrival_s <= time_s).checked_sub(1)
 }
 
 /// Samples that are all the same before a device counts as frozen: two alike may be chance.
