@@ -17,12 +17,14 @@ mod tests;
 
 pub(crate) use fit::refit;
 pub(crate) use linear::inverse;
+pub(crate) use name::strongest;
 pub use name::{Naming, NamingConfig, Round, Tried, name};
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use palpate_sim::effects::{Effect, Parameter};
+use rayon::prelude::*;
 
 use crate::DiagnosisError;
 
@@ -108,6 +110,28 @@ pub trait Domain: Sync {
 
     /// One over the standard deviation that each sample of `signal` is allowed around `prediction`.
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64>;
+}
+
+/// Hears which fraction of some work is done and what is being done now, and may stop it.
+pub type Watch<'w> = dyn Fn(f64, &str) -> Result<(), DiagnosisError> + Sync + 'w;
+
+/// What `work` makes of each of `items`, in their order, on every core. `begun` hears the fraction of the work that is done
+/// and the item that comes next, and may stop it; what it hears never decreases.
+pub(crate) fn each<T: Send, R: Send>(
+    items: Vec<T>,
+    begun: impl Fn(f64, &T) -> Result<(), DiagnosisError> + Sync,
+    work: impl Fn(T) -> Result<R, DiagnosisError> + Sync,
+) -> Result<Vec<R>, DiagnosisError> {
+    let (num_items, num_begun) = (items.len(), Mutex::new(0));
+    let one = |item: T| {
+        {
+            let mut num_begun = num_begun.lock().unwrap_or_else(PoisonError::into_inner);
+            begun(f64::from(*num_begun) / num_items as f64, &item)?;
+            *num_begun += 1;
+        }
+        work(item)
+    };
+    items.into_par_iter().with_max_len(1).map(one).collect()
 }
 
 /// Residuals beyond this many standard deviations count no more than linearly.

@@ -88,11 +88,11 @@ pub fn null_bar(
         );
         let simulated = domain.simulated(&start, config.seed.wrapping_add(session as u64))?;
         let model = engine::refit(&simulated, &start, &fitted, 2)?;
-        let found = engine::name(&simulated, &model, &fitted, &naming, &|_, _| {
-            if cancel.is_cancelled() { Err(DiagnosisError::Cancelled) } else { Ok(()) }
-        })?;
-        let tried = found.rounds[0].tried.iter().filter(|tried| tried.share > LEAST_SHARE);
-        maxima.push(tried.map(|tried| tried.evidence).fold(0.0, f64::max));
+        let watch = |_: f64, _: &str| match cancel.is_cancelled() {
+            true => Err(DiagnosisError::Cancelled),
+            false => Ok(()),
+        };
+        maxima.push(engine::strongest(&simulated, &model, &fitted, &naming, &watch)?);
     }
     maxima.sort_unstable_by(f64::total_cmp);
     let position = (BELOW_BAR * maxima.len() as f64).ceil() as usize;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, Patch, SensorKind, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, Patch, Place, SensorKind, Station, TactileLayout};
 
 use super::{Effect, EffectKind, TACTILE, places};
 use crate::geometry::SignedDistance;
@@ -70,6 +70,8 @@ pub struct Load {
     /// `[channel * num_frames + frame]`; pressure in Pa, or for proximity channels how far the patch has come into
     /// the sensor's reach ([`Response::reach_m`]) in m. Zero without touch.
     pub values: Vec<f64>,
+    /// Per channel, whether anybody needs its load: what is made of others is lost.
+    pub needed: Vec<bool>,
     /// Per channel, the load at which it switches on. Effects size additive errors by it.
     pub on_loads: Vec<f64>,
 }
@@ -277,6 +279,7 @@ impl Chain<'_> {
                 scene.frame_times_s.len(),
             ),
             on_loads: self.on_loads(nominal),
+            needed: needed.clone(),
         };
         self.each(|kind, effect| {
             if reaching(effect) {
@@ -548,6 +551,13 @@ impl Arrived {
 }
 
 impl Load {
+    /// The channels at `place` that are needed.
+    pub(super) fn needed_at(&self, place: &Place, layout: &TactileLayout) -> Vec<usize> {
+        let mut channels = places::channels_of(place, layout);
+        channels.retain(|&channel| self.needed[channel]);
+        channels
+    }
+
     /// Loads of `channel`, frame by frame.
     pub fn of_channel(&self, channel: usize) -> &[f64] {
         let num_frames = self.times_s.len();
@@ -605,6 +615,18 @@ impl Moments {
 }
 
 impl Switching {
+    /// Everything of `channel` that its activation depends on besides what arrives of its load.
+    pub fn of_channel(&self, channel: usize) -> [f64; 6] {
+        [
+            self.on_loads[channel],
+            self.off_fractions[channel],
+            self.min_on_s[channel],
+            self.idle_activation[channel],
+            self.passed_shares[channel],
+            self.widths[channel],
+        ]
+    }
+
     /// Activation of `channel` at frames `times_s`, given what `arrived` of its load.
     pub fn activation(&self, channel: usize, arrived: &Arrived, times_s: &[f64]) -> Vec<f64> {
         let mut activation = self.latched(channel, &arrived.present, times_s);
@@ -622,8 +644,8 @@ impl Switching {
     /// A soft latch: an event that is on stays on as far as the load is above the lower threshold. Where it switches
     /// hard this is the latch of a comparator with hysteresis.
     fn latched(&self, channel: usize, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
-        let (on, width, idle) = (self.on_loads[channel], self.widths[channel], self.idle_activation[channel]);
-        let off = on * self.off_fractions[channel];
+        let [on, off_fraction, min_on_s, idle, passed, width] = self.of_channel(channel);
+        let (off, off_width) = (on * off_fraction, width * off_fraction);
         let above = |load: f64, threshold: f64, width: f64| {
             if width > 0.0 && threshold.is_finite() {
                 1.0 / (1.0 + (-(load - threshold) / width).exp())
@@ -631,26 +653,28 @@ impl Switching {
                 f64::from(u8::from(load > threshold))
             }
         };
-        let off_width = width * self.off_fractions[channel];
-        let passed = self.passed_shares[channel];
         let mut latched = 0.0_f64;
-        let mut last = (f64::NAN, 0.0, 0.0);
+        let mut last = (f64::NAN, 0.0, None);
         let mut values: Vec<f64> = loads
             .iter()
             .enumerate()
             .map(|(frame, &load)| {
                 // Quiet channels stay where they are, and are most of the work.
                 if load != last.0 {
-                    let over_on = above(load, on, width);
-                    last = (load, over_on, if off == on { over_on } else { above(load, off, off_width) });
+                    last = (load, above(load, on, width), None);
                 }
-                let (_, over_on, over_off) = last;
-                latched = over_on.max(latched.min(over_off));
+                let (_, over_on, over_off) = &mut last;
+                latched = if latched > *over_on && off != on {
+                    // The lower threshold concerns only what is on.
+                    let over_off = *over_off.get_or_insert_with(|| above(load, off, off_width));
+                    over_on.max(latched.min(over_off))
+                } else {
+                    *over_on
+                };
                 let idle = if width > 0.0 || idle >= 1.0 { idle } else { drawn(frame, channel, idle) };
                 passed * latched.max(idle)
             })
             .collect();
-        let min_on_s = self.min_on_s[channel];
         if min_on_s > 0.0 {
             debounce(&mut values, times_s, min_on_s);
         }

@@ -41,7 +41,7 @@ impl EffectKind for LowPass {
         if time_constant_s <= 0.0 {
             return;
         }
-        for channel in places::channels_of(&effect.place, &scene.station.layout) {
+        for channel in state.needed_at(&effect.place, &scene.station.layout) {
             let lagging = lag(&state.times_s, state.of_channel(channel), time_constant_s);
             state.of_channel_mut(channel).copy_from_slice(&lagging);
         }

@@ -51,7 +51,7 @@ impl EffectKind for ViscoelasticRelease {
         if fraction <= 0.0 || time_constant_s <= 0.0 {
             return;
         }
-        for channel in places::channels_of(&effect.place, &scene.station.layout) {
+        for channel in state.needed_at(&effect.place, &scene.station.layout) {
             let strain = lag(&state.times_s, state.of_channel(channel), time_constant_s);
             let loads = state.of_channel_mut(channel).iter_mut().zip(strain);
             loads.for_each(|(load, z)| *load = load.max(fraction * z));

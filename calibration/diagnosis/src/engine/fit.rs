@@ -1,6 +1,7 @@
 //! Fits: one candidate beside a linearised model, and a whole model.
 
 use palpate_sim::effects::{Effect, Parameter};
+use rayon::prelude::*;
 
 use super::linear::{Assessment, Linear, Residual, predict};
 use super::screen::{responses, stepped};
@@ -58,8 +59,7 @@ pub(crate) fn profile<D: Domain>(
             starts.push(start);
         }
     }
-    let mut best: Option<(f64, Profiled)> = None;
-    for start in starts {
+    let profiled = |start: Effect| -> Result<Profiled, DiagnosisError> {
         let mut tried = linear.moved_to(linear.with(start))?;
         for _ in 0..PROFILE_STEPS {
             let step = tried.assess(&tried.base_columns(&free)?, &tried.residual).step;
@@ -84,9 +84,14 @@ pub(crate) fn profile<D: Domain>(
         let gains: Vec<f64> = (linear.loss_by_take().iter().zip(after))
             .map(|(before, after)| before - after.iter().sum::<f64>())
             .collect();
-        let gained = gains.iter().sum();
+        Ok(Profiled { model: tried.model, gains })
+    };
+    let all: Vec<Profiled> = starts.into_par_iter().map(profiled).collect::<Result<_, _>>()?;
+    let mut best: Option<(f64, Profiled)> = None;
+    for profiled in all {
+        let gained = profiled.gains.iter().sum();
         if best.as_ref().is_none_or(|(most, _)| gained > *most) {
-            best = Some((gained, Profiled { model: tried.model, gains }));
+            best = Some((gained, profiled));
         }
     }
     Ok(best.map(|(_, profiled)| profiled))

@@ -40,9 +40,8 @@ impl Segment {
                     return deviation;
                 }
                 // Reweighted least squares: an outlier pulls as hard as one at the limit.
-                let damped = (HUBER / deviation.abs()).sqrt();
-                *weight *= damped;
-                deviation * damped
+                *weight *= (HUBER / deviation.abs()).sqrt();
+                (observed - predicted) * *weight
             })
             .collect();
         Self { predicted: Arc::clone(predicted), weights, residual, loss }
@@ -256,18 +255,15 @@ impl<'a, D: Domain> Linear<'a, D> {
         for (idx, segment) in self.segments.iter().enumerate() {
             let (take, signal) = (self.rows.take(idx), self.rows.signal(idx));
             let after = &predicted[take][signal];
-            let loss = &mut losses[take][self.rows.kind(idx)];
-            if Arc::ptr_eq(&segment.predicted, after) {
-                *loss += segment.loss;
-                continue;
-            }
-            let weights = self.domain.weights(self.takes[take], signal, &segment.predicted);
-            let observed = self.domain.observed(self.takes[take], signal);
-            for ((observed, predicted), weight) in observed.iter().zip(after.iter()).zip(weights) {
-                if !observed.is_nan() {
-                    *loss += huber((observed - predicted) * weight);
-                }
-            }
+            losses[take][self.rows.kind(idx)] += if Arc::ptr_eq(&segment.predicted, after) {
+                segment.loss
+            } else {
+                let weights = self.domain.weights(self.takes[take], signal, &segment.predicted);
+                let observed = self.domain.observed(self.takes[take], signal);
+                let rows = observed.iter().zip(after.iter()).zip(weights);
+                let measured = rows.filter(|((observed, _), _)| !observed.is_nan());
+                measured.map(|((observed, predicted), weight)| huber((observed - predicted) * weight)).sum()
+            };
         }
         losses
     }
@@ -298,7 +294,7 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// Responses to the parameters `which` of the model's own.
     pub(crate) fn base_columns(&self, which: &[usize]) -> Result<Vec<Column>, DiagnosisError> {
         which
-            .iter()
+            .par_iter()
             .map(|&idx| {
                 let (model, step) = self.base_stepped(idx);
                 self.response(&model, step)
@@ -328,7 +324,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                 variants.push((model, step));
             }
         }
-        variants.iter().map(|(model, step)| self.response(model, *step)).collect()
+        variants.par_iter().map(|(model, step)| self.response(model, *step)).collect()
     }
 
     /// Weighted difference between the predictions of `model` and of this one, over `step`.

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
+use rayon::prelude::*;
 
 use super::fit::{Fitted, fit, profile, refit};
 use super::linear::{Linear, predict};
 use super::merge::merge;
 use super::screen::{Screened, screen};
-use super::{Domain, Model};
+use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
 
 /// How to name.
@@ -141,7 +142,7 @@ pub fn name<D: Domain>(
     start: &Model,
     takes: &[usize],
     config: &NamingConfig,
-    progress: &dyn Fn(f64, &str) -> Result<(), DiagnosisError>,
+    progress: &Watch<'_>,
 ) -> Result<Naming, DiagnosisError> {
     let known = start.effects.len();
     let mut model = start.clone();
@@ -182,54 +183,40 @@ pub fn name<D: Domain>(
         }
         known_gains.extend(promises);
         let finalists = finalists(&screened, config.num_fits);
-        let (mut tried, mut absorbing) = (Vec::new(), Vec::new());
-        for (done, &idx) in finalists.iter().enumerate() {
-            let Some(candidate) = screened.get(idx) else { continue };
-            report(
-                0.7 + 0.3 * done as f64 / finalists.len() as f64,
-                &format!("round {}: fitting {}", round_idx + 1, candidate.effect.id),
-            )?;
-            let fitted = fit(&linear, &candidate.effect, &candidate.parameters)?;
-            let beside = match round_idx < PROFILED_ROUNDS {
-                true => beside_own_thresholds(&linear, &fitted.effect, &candidate.parameters)?,
-                false => None,
-            };
-            let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
-                let evidence =
-                    evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
-                let loss = linear.loss_in(&fitted.changes);
-                Tried::new(fitted.effect, &model, evidence, &fitted.held_out_gains, loss)
-            });
-            let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
-            match beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain) {
-                Some(better) => {
-                    absorbing.push(better.effect.place.clone());
-                    tried.push(better);
-                }
-                None => tried.extend(as_is),
-            }
-        }
+        let profiled = round_idx < PROFILED_ROUNDS;
+        let fitted = fit_all(&linear, finalists.iter().map(|&idx| &screened[idx]), profiled, &|done, id| {
+            report(0.7 + 0.3 * done, &format!("round {}: fitting {id}", round_idx + 1))
+        })?;
         // Where thresholds have absorbed one effect of a stream, no effect of that stream shows beside them.
-        for (idx, candidate) in screened.iter().enumerate() {
-            if absorbing.contains(&candidate.effect.place) && !finalists.contains(&idx) {
-                tried.extend(beside_own_thresholds(&linear, &candidate.effect, &candidate.parameters)?);
-            }
-        }
+        let absorbing: Vec<&Place> = fitted.iter().filter_map(|trial| trial.absorbed()).collect();
+        let masked = screened.iter().enumerate().filter(|(idx, candidate)| {
+            absorbing.contains(&&candidate.effect.place) && !finalists.contains(idx)
+        });
+        let masked: Vec<Option<Tried>> = masked
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map(|(_, candidate)| beside_own_thresholds(&linear, &candidate.effect, &candidate.parameters))
+            .collect::<Result<_, DiagnosisError>>()?;
+        let mut tried: Vec<Tried> = fitted.into_iter().filter_map(|trial| trial.tried).collect();
+        tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
         // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
         let best = tried.iter().position(passes).filter(|_| more);
-        let mut refitted = Vec::new();
-        for contender in if more { contenders(&tried, best, config.least_share) } else { Vec::new() } {
-            let mut with = Model { base: tried[contender].base.clone(), effects: model.effects.clone() };
-            with.effects.push(tried[contender].effect.clone());
-            let with = refit(domain, &with, takes, REFIT_STEPS)?;
-            let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
-            if passes(&tried[contender]) || founded(domain, &with, takes, config.bar)? {
-                refitted.push((loss, contender, with));
-            }
-        }
+        let contenders = if more { contenders(&tried, best, config.least_share) } else { Vec::new() };
+        let refitted: Vec<Option<(f64, usize, Model)>> = contenders
+            .into_par_iter()
+            .map(|contender| {
+                let mut with = Model { base: tried[contender].base.clone(), effects: model.effects.clone() };
+                with.effects.push(tried[contender].effect.clone());
+                let with = refit(domain, &with, takes, REFIT_STEPS)?;
+                let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
+                let holds = passes(&tried[contender]) || founded(domain, &with, takes, config.bar)?;
+                Ok(holds.then_some((loss, contender, with)))
+            })
+            .collect::<Result<_, DiagnosisError>>()?;
+        let refitted = refitted.into_iter().flatten().collect();
         let named =
             simplest_of_best(refitted, linear.loss, &tried).map(|(_, contender, with)| (contender, with));
         let (named, refitted) = named.unzip();
@@ -251,6 +238,71 @@ pub fn name<D: Domain>(
     finish(domain, &mut model, known, takes, config.bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
+}
+
+/// Highest evidence of any effect beside `model`, among those that remove more than the least share: what the first round
+/// of [`name`] makes of `takes`.
+pub(crate) fn strongest<D: Domain>(
+    domain: &D,
+    model: &Model,
+    takes: &[usize],
+    config: &NamingConfig,
+    progress: &Watch<'_>,
+) -> Result<f64, DiagnosisError> {
+    let linear = Linear::new(domain, model, takes)?;
+    let mut candidates = domain.candidates();
+    candidates.retain(|candidate| !config.without.contains(&candidate.id));
+    let mut screened = screen(&linear, &candidates, &|done| progress(0.7 * done, "trying every effect"))?;
+    screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
+    let finalists = finalists(&screened, config.num_fits).into_iter().map(|idx| &screened[idx]);
+    let fitted =
+        fit_all(&linear, finalists, true, &|done, id| progress(0.7 + 0.3 * done, &format!("fitting {id}")))?;
+    let tried = fitted.into_iter().filter_map(|trial| trial.tried);
+    let evidence = tried.filter(|tried| tried.share > config.least_share).map(|tried| tried.evidence);
+    Ok(evidence.fold(0.0, f64::max))
+}
+
+/// What became of a candidate.
+struct Trial {
+    tried: Option<Tried>,
+    /// Whether it shows only beside thresholds of its own.
+    is_absorbed: bool,
+}
+
+impl Trial {
+    /// The place of an effect that thresholds absorb.
+    fn absorbed(&self) -> Option<&Place> {
+        self.tried.as_ref().filter(|_| self.is_absorbed).map(|tried| &tried.effect.place)
+    }
+}
+
+/// Fits each of `candidates` beside the model of `linear`; if `profiled`, beside thresholds of its own too.
+fn fit_all<'c, D: Domain>(
+    linear: &Linear<'_, D>,
+    candidates: impl Iterator<Item = &'c Screened>,
+    profiled: bool,
+    progress: &Watch<'_>,
+) -> Result<Vec<Trial>, DiagnosisError> {
+    each(
+        candidates.collect(),
+        |done, candidate| progress(done, &candidate.effect.id),
+        |candidate| {
+            let fitted = fit(linear, &candidate.effect, &candidate.parameters)?;
+            let beside = match profiled {
+                true => beside_own_thresholds(linear, &fitted.effect, &candidate.parameters)?,
+                false => None,
+            };
+            let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
+                let evidence =
+                    evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
+                let loss = linear.loss_in(&fitted.changes);
+                Tried::new(fitted.effect, &linear.model, evidence, &fitted.held_out_gains, loss)
+            });
+            let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
+            let better = beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain);
+            Ok(Trial { is_absorbed: better.is_some(), tried: better.or(as_is) })
+        },
+    )
 }
 
 /// What tells candidates apart.
@@ -343,6 +395,28 @@ struct Carried {
     share: f64,
 }
 
+/// What the effect `idx` of the model of `after` carries.
+fn carried_by<D: Domain>(after: &Linear<'_, D>, idx: usize) -> Result<Carried, DiagnosisError> {
+    let (domain, takes) = (after.domain, &after.takes[..]);
+    let mut without = after.model.clone();
+    without.effects.remove(idx);
+    let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
+    let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
+    let back = after.losses_of(&predict(domain, &without, takes)?);
+    let sum = |losses: &[Vec<f64>], of: &[bool]| -> f64 {
+        let of_take = |losses: &Vec<f64>| -> f64 {
+            losses.iter().zip(of).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum()
+        };
+        losses.iter().map(of_take).sum()
+    };
+    let before = after.losses_of(&after.predicted);
+    let gained = |of: &[bool]| sum(&back, of) - sum(&before, of);
+    Ok(Carried {
+        loss: gained(&vec![true; kinds.len()]),
+        share: gained(&kinds) / sum(&before, &kinds).max(f64::MIN_POSITIVE),
+    })
+}
+
 /// Weighs every effect beyond the first `known` by the loss that comes back without it: drops what carries too little, or
 /// has lost its evidence, and puts the others in order, the weightiest first.
 fn finish<D: Domain>(
@@ -361,26 +435,10 @@ fn finish<D: Domain>(
             *model = refit(domain, model, takes, REFIT_STEPS)?;
             continue;
         }
-        let mut carried = Vec::new();
-        for idx in known..model.effects.len() {
-            let mut without = model.clone();
-            without.effects.remove(idx);
-            let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
-            let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
-            let back = after.losses_of(&predict(domain, &without, takes)?);
-            let sum = |losses: &[Vec<f64>], of: &[bool]| -> f64 {
-                let of_take = |losses: &Vec<f64>| -> f64 {
-                    losses.iter().zip(of).map(|(loss, of)| if *of { *loss } else { 0.0 }).sum()
-                };
-                losses.iter().map(of_take).sum()
-            };
-            let before = after.losses_of(&after.predicted);
-            let gained = |of: &[bool]| sum(&back, of) - sum(&before, of);
-            carried.push(Carried {
-                loss: gained(&vec![true; kinds.len()]),
-                share: gained(&kinds) / sum(&before, &kinds).max(f64::MIN_POSITIVE),
-            });
-        }
+        let carried: Vec<Carried> = (known..model.effects.len())
+            .into_par_iter()
+            .map(|idx| carried_by(&after, idx))
+            .collect::<Result<_, DiagnosisError>>()?;
         let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].share.total_cmp(&carried[b].share));
         let Some(weakest) = weakest else { break };
         if carried[weakest].share < LEAST_CARRIED {

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::linear::{Linear, inside, predict};
 use super::rows::Column;
-use super::{Domain, neutral};
+use super::{Domain, each, neutral};
 use crate::DiagnosisError;
 
 /// A candidate, to first order.
@@ -28,7 +28,7 @@ pub(crate) struct Screened {
 pub(crate) fn screen<D: Domain>(
     linear: &Linear<'_, D>,
     candidates: &[Effect],
-    done: &dyn Fn(f64) -> Result<(), DiagnosisError>,
+    done: &(dyn Fn(f64) -> Result<(), DiagnosisError> + Sync),
 ) -> Result<Vec<Screened>, DiagnosisError> {
     let parameters: Vec<Vec<Parameter>> =
         candidates.iter().map(|effect| linear.domain.parameters(effect)).collect();
@@ -50,18 +50,20 @@ pub(crate) fn screen<D: Domain>(
         })
         .collect();
     let passes = pack(linear.domain, items);
-    let num_passes = passes.len();
-    for (idx, pass) in passes.into_iter().enumerate() {
-        done(idx as f64 / num_passes as f64)?;
-        let mut model = linear.model.clone();
-        model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
-        let predicted = predict(linear.domain, &model, &linear.takes)?;
-        let owner = owners(pass.iter().map(|(_, reach)| reach.as_slice()), linear.domain.num_units());
-        let steps: Vec<f64> = pass.iter().map(|(item, _)| item.step).collect();
-        let split = linear.columns(&linear.predicted, &predicted, &owner, &steps);
-        for (column, (item, _)) in split.into_iter().zip(&pass) {
-            columns[item.owner][item.parameter] = column;
-        }
+    let split = each(
+        passes.iter().collect(),
+        |fraction, _| done(fraction),
+        |pass| {
+            let mut model = linear.model.clone();
+            model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
+            let predicted = predict(linear.domain, &model, &linear.takes)?;
+            let owner = owners(pass.iter().map(|(_, reach)| reach.as_slice()), linear.domain.num_units());
+            let steps: Vec<f64> = pass.iter().map(|(item, _)| item.step).collect();
+            Ok(linear.columns(&linear.predicted, &predicted, &owner, &steps))
+        },
+    )?;
+    for (column, (item, _)) in split.into_iter().flatten().zip(passes.iter().flatten()) {
+        columns[item.owner][item.parameter] = column;
     }
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
     let mut screened: Vec<Screened> = jobs
@@ -154,10 +156,16 @@ fn dose_places_largely<D: Domain>(
             }
         }
     }
-    for pass in pack(linear.domain, apart).into_iter().chain(of_objects.into_values()) {
-        let mut model = linear.model.clone();
-        model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
-        let removed = linear.removed(&predict(linear.domain, &model, &linear.takes)?);
+    let passes: Vec<_> = pack(linear.domain, apart).into_iter().chain(of_objects.into_values()).collect();
+    let removed: Vec<Vec<Vec<f64>>> = passes
+        .par_iter()
+        .map(|pass| {
+            let mut model = linear.model.clone();
+            model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
+            Ok(linear.removed(&predict(linear.domain, &model, &linear.takes)?))
+        })
+        .collect::<Result<_, DiagnosisError>>()?;
+    for (pass, removed) in passes.into_iter().zip(removed) {
         for (item, reach) in pass {
             let mut of_item = 0.0;
             for (of_take, &take) in removed.iter().zip(&linear.takes) {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Mutex;
 
 use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
@@ -9,7 +10,8 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BaseParameter, Domain, Model, Naming, NamingConfig, Series, name};
+use super::linear::{Linear, predict};
+use super::{BaseParameter, Domain, Model, Naming, NamingConfig, Series, each, name};
 use crate::DiagnosisError;
 
 const ROWS: usize = 400;
@@ -206,4 +208,33 @@ proptest! {
         let naming = Sines::new(&[("slow", size)], seed).name(&config());
         prop_assert!(naming.model.effects.is_empty(), "{:?}", naming.model.effects);
     }
+}
+
+#[test]
+fn a_prediction_that_is_made_again_has_the_same_bits() {
+    let mut sines = Sines::new(&[], 4);
+    // An outlier, whose weight is damped.
+    sines.observed[1][5] += 20.0 * NOISE;
+    let model = Model { base: vec![0.7], effects: Vec::new() };
+    let linear = Linear::new(&sines, &model, &[0, 1, 2, 3]).unwrap();
+    let again = predict(&sines, &model, &linear.takes).unwrap();
+    assert_eq!(linear.losses_of(&again), linear.losses_of(&linear.predicted));
+    assert_eq!(linear.residual_of(&again).squares, linear.residual_of(&linear.predicted).squares);
+}
+
+#[test]
+fn work_on_every_core_keeps_its_order_and_stops_when_told() {
+    let heard = Mutex::new(Vec::new());
+    let begun = |done: f64, _: &i32| {
+        heard.lock().unwrap().push(done);
+        Ok(())
+    };
+    let doubled = each((0..50).collect(), begun, |item: i32| Ok(2 * item)).unwrap();
+    assert_eq!(doubled, (0..50).map(|item| 2 * item).collect::<Vec<_>>());
+    let heard = heard.into_inner().unwrap();
+    assert!(heard.is_sorted() && heard[0] == 0.0 && heard.len() == 50, "{heard:?}");
+
+    let enough = |done: f64, _: &i32| if done < 0.5 { Ok(()) } else { Err(DiagnosisError::Cancelled) };
+    let stopped = each((0..50).collect(), enough, |item: i32| Ok(item));
+    assert!(matches!(stopped, Err(DiagnosisError::Cancelled)));
 }

@@ -30,6 +30,17 @@ impl<T> Kept<T> {
 
     fn get(&mut self, key: &Key) -> Option<&mut T> {
         let at = self.entries.iter().rposition(|(known, _)| known == key)?;
+        self.latest(at)
+    }
+
+    /// The latest value that `is_it`.
+    fn find(&mut self, is_it: impl Fn(&T) -> bool) -> Option<&mut T> {
+        let at = self.entries.iter().rposition(|(_, value)| is_it(value))?;
+        self.latest(at)
+    }
+
+    /// Makes the entry `at` the latest.
+    fn latest(&mut self, at: usize) -> Option<&mut T> {
         self.entries[at..].rotate_left(1);
         self.entries.last_mut().map(|(_, value)| value)
     }
@@ -49,22 +60,40 @@ impl<T> Kept<T> {
 
 /// A load that arrived at a channel, and what was made of it lately: activations and readings, each by the numbers that
 /// it depends on besides.
+#[derive(Clone)]
 struct ChannelLoad {
     arrived: Arc<Arrived>,
-    activations: Recent,
-    readings: Recent,
+    activations: Recent<6>,
+    readings: Recent<2>,
 }
 
-/// A few series, the latest last.
-#[derive(Default)]
-struct Recent(Vec<([u64; 2], Series)>);
+impl ChannelLoad {
+    fn new(arrived: Arrived) -> Self {
+        let (activations, readings) = (Recent(Vec::new()), Recent(Vec::new()));
+        Self { arrived: Arc::new(arrived), activations, readings }
+    }
 
-impl Recent {
-    fn get(&self, key: [u64; 2]) -> Option<Series> {
+    /// Whether its load has the bits of `other`.
+    fn is(&self, other: &Arrived) -> bool {
+        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+        let Arrived { present, past, past_share } = &*self.arrived;
+        past_share.to_bits() == other.past_share.to_bits()
+            && past.len() == other.past.len()
+            && same(present, &other.present)
+            && past.iter().zip(&other.past).all(|(a, b)| same(a, b))
+    }
+}
+
+/// A few series, the latest last, by `N` numbers as bits.
+#[derive(Clone)]
+struct Recent<const N: usize>(Vec<([u64; N], Series)>);
+
+impl<const N: usize> Recent<N> {
+    fn get(&self, key: [u64; N]) -> Option<Series> {
         self.0.iter().find(|(known, _)| *known == key).map(|(_, series)| Arc::clone(series))
     }
 
-    fn put(&mut self, key: [u64; 2], series: &Series) {
+    fn put(&mut self, key: [u64; N], series: &Series) {
         if self.0.iter().any(|(known, _)| *known == key) {
             return;
         }
@@ -77,7 +106,7 @@ impl Recent {
 
 /// What is remembered of a take.
 pub(super) struct Memory {
-    channels: Vec<Kept<ChannelLoad>>,
+    channels: Vec<Kept<Arc<ChannelLoad>>>,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
     /// Geometries that were put together, with the patches that each has.
     geometries: Kept<(Vec<bool>, Arc<Geometry>)>,
@@ -105,12 +134,16 @@ impl Memory {
 /// What the load of a channel depends on, and what its activation and its reading depend on besides.
 struct Keys {
     load: Key,
-    activation: [u64; 2],
+    activation: [u64; 6],
     reading: [u64; 2],
 }
 
-/// Load, activation and reading of a channel, as far as they are known.
-type Known = (Option<Arc<Arrived>>, Option<Series>, Option<Series>);
+impl Keys {
+    /// Activation and reading, as far as `load` has them.
+    fn series_of(&self, load: &ChannelLoad) -> (Option<Series>, Option<Series>) {
+        (load.activations.get(self.activation), load.readings.get(self.reading))
+    }
+}
 
 /// An effect, and whom it concerns.
 struct Reaching<'e> {
@@ -147,42 +180,36 @@ impl TactileDomain<'_> {
             }
         }
         let reaching = self.reaching(take, model);
-        let keys: Vec<Keys> = (0..layout.num_channels())
-            .map(|channel| self.keys(channel, model, &widths, &exponents, &reaching))
-            .collect();
-        let known: Vec<Known> = {
-            let mut memory = self.memory(take);
-            let channels = memory.channels.iter_mut().zip(&keys);
-            channels
-                .map(|(memory, keys)| match memory.get(&keys.load) {
-                    None => (None, None, None),
-                    Some(known) => (
-                        Some(Arc::clone(&known.arrived)),
-                        known.activations.get(keys.activation),
-                        known.readings.get(keys.reading),
-                    ),
-                })
-                .collect()
-        };
-        let is_known = |(_, activation, reading): &Known| activation.is_some() && reading.is_some();
-        let of_channels = |channels: Vec<Known>| -> Vec<Series> {
-            channels
-                .into_iter()
-                .flat_map(|(_, activation, reading)| [activation, reading])
-                .flatten()
-                .collect()
-        };
-        if known.iter().all(is_known) {
-            return Ok(of_channels(known));
-        }
         let observed = &self.takes[take];
         let scene = observed.scene(self.station);
         let (theta, response) = self.theta_and_response(model);
         let mut effects = self.own_effects(model);
         effects.extend(reaching.iter().map(|one| one.effect.clone()));
         let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
-        let wanted: Vec<bool> =
-            known.iter().map(|channel| channel.0.is_none() && !is_known(channel)).collect();
+        let switching = chain.switching(&scene);
+        // Per channel, the load that reads as one, and the exponent of its readings.
+        let on_load = |stream: usize| match layout.streams[stream].kind {
+            SensorKind::Proximity => response.proximity_band_m,
+            SensorKind::Pressure => theta.lambda_pre_pa,
+        };
+        let read_by: Vec<[f64; 2]> = layout
+            .channels
+            .iter()
+            .map(|channel| [on_load(channel.stream), exponents[channel.stream]])
+            .collect();
+        let keys: Vec<Keys> = (0..layout.num_channels())
+            .map(|channel| Keys {
+                load: self.load_key(channel, model, &reaching),
+                activation: switching.of_channel(channel).map(f64::to_bits),
+                reading: read_by[channel].map(f64::to_bits),
+            })
+            .collect();
+        let known: Vec<Option<Arc<ChannelLoad>>> = {
+            let mut memory = self.memory(take);
+            let channels = memory.channels.iter_mut().zip(&keys);
+            channels.map(|(memory, keys)| memory.get(&keys.load).map(|load| Arc::clone(load))).collect()
+        };
+        let wanted: Vec<bool> = known.iter().map(Option::is_none).collect();
         let mut arrived = if wanted.contains(&true) {
             let inputs = chain.inputs(self.station, &wanted);
             let geometry = self.geometry(take, &chain, &scene, &reaching, &inputs)?;
@@ -190,58 +217,46 @@ impl TactileDomain<'_> {
         } else {
             vec![None; wanted.len()]
         };
-        let switching = chain.switching(&scene);
         let reading = |channel: usize, arrived: &Arrived| -> Series {
-            let stream = layout.channels[channel].stream;
-            let on_load = match layout.streams[stream].kind {
-                SensorKind::Proximity => response.proximity_band_m,
-                SensorKind::Pressure => theta.lambda_pre_pa,
-            };
+            let [on_load, exponent] = read_by[channel];
             let (scale, ceiling) = (1.0 / on_load, observed.ceilings[channel]);
             // Quiet channels stay where they are, and are most of the work.
             let mut last = (f64::NAN, f64::NAN);
             let mut of_load = |&load: &f64| {
                 if load != last.0 {
-                    last = (load, super::reading(load * scale, exponents[stream]).min(ceiling));
+                    last = (load, super::reading(load * scale, exponent).min(ceiling));
                 }
                 last.1
             };
             observed.at_frames(&arrived.load()).iter().map(&mut of_load).collect()
         };
-        let channels: Vec<(Known, bool)> = known
-            .into_iter()
-            .enumerate()
-            .map(|(channel, known)| {
-                if is_known(&known) {
-                    return (known, false);
+        let mut signals = Vec::with_capacity(2 * keys.len());
+        for (channel, (keys, known)) in keys.into_iter().zip(known).enumerate() {
+            let load = known.clone().or_else(|| {
+                let arrived = arrived[channel].take()?;
+                // What a change of the model does not reach arrives as it did before, and what was made of it still holds.
+                let mut memory = self.memory(take);
+                let same = memory.channels[channel].find(|known| known.is(&arrived)).cloned();
+                Some(same.unwrap_or_else(|| Arc::new(ChannelLoad::new(arrived))))
+            });
+            let Some(mut load) = load else { unreachable!("the chain gives every channel that is wanted") };
+            let (activation, reading) = match keys.series_of(&load) {
+                (Some(activation), Some(reading)) if known.is_some() => (activation, reading),
+                (activation, known_reading) => {
+                    let activation = activation.unwrap_or_else(|| {
+                        observed.at_frames(&switching.activation(channel, &load.arrived, scene.frame_times_s))
+                    });
+                    let reading = known_reading.unwrap_or_else(|| reading(channel, &load.arrived));
+                    let made = Arc::make_mut(&mut load);
+                    made.activations.put(keys.activation, &activation);
+                    made.readings.put(keys.reading, &reading);
+                    self.memory(take).channels[channel].put(keys.load, load);
+                    (activation, reading)
                 }
-                let (load, activation, known_reading) = known;
-                let Some(load) = load.or_else(|| arrived[channel].take().map(Arc::new)) else {
-                    unreachable!("the chain gives every channel that is wanted")
-                };
-                let activation = activation.unwrap_or_else(|| {
-                    observed.at_frames(&switching.activation(channel, &load, scene.frame_times_s))
-                });
-                let reading = known_reading.unwrap_or_else(|| reading(channel, &load));
-                ((Some(load), Some(activation), Some(reading)), true)
-            })
-            .collect();
-        let mut memory = self.memory(take);
-        for ((memory, keys), (known, is_new)) in memory.channels.iter_mut().zip(keys).zip(&channels) {
-            let (true, (Some(load), Some(activation), Some(reading))) = (*is_new, known) else { continue };
-            if memory.get(&keys.load).is_none() {
-                let arrived = Arc::clone(load);
-                let new =
-                    ChannelLoad { arrived, activations: Recent::default(), readings: Recent::default() };
-                memory.put(keys.load.clone(), new);
-            }
-            if let Some(known) = memory.get(&keys.load) {
-                known.activations.put(keys.activation, activation);
-                known.readings.put(keys.reading, reading);
-            }
+            };
+            signals.extend([activation, reading]);
         }
-        drop(memory);
-        Ok(of_channels(channels.into_iter().map(|(known, _)| known).collect()))
+        Ok(signals)
     }
 
     fn memory(&self, take: usize) -> std::sync::MutexGuard<'_, Memory> {
@@ -265,29 +280,20 @@ impl TactileDomain<'_> {
             .collect()
     }
 
-    fn keys(
-        &self,
-        channel: usize,
-        model: &Model,
-        widths: &[f64],
-        exponents: &[f64],
-        reaching: &[Reaching<'_>],
-    ) -> Keys {
+    /// What the load of `channel` depends on.
+    fn load_key(&self, channel: usize, model: &Model, reaching: &[Reaching<'_>]) -> Key {
         let layout = &self.station.layout;
         let (stream, patch) = (layout.channels[channel].stream, layout.channels[channel].patch);
         let own_taxel = channel - layout.patches[patch].channels.start;
         // Effects that mix channels depend on whatever any of theirs does.
         let mixed = reaching.iter().any(|one| one.channels[channel] && one.kind.mixes_channels());
         let sized = reaching.iter().any(|one| one.channels[channel] && one.kind.uses_on_loads());
-        let (mut load, mut on_load) = (Key::with_capacity(16), 0);
+        let mut load = Key::with_capacity(16);
         for (kind, value) in self.kinds.iter().zip(&model.base) {
             let concerns = match (*kind, layout.streams[stream].kind) {
                 (Base::LambdaCon | Base::Band | Base::Softness, SensorKind::Proximity)
                 | (Base::Alpha, SensorKind::Pressure) => true,
-                (Base::LambdaPre, SensorKind::Pressure) => {
-                    on_load = value.to_bits();
-                    mixed || sized
-                }
+                (Base::LambdaPre, SensorKind::Pressure) => mixed || sized,
                 (Base::Pattern(set, taxel), _) => {
                     mixed || (taxel == own_taxel && self.alike[set].contains(&patch))
                 }
@@ -305,11 +311,7 @@ impl TactileDomain<'_> {
                 None => one.add_to(&mut load),
             }
         }
-        Keys {
-            load,
-            activation: [on_load, widths[stream].to_bits()],
-            reading: [on_load, exponents[stream].to_bits()],
-        }
+        load
     }
 
     /// The geometry of the patches of `channels`.
@@ -391,5 +393,32 @@ fn add_place(key: &mut Key, place: &Place) {
         key.push(id.len() as u64);
         let words = id.as_bytes().chunks(8);
         key.extend(words.map(|bytes| bytes.iter().fold(0, |word, byte| word << 8 | u64::from(*byte))));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use palpate_emulator::Stage;
+    use palpate_sim::SensorModel;
+
+    use super::*;
+
+    #[test]
+    fn what_is_remembered_has_the_bits_of_what_is_new() {
+        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
+        let stage = Stage::read(truth).unwrap();
+        let takes = stage.record(&[], 1).unwrap();
+        let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+        let new = || TactileDomain::new(stage.station(), &takes, &nominal).unwrap();
+        let (remembering, start) = new();
+        remembering.predict(0, &start).unwrap();
+        for (idx, parameter) in remembering.base().iter().enumerate() {
+            let mut model = start.clone();
+            model.base[idx] += parameter.dose;
+            let (remembered, made) = (remembering.predict(0, &model), new().0.predict(0, &model));
+            assert!(remembered.unwrap() == made.unwrap(), "{}", parameter.name);
+        }
     }
 }
