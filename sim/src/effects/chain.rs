@@ -1,5 +1,7 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
+mod moments;
+
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,6 +15,7 @@ use crate::parallel::map_chunks;
 use crate::replay::{ContactTrace, PatchTrace, ReplayError, trace_of};
 use crate::tactile::propagate_patch;
 use crate::{Response, Theta};
+use moments::Moments;
 
 /// What was recorded of a take, as far as the simulation of its touch needs it.
 #[derive(Clone, Copy, Debug)]
@@ -568,49 +571,6 @@ impl Load {
     pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
         let num_frames = self.times_s.len();
         &mut self.values[channel * num_frames..(channel + 1) * num_frames]
-    }
-}
-
-/// Moments between frames.
-enum Moments {
-    /// Those of the frames.
-    Frames,
-    /// Between which two frames each is, and which share of the way from the first to the second.
-    Between(Vec<(u32, u32, f64)>),
-}
-
-impl Moments {
-    /// The moments `times_s`: before the first frame is at the first, after the last at the last.
-    fn new(frame_times_s: &[f64], times_s: &[f64]) -> Self {
-        if times_s == frame_times_s {
-            return Self::Frames;
-        }
-        let num_frames = frame_times_s.len();
-        let mut after = 0;
-        let between = |&time_s: &f64| {
-            // Times nearly increase: walk, in either direction.
-            while after < num_frames && frame_times_s[after] <= time_s {
-                after += 1;
-            }
-            while after > 0 && frame_times_s[after - 1] > time_s {
-                after -= 1;
-            }
-            let (from, to) = (after.saturating_sub(1), after.min(num_frames - 1));
-            let gap_s = frame_times_s[to] - frame_times_s[from];
-            let share = if gap_s > 0.0 { (time_s - frame_times_s[from]) / gap_s } else { 0.0 };
-            (from as u32, to as u32, share)
-        };
-        Self::Between(times_s.iter().map(between).collect())
-    }
-
-    /// `loads` (frame by frame) at these moments, linear between frames.
-    fn of(&self, loads: &[f64]) -> Vec<f64> {
-        let Self::Between(moments) = self else { return loads.to_vec() };
-        let at = |&(from, to, share): &(u32, u32, f64)| {
-            let (from, to) = (loads[from as usize], loads[to as usize]);
-            from + share * (to - from)
-        };
-        moments.iter().map(at).collect()
     }
 }
 
