@@ -1,6 +1,6 @@
 //! Measures the searches against each other, and writes what a peer in another language needs to take part.
 
-use std::{fs, io, path::Path};
+use std::{fs, io, path::Path, sync::Arc};
 
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{
@@ -92,7 +92,7 @@ pub fn sweep(
     let (grid_seconds, grid) = fastest(repeats, clock_s, || grid(&data, axes.clone(), watch))?;
 
     let pressure_patches = || patches(layout, SensorKind::Pressure);
-    let node_pressures = |trace: &PatchTrace| match trace {
+    let node_pressures = |trace: &Arc<PatchTrace>| match &**trace {
         PatchTrace::Pressure { entries, .. } => entries.len(),
         PatchTrace::Proximity { .. } => 0,
     };
@@ -167,7 +167,7 @@ pub fn write_peer_inputs(
         let mut pressures = vec![0.0; num_frames * num_nodes];
         let mut rows = pressures.chunks_exact_mut(num_nodes.max(1));
         for take in takes {
-            let PatchTrace::Pressure { offsets, entries } = &take.contact.patches[patch_idx] else {
+            let PatchTrace::Pressure { offsets, entries } = &*take.contact.patches[patch_idx] else {
                 continue;
             };
             for (frame, row) in (0..take.num_frames()).zip(&mut rows) {
@@ -206,7 +206,7 @@ pub fn write_peer_inputs(
     for take in takes {
         for frame in 0..take.num_frames() {
             for &(patch_idx, channel) in &proximity {
-                let PatchTrace::Proximity { min_distance_m } = &take.contact.patches[patch_idx] else {
+                let PatchTrace::Proximity { min_distance_m, .. } = &*take.contact.patches[patch_idx] else {
                     continue;
                 };
                 distances.push(min_distance_m[frame]);

@@ -121,7 +121,7 @@ fn check_patch(
     num_nodes: usize,
 ) -> Result<(), String> {
     match (trace, kind) {
-        (PatchTrace::Proximity { min_distance_m }, SensorKind::Proximity) => {
+        (PatchTrace::Proximity { min_distance_m, .. }, SensorKind::Proximity) => {
             if min_distance_m.len() != num_frames {
                 return Err(format!("{} replayed distances for {num_frames} frames", min_distance_m.len()));
             }

@@ -232,8 +232,9 @@ fn take_size_bytes(take: &Take) -> usize {
 }
 
 fn paired_size_bytes(paired: &PairedTake) -> usize {
-    let patches = paired.contact.patches.iter().map(|patch| match patch {
-        PatchTrace::Proximity { min_distance_m } => 8 * min_distance_m.len(),
+    let patches = paired.contact.patches.iter().map(|patch| match &**patch {
+        // A paired take is replayed with hard pads, which have no gaps.
+        PatchTrace::Proximity { min_distance_m, .. } => 8 * min_distance_m.len(),
         PatchTrace::Pressure { offsets, entries } => {
             4 * offsets.len() + size_of::<(u32, f64)>() * entries.len()
         }

@@ -63,12 +63,12 @@ impl Scene {
         };
         let (mut entries_total, mut frames_touched, mut near) = (0, 0, 0);
         for patch in &trace.patches {
-            match patch {
+            match &**patch {
                 PatchTrace::Pressure { offsets, entries } => {
                     entries_total += entries.len();
                     frames_touched += offsets.windows(2).filter(|pair| pair[1] > pair[0]).count();
                 }
-                PatchTrace::Proximity { min_distance_m } => {
+                PatchTrace::Proximity { min_distance_m, .. } => {
                     near += min_distance_m.iter().filter(|&&distance| distance < NEAR_M).count();
                 }
             }

@@ -16,4 +16,4 @@ pub mod replay;
 mod sensor_model;
 pub mod tactile;
 
-pub use sensor_model::{Response, SensorModel, SensorModelError, Theta};
+pub use sensor_model::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, Theta};

@@ -70,7 +70,7 @@ impl LiveScene {
             model: model.clone(),
             object_distance,
             fixed,
-            probes: replay::probes(&layout, model.response.pad_softness_m),
+            probes: replay::probes(&layout, model.chain().gaps_below_m(&layout)),
             layout,
             plain,
             station,
@@ -199,8 +199,8 @@ impl LiveScene {
         let mut raw = vec![0.0; num_channels];
         for ((patch, trace), propagation) in self.layout.patches.iter().zip(&trace.patches).zip(propagation) {
             let taxels = &mut raw[patch.channels.clone()];
-            match trace {
-                PatchTrace::Proximity { min_distance_m } => taxels.fill(min_distance_m[0]),
+            match &**trace {
+                PatchTrace::Proximity { min_distance_m, .. } => taxels.fill(min_distance_m[0]),
                 PatchTrace::Pressure { entries, .. } => {
                     tactile::propagate(&propagation.weights, entries, taxels);
                 }

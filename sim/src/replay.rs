@@ -1,12 +1,14 @@
 //! Replays a recorded joint path past an object and keeps what every sensor model needs.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
 use palpate_robot_model::{Patch, Robot, SensorKind, TactileLayout};
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
+use crate::sensor_model::MOST_SOFTNESS_M;
 
 /// The part of a replay that does not depend on theta, for one take.
 ///
@@ -16,19 +18,20 @@ use crate::parallel::map_chunks;
 pub struct ContactTrace {
     /// Number of frames.
     pub num_frames: usize,
-    /// Per patch of the layout, in order.
-    pub patches: Vec<PatchTrace>,
+    /// Per patch of the layout, in order; shared with whoever else has the patch at the same place.
+    pub patches: Vec<Arc<PatchTrace>>,
 }
 
 /// What one patch felt, frame by frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PatchTrace {
-    /// Smallest signed distance over the patch's nodes, m, one per frame; a soft minimum for soft pads
-    /// ([`crate::Response::pad_softness_m`]). Far frames hold a lower bound on it instead
+    /// Smallest signed distance over the patch's nodes, m, one per frame. Far frames hold a lower bound on it instead
     /// (never below [`NEAR_M`]), because no threshold reaches that far.
     Proximity {
         /// One value per frame, m.
         min_distance_m: Vec<f64>,
+        /// Where the other nodes are; none of a hard pad.
+        gaps: Gaps,
     },
     /// Penalty pressures, sparse: frame `t` owns `entries[offsets[t]..offsets[t + 1]]`.
     Pressure {
@@ -37,6 +40,40 @@ pub enum PatchTrace {
         /// `(node index in the patch, pressure in Pa > 0)`, by frame, nodes ascending.
         entries: Vec<(u32, f64)>,
     },
+}
+
+/// How much farther than its nearest node those of a soft pad are, for the frames in which it is near: frame `t` owns
+/// `gaps_m[ends[t - 1]..ends[t]]`. Nodes behind which no softness reaches are left out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gaps {
+    ends: Vec<u32>,
+    gaps_m: Vec<f64>,
+}
+
+impl Gaps {
+    fn append(&mut self, other: &Self) {
+        let first = self.gaps_m.len() as u32;
+        self.ends.extend(other.ends.iter().map(|end| first + end));
+        self.gaps_m.extend_from_slice(&other.gaps_m);
+    }
+
+    /// `-s ln sum_i exp(-d_i / s)` over the distances of all nodes, frame by frame, `s` being `softness_m`, where the
+    /// nearest is at `min_distance_m`. Frames without gaps, and those in which nothing would come below `below_m`, keep
+    /// the distance of the nearest.
+    pub(crate) fn soft_distances_m(&self, min_distance_m: &[f64], softness_m: f64, below_m: f64) -> Vec<f64> {
+        let mut start = 0;
+        let of_frame = |(frame, &smallest_m): (usize, &f64)| {
+            let end = self.ends.get(frame).map_or(start, |end| *end as usize);
+            let gaps_m = &self.gaps_m[std::mem::replace(&mut start, end)..end];
+            if gaps_m.is_empty() || smallest_m - softness_m * (gaps_m.len() as f64).ln() >= below_m {
+                return smallest_m;
+            }
+            let near = gaps_m.iter().filter(|gap_m| **gap_m < SOFT_TAIL * softness_m);
+            let sum: f64 = near.map(|gap_m| (-gap_m / softness_m).exp()).sum();
+            smallest_m - softness_m * sum.max(1.0).ln()
+        };
+        min_distance_m.iter().enumerate().map(of_frame).collect()
+    }
 }
 
 /// Distances up to this are exact; a `lambda_con` beyond it is refused.
@@ -110,15 +147,16 @@ pub fn contact_trace(
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
-    trace_of(robot, layout, 0.0, object, base_from_object, positions, &vec![true; layout.patches.len()])
+    let everywhere = vec![true; layout.patches.len()];
+    trace_of(robot, layout, f64::NEG_INFINITY, object, base_from_object, positions, &everywhere)
 }
 
-/// [`contact_trace`] of the patches in `wanted`, proximity patches being soft by `softness_m`
-/// ([`crate::Response::pad_softness_m`]); those of all others hold no frame.
+/// [`contact_trace`] of the patches in `wanted`, with the gaps of proximity patches whose nearest node is nearer than
+/// `gaps_below_m` ([`crate::Response::pad_softness_m`] asks for them); those of all others hold no frame.
 pub(crate) fn trace_of(
     robot: &Robot,
     layout: &TactileLayout,
-    softness_m: f64,
+    gaps_below_m: f64,
     object: &SignedDistance,
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
@@ -126,7 +164,7 @@ pub(crate) fn trace_of(
 ) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
     let num_dofs = robot.num_dofs();
-    let probes = probes(layout, softness_m);
+    let probes = probes(layout, gaps_below_m);
     let object_from_base = base_from_object.inverse();
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
@@ -181,9 +219,9 @@ pub(crate) fn feel_frame<'a>(
     trace.append(nearest.unwrap_or_else(|| probes.iter().map(Probe::untouched).collect()));
 }
 
-/// The patches of `layout`, prepared; `softness_m` as for [`trace_of`].
-pub(crate) fn probes(layout: &TactileLayout, softness_m: f64) -> Vec<Probe> {
-    layout.patches.iter().map(|patch| Probe::new(layout, patch, softness_m)).collect()
+/// The patches of `layout`, prepared; `gaps_below_m` as for [`trace_of`].
+pub(crate) fn probes(layout: &TactileLayout, gaps_below_m: f64) -> Vec<Probe> {
+    layout.patches.iter().map(|patch| Probe::new(layout, patch, gaps_below_m)).collect()
 }
 
 /// Frames per unit of parallel work: some hundred microseconds, and many more units than cores.
@@ -191,6 +229,9 @@ const CHUNK_FRAMES: usize = 32;
 
 /// Nodes farther than the nearest by this many softnesses count for nothing: less than one part in three thousand.
 const SOFT_TAIL: f64 = 8.0;
+
+/// Gaps that matter to the softest pad, m.
+const LONGEST_GAP_M: f64 = SOFT_TAIL * MOST_SOFTNESS_M;
 
 /// Room for rounding in a bound from the bounding sphere, m.
 const ROUNDING_M: f64 = 1e-9;
@@ -225,7 +266,7 @@ pub(crate) struct Probe {
     link: usize,
     kind: SensorKind,
     stiffness_pa_per_m: f64,
-    softness_m: f64,
+    gaps_below_m: f64,
     nodes_in_link: Vec<Point3<f64>>,
     /// A ball that holds every node.
     center_in_link: Point3<f64>,
@@ -234,12 +275,12 @@ pub(crate) struct Probe {
 
 /// What one patch felt over the frames of a chunk.
 enum ChunkTrace {
-    Proximity { min_distance_m: Vec<f64> },
+    Proximity { min_distance_m: Vec<f64>, gaps: Gaps },
     Pressure { counts: Vec<u32>, entries: Vec<(u32, f64)> },
 }
 
 impl Probe {
-    fn new(layout: &TactileLayout, patch: &Patch, softness_m: f64) -> Self {
+    fn new(layout: &TactileLayout, patch: &Patch, gaps_below_m: f64) -> Self {
         let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
         let first = nodes_in_link.first().copied().unwrap_or_else(Point3::origin);
         let (mut low, mut high) = (first, first);
@@ -253,7 +294,7 @@ impl Probe {
             link: patch.link,
             kind: layout.streams[patch.stream].kind,
             stiffness_pa_per_m: patch.stiffness_pa_per_m,
-            softness_m,
+            gaps_below_m,
             nodes_in_link,
             center_in_link,
             radius_m,
@@ -262,34 +303,31 @@ impl Probe {
 
     fn empty_chunk(&self, num_frames: usize) -> ChunkTrace {
         match self.kind {
-            SensorKind::Proximity => ChunkTrace::Proximity { min_distance_m: Vec::with_capacity(num_frames) },
+            SensorKind::Proximity => ChunkTrace::Proximity {
+                min_distance_m: Vec::with_capacity(num_frames),
+                gaps: Gaps::default(),
+            },
             SensorKind::Pressure => {
                 ChunkTrace::Pressure { counts: Vec::with_capacity(num_frames), entries: Vec::new() }
             }
         }
     }
 
-    /// `-s ln sum_i exp(-d_i / s)` over the distances of all nodes, of which the smallest is `smallest_m`.
-    fn soft_distance_m(
-        &self,
-        object: &SignedDistance,
-        object_from_link: &Isometry3<f64>,
-        smallest_m: f64,
-    ) -> f64 {
-        let mut sum = 0.0;
-        let limit_m = smallest_m + SOFT_TAIL * self.softness_m;
-        object.for_each_distance_below(object_from_link, &self.nodes_in_link, limit_m, |_, distance_m| {
-            if distance_m < limit_m {
-                sum += ((smallest_m - distance_m) / self.softness_m).exp();
-            }
-        });
-        smallest_m - self.softness_m * sum.max(1.0).ln()
+    /// Closes a frame of `gaps`, of which a hard pad has none.
+    fn end_frame(&self, gaps: &mut Gaps) {
+        if self.gaps_below_m > f64::NEG_INFINITY {
+            gaps.ends.push(gaps.gaps_m.len() as u32);
+        }
     }
 
     /// One frame with nothing near.
     fn untouched(&self) -> ChunkTrace {
         match self.kind {
-            SensorKind::Proximity => ChunkTrace::Proximity { min_distance_m: vec![f64::INFINITY] },
+            SensorKind::Proximity => {
+                let mut gaps = Gaps::default();
+                self.end_frame(&mut gaps);
+                ChunkTrace::Proximity { min_distance_m: vec![f64::INFINITY], gaps }
+            }
             SensorKind::Pressure => ChunkTrace::Pressure { counts: vec![0], entries: Vec::new() },
         }
     }
@@ -304,17 +342,28 @@ impl Probe {
             object.distance_below_m(&(object_from_link * self.center_in_link), limit_m + reach_m) - reach_m
         };
         match felt {
-            ChunkTrace::Proximity { min_distance_m } => {
+            ChunkTrace::Proximity { min_distance_m, gaps } => {
                 let mut smallest = bound_below_m(NEAR_M).max(NEAR_M);
                 if self.nodes_in_link.is_empty() {
                     smallest = f64::INFINITY;
                 } else if smallest <= NEAR_M {
                     smallest = object.min_distance_below_m(object_from_link, &self.nodes_in_link, NEAR_M);
-                    if smallest < NEAR_M && self.softness_m > 0.0 {
-                        smallest = self.soft_distance_m(object, object_from_link, smallest);
+                    if smallest < self.gaps_below_m {
+                        let limit_m = smallest + LONGEST_GAP_M;
+                        object.for_each_distance_below(
+                            object_from_link,
+                            &self.nodes_in_link,
+                            limit_m,
+                            |_, distance_m| {
+                                if distance_m < limit_m {
+                                    gaps.gaps_m.push(distance_m - smallest);
+                                }
+                            },
+                        );
                     }
                 }
                 min_distance_m.push(smallest);
+                self.end_frame(gaps);
             }
             ChunkTrace::Pressure { counts, entries } => {
                 let before = entries.len();
@@ -340,8 +389,13 @@ impl ChunkTrace {
     /// Of two traces of the same single frame, the nearer: what a node presses into is the body that it is deepest in.
     fn keep_nearer(&mut self, other: Self) {
         match (self, other) {
-            (Self::Proximity { min_distance_m }, Self::Proximity { min_distance_m: others }) => {
-                min_distance_m.iter_mut().zip(others).for_each(|(one, other)| *one = one.min(other));
+            (
+                Self::Proximity { min_distance_m, gaps },
+                Self::Proximity { min_distance_m: others_m, gaps: others },
+            ) => {
+                if others_m[0] < min_distance_m[0] {
+                    (*min_distance_m, *gaps) = (others_m, others);
+                }
             }
             (Self::Pressure { counts, entries }, Self::Pressure { entries: others, .. }) => {
                 entries.extend(others);
@@ -359,22 +413,29 @@ impl ContactTrace {
     /// Of no frames yet, with room for `num_frames`; `num_frames` is what it will hold.
     pub(crate) fn empty(probes: &[Probe], num_frames: usize) -> Self {
         let empty = |probe: &Probe| match probe.kind {
-            SensorKind::Proximity => PatchTrace::Proximity { min_distance_m: Vec::with_capacity(num_frames) },
+            SensorKind::Proximity => PatchTrace::Proximity {
+                min_distance_m: Vec::with_capacity(num_frames),
+                gaps: Gaps::default(),
+            },
             SensorKind::Pressure => {
                 let mut offsets = Vec::with_capacity(num_frames + 1);
                 offsets.push(0);
                 PatchTrace::Pressure { offsets, entries: Vec::new() }
             }
         };
-        Self { num_frames, patches: probes.iter().map(empty).collect() }
+        Self { num_frames, patches: probes.iter().map(|probe| Arc::new(empty(probe))).collect() }
     }
 
     /// Puts the frames of a chunk behind those that are there.
     fn append(&mut self, chunk: Vec<ChunkTrace>) {
         for (patch, felt) in self.patches.iter_mut().zip(chunk) {
-            match (patch, felt) {
-                (PatchTrace::Proximity { min_distance_m: all }, ChunkTrace::Proximity { min_distance_m }) => {
+            match (Arc::make_mut(patch), felt) {
+                (
+                    PatchTrace::Proximity { min_distance_m: all, gaps: all_gaps },
+                    ChunkTrace::Proximity { min_distance_m, gaps },
+                ) => {
                     all.extend(min_distance_m);
+                    all_gaps.append(&gaps);
                 }
                 (
                     PatchTrace::Pressure { offsets, entries: all },
@@ -449,7 +510,7 @@ mod tests {
     use super::*;
 
     /// A pad of 5 x 5 nodes in the plane z = 0.
-    fn pad(softness_m: f64) -> Probe {
+    fn pad() -> Probe {
         let nodes_in_link: Vec<Point3<f64>> = (0..25)
             .map(|node| Point3::new(f64::from(node % 5 - 2) * 2e-3, f64::from(node / 5 - 2) * 2e-3, 0.0))
             .collect();
@@ -457,19 +518,23 @@ mod tests {
             link: 0,
             kind: SensorKind::Proximity,
             stiffness_pa_per_m: 0.0,
-            softness_m,
+            gaps_below_m: f64::INFINITY,
             nodes_in_link,
             center_in_link: Point3::origin(),
             radius_m: 6e-3,
         }
     }
 
-    fn felt_m(probe: &Probe, object: &ObjectShape, object_from_link: Isometry3<f64>) -> f64 {
+    fn felt_m(softness_m: f64, object: &ObjectShape, object_from_link: Isometry3<f64>) -> f64 {
+        let probe = pad();
         let object = SignedDistance::new(object).expect("valid");
         let mut felt = probe.empty_chunk(1);
         probe.feel(&object, &object_from_link, &mut felt);
         match felt {
-            ChunkTrace::Proximity { min_distance_m } => min_distance_m[0],
+            ChunkTrace::Proximity { min_distance_m, .. } if softness_m == 0.0 => min_distance_m[0],
+            ChunkTrace::Proximity { min_distance_m, gaps } => {
+                gaps.soft_distances_m(&min_distance_m, softness_m, f64::INFINITY)[0]
+            }
             ChunkTrace::Pressure { .. } => unreachable!("the pad senses proximity"),
         }
     }
@@ -482,7 +547,7 @@ mod tests {
             height_m in 0.02..0.06, softness_m in 1e-5..3e-3, side_m in -0.01..0.01,
         ) {
             let pose = Isometry3::translation(side_m, 0.0, height_m);
-            let (hard, soft) = (felt_m(&pad(0.0), &BALL, pose), felt_m(&pad(softness_m), &BALL, pose));
+            let (hard, soft) = (felt_m(0.0, &BALL, pose), felt_m(softness_m, &BALL, pose));
             prop_assert!(soft <= hard && hard - soft <= softness_m * 25.0_f64.ln() + 1e-12, "{soft} {hard}");
         }
     }
@@ -491,8 +556,8 @@ mod tests {
     fn a_flat_face_loads_a_soft_pad_more_than_a_ball_as_deep() {
         let block = ObjectShape::Box { size_m: [0.06; 3] };
         let deep = Isometry3::translation(0.0, 0.0, 0.029);
-        let apart_m = |pad: &Probe| felt_m(pad, &BALL, deep) - felt_m(pad, &block, deep);
-        assert!(apart_m(&pad(0.0)).abs() < 1e-12);
-        assert!(apart_m(&pad(2e-4)) > 2e-4, "{}", apart_m(&pad(2e-4)));
+        let apart_m = |softness_m| felt_m(softness_m, &BALL, deep) - felt_m(softness_m, &block, deep);
+        assert!(apart_m(0.0).abs() < 1e-12);
+        assert!(apart_m(2e-4) > 2e-4, "{}", apart_m(2e-4));
     }
 }

@@ -68,6 +68,9 @@ pub struct Theta {
     pub lambda_pre_pa: f64,
 }
 
+/// [`Response::pad_softness_m`] of the softest pad that a model may have, m.
+pub const MOST_SOFTNESS_M: f64 = 3e-3;
+
 /// What a model knows of sensors beyond theta. The defaults are the paper's model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -70,8 +70,8 @@ pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f6
             let frame = chunk * CHUNK_FRAMES + i;
             for (patch_idx, patch) in layout.patches.iter().enumerate() {
                 let taxels = &mut frame_raw[patch.channels.clone()];
-                match &trace.patches[patch_idx] {
-                    PatchTrace::Proximity { min_distance_m } => taxels.fill(min_distance_m[frame]),
+                match &*trace.patches[patch_idx] {
+                    PatchTrace::Proximity { min_distance_m, .. } => taxels.fill(min_distance_m[frame]),
                     PatchTrace::Pressure { offsets, entries } => {
                         let touched = &entries[PatchTrace::entry_range(offsets, frame)];
                         propagate(&propagation[patch_idx].weights, touched, taxels);

@@ -25,7 +25,7 @@ use nalgebra::Isometry3;
 use palpate_recording::Take;
 use palpate_robot_model::{Place, SensorKind, Station};
 use palpate_sim::effects::{self, Effect, Parameter};
-use palpate_sim::{Response, SensorModel, Theta};
+use palpate_sim::{MOST_SOFTNESS_M, Response, SensorModel, Theta};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -107,7 +107,7 @@ impl<'a> TactileDomain<'a> {
                 let band_m = start.response.proximity_band_m;
                 add(Base::Band, "proximity_band_m".into(), band_m, [1e-4, 5e-3], 1e-4);
                 let softness_m = start.response.pad_softness_m.max(SOFTNESS_M);
-                add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, 3e-3], 5e-5);
+                add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, MOST_SOFTNESS_M], 5e-5);
             }
         }
         if has(SensorKind::Pressure) {

@@ -45,7 +45,7 @@ impl<'a> Touches<'a> {
         let mut touches = Self::default();
         for take in takes {
             for (patch_idx, (patch, trace)) in layout.patches.iter().zip(&take.contact.patches).enumerate() {
-                let PatchTrace::Pressure { offsets, entries } = trace else { continue };
+                let PatchTrace::Pressure { offsets, entries } = &**trace else { continue };
                 for (frame, real_active) in take.real_active.chunks_exact(layout.num_channels()).enumerate() {
                     let real_active = &real_active[patch.channels.clone()];
                     let nodes = &entries[PatchTrace::entry_range(offsets, frame)];
@@ -98,7 +98,7 @@ impl<'a> FitData<'a> {
         let mut scores = Unranked::new(-NEAR_M);
         for take in &self.takes {
             for (patch, trace) in self.layout.patches.iter().zip(&take.contact.patches) {
-                let PatchTrace::Proximity { min_distance_m } = trace else { continue };
+                let PatchTrace::Proximity { min_distance_m, .. } = &**trace else { continue };
                 for channel in patch.channels.clone() {
                     let real = take.real_active.iter().skip(channel).step_by(num_channels);
                     for (&distance_m, &real_active) in min_distance_m.iter().zip(real) {

@@ -1,5 +1,7 @@
 //! The exact search against any grid and against counting, on arbitrary small sessions.
 
+use std::sync::Arc;
+
 use palpate_calibration::{
     PairedTake,
     sweep::{FitData, GridAxes, Watch, exact, grid, l1_of_readings},
@@ -8,7 +10,7 @@ use palpate_robot_model::TactileLayout;
 use palpate_sim::{
     Theta,
     job::{Cancel, NoProgress},
-    replay::{ContactTrace, NEAR_M, PatchTrace},
+    replay::{ContactTrace, Gaps, NEAR_M, PatchTrace},
 };
 use proptest::{collection::vec, prelude::*};
 
@@ -42,8 +44,9 @@ fn take((take_idx, frames): (usize, &Vec<Frame>)) -> PairedTake {
         entries.extend(touched.map(|(node, &pressure_pa)| (node as u32, pressure_pa)));
         offsets.push(entries.len() as u32);
     }
-    let distances = |patch: usize| PatchTrace::Proximity {
-        min_distance_m: frames.iter().map(|(_, distances, _)| distances[patch]).collect(),
+    let distances = |patch: usize| {
+        let min_distance_m = frames.iter().map(|(_, distances, _)| distances[patch]).collect();
+        Arc::new(PatchTrace::Proximity { min_distance_m, gaps: Gaps::default() })
     };
     PairedTake {
         id: format!("take-{take_idx}"),
@@ -51,7 +54,7 @@ fn take((take_idx, frames): (usize, &Vec<Frame>)) -> PairedTake {
         frame_times_s: (0..frames.len()).map(|frame| frame as f64 * 0.1).collect(),
         contact: ContactTrace {
             num_frames: frames.len(),
-            patches: vec![PatchTrace::Pressure { offsets, entries }, distances(0), distances(1)],
+            patches: vec![Arc::new(PatchTrace::Pressure { offsets, entries }), distances(0), distances(1)],
         },
         real_active: frames.iter().flat_map(|(.., real)| *real).collect(),
     }

@@ -4,11 +4,12 @@
 //! release, so that no theta explains all of it.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use palpate_calibration::PairedTake;
 use palpate_robot_model::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
-use palpate_sim::replay::{ContactTrace, NEAR_M, PatchTrace};
+use palpate_sim::replay::{ContactTrace, Gaps, NEAR_M, PatchTrace};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -123,7 +124,8 @@ pub(crate) fn takes(size: Size, layout: &TactileLayout, seed: u64) -> Vec<Paired
                     }
                 }
             });
-            let contact = ContactTrace { num_frames: size.frames_per_take, patches: patches.collect() };
+            let contact =
+                ContactTrace { num_frames: size.frames_per_take, patches: patches.map(Arc::new).collect() };
             PairedTake {
                 id: format!("take-{:02}", take_idx + 1),
                 object: ["ball", "can"][take_idx % 2].to_owned(),
@@ -206,7 +208,7 @@ fn approached_patch(
         let feels = |frame: usize| min_distance_m[frame] < 1.0e-3 * gains[channel];
         lagging(presses.len(), feels, |frame| real[frame * num_channels + channel] = true);
     }
-    PatchTrace::Proximity { min_distance_m }
+    PatchTrace::Proximity { min_distance_m, gaps: Gaps::default() }
 }
 
 /// Late by one frame, and two frames longer.

@@ -1,6 +1,7 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
 mod moments;
+mod switching;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,10 +13,11 @@ use palpate_robot_model::{ObjectModel, Patch, Place, SensorKind, Station, Tactil
 use super::{Effect, EffectKind, TACTILE, places};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
-use crate::replay::{ContactTrace, PatchTrace, ReplayError, trace_of};
+use crate::replay::{ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
 use crate::tactile::propagate_patch;
 use crate::{Response, Theta};
 use moments::Moments;
+pub use switching::Switching;
 
 /// What was recorded of a take, as far as the simulation of its touch needs it.
 #[derive(Clone, Copy, Debug)]
@@ -77,25 +79,6 @@ pub struct Load {
     pub needed: Vec<bool>,
     /// Per channel, the load at which it switches on. Effects size additive errors by it.
     pub on_loads: Vec<f64>,
-}
-
-/// How load becomes an event.
-#[derive(Clone, Debug)]
-pub struct Switching {
-    /// Per channel, the load at which it switches on; `INFINITY` for one that never does, `NEG_INFINITY` always.
-    pub on_loads: Vec<f64>,
-    /// Per channel, the load below which it switches off, over `on_loads`; 1 without hysteresis.
-    pub off_fractions: Vec<f64>,
-    /// Per channel, how long a load must be above `on_loads` before the event is reported, s.
-    pub min_on_s: Vec<f64>,
-    /// Per channel, activation that is there without any load, 0..=1, such as of a value that wraps around zero. A
-    /// channel that switches hard is on in that share of frames.
-    pub idle_activation: Vec<f64>,
-    /// Per channel, the share of its activation that is passed on, 0..=1: 0 for a dead channel.
-    pub passed_shares: Vec<f64>,
-    /// Per channel, width of the switching curve in units of load; 0 switches hard. At the lower threshold the curve is
-    /// narrower as far as the threshold is lower, so that no touch leaves a rest of activation without any load.
-    pub widths: Vec<f64>,
 }
 
 /// Which moment each reading shows.
@@ -182,13 +165,26 @@ impl Chain<'_> {
         let trace = trace_of(
             &scene.station.robot,
             &layout,
-            self.response.pad_softness_m,
+            self.gaps_below_m(&layout),
             &distance,
             &kinematics.base_from_object,
             &kinematics.positions,
             wanted,
         )?;
         Ok(Geometry { trace, layout, positions: kinematics.positions, spread: Some(Spread::default()) })
+    }
+
+    /// The nearest nodes of a soft pad that are below this, m, matter together with their neighbours
+    /// ([`Response::pad_softness_m`]): with room for what effects add to distances, in coarse steps, so that a geometry
+    /// serves many models. Nothing is below it where pads are hard.
+    pub fn gaps_below_m(&self, layout: &TactileLayout) -> f64 {
+        let softness_m = self.response.pad_softness_m;
+        if softness_m == 0.0 {
+            return f64::NEG_INFINITY;
+        }
+        let nodes = layout.patches.iter().map(|patch| patch.nodes.len()).max().unwrap_or(1);
+        let felt_below_m = self.response.reach_m(&self.theta) + softness_m * (nodes as f64).ln();
+        GAPS_STEP_M * ((felt_below_m / GAPS_STEP_M).floor() + 2.0)
     }
 
     /// Where joints, object and patches really are.
@@ -257,8 +253,10 @@ impl Chain<'_> {
     ) -> Vec<Option<Arrived>> {
         let nominal = &scene.station.layout;
         let needed = self.inputs(scene.station, wanted);
+        let needed_patches: Vec<bool> =
+            nominal.patches.iter().map(|patch| needed[patch.channels.clone()].contains(&true)).collect();
         let mut contact = Contact {
-            trace: Cow::Borrowed(&geometry.trace),
+            trace: self.softened(&geometry.trace, &needed_patches),
             layout: &geometry.layout,
             alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
             positions: &geometry.positions,
@@ -269,14 +267,12 @@ impl Chain<'_> {
                 kind.contact(effect, scene, &mut contact);
             }
         });
-        let needed_patches: Vec<bool> =
-            nominal.patches.iter().map(|patch| needed[patch.channels.clone()].contains(&true)).collect();
         let mut load = Load {
             num_channels: nominal.num_channels(),
             times_s: scene.frame_times_s.to_vec(),
             values: loads(
                 &contact,
-                geometry.spread.as_ref(),
+                geometry,
                 self.response.reach_m(&self.theta),
                 &needed_patches,
                 scene.frame_times_s.len(),
@@ -321,6 +317,30 @@ impl Chain<'_> {
                 }
             })
         })
+    }
+
+    /// `trace` as soft pads feel it.
+    fn softened<'t>(&self, trace: &'t ContactTrace, needed: &[bool]) -> Cow<'t, ContactTrace> {
+        let softness_m = self.response.pad_softness_m;
+        let mut softened = Cow::Borrowed(trace);
+        if softness_m == 0.0 {
+            return softened;
+        }
+        // Effects lower and raise distances by less than what these frames have beyond the sensors' reach.
+        let below_m = self.response.reach_m(&self.theta) + GAPS_STEP_M;
+        let soft = map_chunks(trace.patches.len(), |idx| match &*trace.patches[idx] {
+            PatchTrace::Proximity { min_distance_m, gaps } if needed[idx] => {
+                let min_distance_m = gaps.soft_distances_m(min_distance_m, softness_m, below_m);
+                Some(Arc::new(PatchTrace::Proximity { min_distance_m, gaps: Gaps::default() }))
+            }
+            _ => None,
+        });
+        for (idx, soft) in soft.into_iter().enumerate() {
+            if let Some(soft) = soft {
+                softened.to_mut().patches[idx] = soft;
+            }
+        }
+        softened
     }
 
     /// How the loads of channels become events.
@@ -386,20 +406,20 @@ pub struct Geometry {
 /// What touches one patch.
 #[derive(Clone, Debug)]
 pub struct PatchGeometry {
-    trace: PatchTrace,
+    trace: Arc<PatchTrace>,
     patch: Patch,
 }
 
 impl Geometry {
     /// Its patch `idx`.
     pub fn patch(&self, idx: usize) -> PatchGeometry {
-        PatchGeometry { trace: self.trace.patches[idx].clone(), patch: self.layout.patches[idx].clone() }
+        PatchGeometry { trace: Arc::clone(&self.trace.patches[idx]), patch: self.layout.patches[idx].clone() }
     }
 
     /// Takes over `patches`, by index, from other geometries.
     pub fn adopt<'p>(&mut self, patches: impl Iterator<Item = (usize, &'p PatchGeometry)>) {
         for (idx, patch) in patches {
-            self.trace.patches[idx] = patch.trace.clone();
+            self.trace.patches[idx] = Arc::clone(&patch.trace);
             self.layout.patches[idx] = patch.patch.clone();
         }
         self.spread = Some(Spread::default());
@@ -424,25 +444,24 @@ pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Tacti
     layout
 }
 
-/// As [`Load::values`]; zero for channels of patches that are not `needed`. `spread` remembers the pressures of an
-/// unchanged trace.
+/// As [`Load::values`]; zero for channels of patches that are not `needed`. `geometry` remembers the pressures of
+/// patches that no effect has changed.
 fn loads(
     contact: &Contact<'_>,
-    spread: Option<&Spread>,
+    geometry: &Geometry,
     reach_m: f64,
     needed: &[bool],
     num_frames: usize,
 ) -> Vec<f64> {
     let patches = &contact.layout.patches;
-    let spread = spread.filter(|_| matches!(contact.trace, Cow::Borrowed(_)));
     // Patches are independent: each is a unit of work.
     let by_patch = map_chunks(patches.len(), |idx| {
         let (patch, trace) = (&patches[idx], &contact.trace.patches[idx]);
         if !needed[idx] {
             return Vec::new().into();
         }
-        match trace {
-            PatchTrace::Proximity { min_distance_m } => {
+        match &**trace {
+            PatchTrace::Proximity { min_distance_m, .. } => {
                 let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0));
                 load.collect::<Vec<f64>>().repeat(patch.channels.len()).into()
             }
@@ -451,7 +470,11 @@ fn loads(
                 let propagated = || -> Arc<[f64]> {
                     propagate_patch(contact.layout, patch, trace, alpha_per_m, num_frames).into()
                 };
-                spread.map_or_else(propagated, |spread| spread.of_patch(idx, alpha_per_m, propagated))
+                let unchanged = Arc::ptr_eq(trace, &geometry.trace.patches[idx]);
+                match geometry.spread.as_ref().filter(|_| unchanged) {
+                    Some(spread) => spread.of_patch(idx, alpha_per_m, propagated),
+                    None => propagated(),
+                }
             }
         }
     });
@@ -461,6 +484,9 @@ fn loads(
     }
     values
 }
+
+/// Steps of [`Chain::gaps_below_m`], and how far beyond the sensors' reach pads are felt as soft, m.
+const GAPS_STEP_M: f64 = 4e-3;
 
 /// Index of a patch, and the bits of a decay.
 type PatchAndDecay = (usize, u64);
@@ -571,108 +597,5 @@ impl Load {
     pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
         let num_frames = self.times_s.len();
         &mut self.values[channel * num_frames..(channel + 1) * num_frames]
-    }
-}
-
-impl Switching {
-    /// Everything of `channel` that its activation depends on besides what arrives of its load.
-    pub fn of_channel(&self, channel: usize) -> [f64; 6] {
-        [
-            self.on_loads[channel],
-            self.off_fractions[channel],
-            self.min_on_s[channel],
-            self.idle_activation[channel],
-            self.passed_shares[channel],
-            self.widths[channel],
-        ]
-    }
-
-    /// Activation of `channel` at frames `times_s`, given what `arrived` of its load.
-    pub fn activation(&self, channel: usize, arrived: &Arrived, times_s: &[f64]) -> Vec<f64> {
-        let mut activation = self.latched(channel, &arrived.present, times_s);
-        let past: Vec<Vec<f64>> =
-            arrived.past.iter().map(|loads| self.latched(channel, loads, times_s)).collect();
-        if !past.is_empty() {
-            arrived.blend(&mut activation, &past);
-            activation.iter_mut().for_each(|activation| *activation = activation.clamp(0.0, 1.0));
-        }
-        activation
-    }
-
-    /// Activation of `channel` under `loads`.
-    ///
-    /// A soft latch: an event that is on stays on as far as the load is above the lower threshold. Where it switches
-    /// hard this is the latch of a comparator with hysteresis.
-    fn latched(&self, channel: usize, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
-        let [on, off_fraction, min_on_s, idle, passed, width] = self.of_channel(channel);
-        let (off, off_width) = (on * off_fraction, width * off_fraction);
-        let above = |load: f64, threshold: f64, width: f64| {
-            if width > 0.0 && threshold.is_finite() {
-                1.0 / (1.0 + (-(load - threshold) / width).exp())
-            } else {
-                f64::from(u8::from(load > threshold))
-            }
-        };
-        let mut latched = 0.0_f64;
-        let mut last = (f64::NAN, 0.0, None);
-        let mut values: Vec<f64> = loads
-            .iter()
-            .enumerate()
-            .map(|(frame, &load)| {
-                // Quiet channels stay where they are, and are most of the work.
-                if load != last.0 {
-                    last = (load, above(load, on, width), None);
-                }
-                let (_, over_on, over_off) = &mut last;
-                latched = if latched > *over_on && off != on {
-                    // The lower threshold concerns only what is on.
-                    let over_off = *over_off.get_or_insert_with(|| above(load, off, off_width));
-                    over_on.max(latched.min(over_off))
-                } else {
-                    *over_on
-                };
-                let idle = if width > 0.0 || idle >= 1.0 { idle } else { drawn(frame, channel, idle) };
-                passed * latched.max(idle)
-            })
-            .collect();
-        if min_on_s > 0.0 {
-            debounce(&mut values, times_s, min_on_s);
-        }
-        values
-    }
-}
-
-/// One draw for a frame of a channel that is on with `probability`: always the same, and without any pattern over
-/// frames (the finaliser of SplitMix64, Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
-fn drawn(frame: usize, channel: usize, probability: f64) -> f64 {
-    if probability <= 0.0 {
-        return 0.0;
-    }
-    let mut bits =
-        ((channel as u64) << 32 | frame as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    let uniform = ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
-    f64::from(u8::from(uniform < probability))
-}
-
-/// Reports an activation only once it has lasted `min_on_s`: the smallest over that time back, frames being held until
-/// the next one.
-fn debounce(values: &mut [f64], times_s: &[f64], min_on_s: f64) {
-    let raw = values.to_vec();
-    for frame in 0..raw.len() {
-        let since_s = times_s[frame] - min_on_s;
-        let mut first = frame;
-        while first > 0 && times_s[first] > since_s {
-            first -= 1;
-        }
-        let mut smallest = raw[first + 1..=frame].iter().copied().fold(raw[frame], f64::min);
-        if first < frame {
-            // Linear between frames, so that a delay of part of a frame counts in part.
-            let share = (since_s - times_s[first]) / (times_s[first + 1] - times_s[first]);
-            let at_start = raw[first] + share.clamp(0.0, 1.0) * (raw[first + 1] - raw[first]);
-            smallest = smallest.min(at_start);
-        }
-        values[frame] = smallest;
     }
 }

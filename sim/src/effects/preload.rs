@@ -1,5 +1,7 @@
 //! A patch that feels nothing until it is pressed some way in.
 
+use std::sync::Arc;
+
 use palpate_robot_model::{Place, Station};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
@@ -45,8 +47,8 @@ impl EffectKind for Preload {
         }
         let layout = &scene.station.layout;
         for patch in places::patches_of(&effect.place, layout) {
-            match &mut state.trace.to_mut().patches[patch] {
-                PatchTrace::Proximity { min_distance_m } => {
+            match Arc::make_mut(&mut state.trace.to_mut().patches[patch]) {
+                PatchTrace::Proximity { min_distance_m, .. } => {
                     for distance_m in min_distance_m {
                         *distance_m += depth_m;
                     }

@@ -1,5 +1,7 @@
 //! A skin that pushes back harder the faster it is pressed.
 
+use std::sync::Arc;
+
 use palpate_robot_model::{Place, Station};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
@@ -46,8 +48,8 @@ impl EffectKind for RateDependence {
         }
         let times_s = scene.frame_times_s;
         for patch in places::patches_of(&effect.place, &scene.station.layout) {
-            match &mut state.trace.to_mut().patches[patch] {
-                PatchTrace::Proximity { min_distance_m } => approach(min_distance_m, times_s, damping_s),
+            match Arc::make_mut(&mut state.trace.to_mut().patches[patch]) {
+                PatchTrace::Proximity { min_distance_m, .. } => approach(min_distance_m, times_s, damping_s),
                 PatchTrace::Pressure { offsets, entries } => press(offsets, entries, times_s, damping_s),
             }
         }

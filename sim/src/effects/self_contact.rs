@@ -1,5 +1,7 @@
 //! Fingers that touch each other.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Point3};
 use palpate_robot_model::{Place, Robot, Station, TactileLayout};
 
@@ -74,7 +76,7 @@ impl EffectKind for SelfContact {
         let trace = state.trace.to_mut();
         for (meeting, felt) in meetings.iter().zip(&felt) {
             let stiffness_pa_per_m = state.layout.patches[meeting.patch].stiffness_pa_per_m;
-            felt.add_to(&mut trace.patches[meeting.patch], presence, stiffness_pa_per_m);
+            felt.add_to(Arc::make_mut(&mut trace.patches[meeting.patch]), presence, stiffness_pa_per_m);
         }
     }
 }
@@ -191,7 +193,7 @@ impl Touches {
     /// The nearer of the object and the other finger counts.
     fn add_to(&self, trace: &mut PatchTrace, presence: f64, stiffness_pa_per_m: f64) {
         match trace {
-            PatchTrace::Proximity { min_distance_m } => {
+            PatchTrace::Proximity { min_distance_m, .. } => {
                 for (distance_m, other_m) in min_distance_m.iter_mut().zip(&self.nearest_m) {
                     *distance_m -= presence * (*distance_m - other_m).max(0.0);
                 }

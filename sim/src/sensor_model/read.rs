@@ -7,7 +7,7 @@ use palpate_robot_model::Place;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{Response, SensorModel, SensorModelError, Theta, unknown_effect};
+use super::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, Theta, unknown_effect};
 use crate::effects::{self, Effect};
 use crate::replay::NEAR_M;
 
@@ -170,9 +170,6 @@ impl Source<'_> {
         Ok(Effect { id: id.clone(), place: text.place, parameters, interval, takes: text.takes })
     }
 }
-
-/// Softest pad that a model may have, m.
-const MOST_SOFTNESS_M: f64 = 0.01;
 
 #[derive(Deserialize)]
 struct FormatOnly {

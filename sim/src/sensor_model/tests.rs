@@ -126,7 +126,7 @@ fn bad_effects_name_the_line_and_what_was_expected() {
         (
             "0.0004",
             "0.4",
-            "line 7: response.pad_softness_m is 0.4, expected a number of m between 0 and 0.01",
+            "line 7: response.pad_softness_m is 0.4, expected a number of m between 0 and 0.003",
         ),
         ("fsr = 0.75", "fsr = 1.5", "line 8: response.off_fractions.fsr is 1.5, expected a number above 0"),
         ("off_fractions", "off_fraction", "line 8: unknown field `off_fraction`"),

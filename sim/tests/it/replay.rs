@@ -39,8 +39,8 @@ fn trace_is_what_a_plain_loop_over_all_nodes_finds() {
                 let object_from_link = base_from_object().inverse() * root_from_link[patch.link];
                 let distance_m =
                     |node: usize| object.distance_m(&(object_from_link * patch.nodes[node].pos_in_link));
-                match felt {
-                    PatchTrace::Proximity { min_distance_m } => {
+                match &**felt {
+                    PatchTrace::Proximity { min_distance_m, .. } => {
                         let exact = (0..patch.nodes.len()).map(distance_m).fold(f64::INFINITY, f64::min);
                         let found = min_distance_m[frame];
                         if exact < NEAR_M {
@@ -167,8 +167,8 @@ fn empty_path_gives_an_empty_trace() {
     let trace = replay(&ball(), &base_from_object(), &[]);
     assert_eq!(trace.num_frames, 0);
     for patch in &trace.patches {
-        match patch {
-            PatchTrace::Proximity { min_distance_m } => assert!(min_distance_m.is_empty()),
+        match &**patch {
+            PatchTrace::Proximity { min_distance_m, .. } => assert!(min_distance_m.is_empty()),
             PatchTrace::Pressure { offsets, entries } => {
                 assert_eq!((&offsets[..], entries.len()), (&[0][..], 0));
             }

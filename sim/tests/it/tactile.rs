@@ -27,8 +27,8 @@ proptest! {
             for (idx, channel) in layout.channels.iter().enumerate() {
                 let found = raw[frame * layout.num_channels() + idx];
                 let patch = &layout.patches[channel.patch];
-                let expected = match &trace.patches[channel.patch] {
-                    PatchTrace::Proximity { min_distance_m } => min_distance_m[frame],
+                let expected = match &*trace.patches[channel.patch] {
+                    PatchTrace::Proximity { min_distance_m, .. } => min_distance_m[frame],
                     PatchTrace::Pressure { offsets, entries } => {
                         let taxel = patch.taxels_in_link[channel.taxel];
                         entries[PatchTrace::entry_range(offsets, frame)]
@@ -105,7 +105,7 @@ fn very_large_alpha_isolates_taxels() {
     let mut touched = 0;
     for (idx, channel) in layout.channels.iter().enumerate() {
         let patch = &layout.patches[channel.patch];
-        let PatchTrace::Pressure { offsets, entries } = &trace.patches[channel.patch] else { continue };
+        let PatchTrace::Pressure { offsets, entries } = &*trace.patches[channel.patch] else { continue };
         for frame in 0..trace.num_frames {
             // Every taxel of the probe sits on a node: only that node's own pressure is left.
             let own = entries[PatchTrace::entry_range(offsets, frame)]

@@ -33,14 +33,17 @@ pub(crate) struct Profiled {
 const PROFILED_DOSES: [f64; 4] = [1.0, -1.0, 2.5, -2.5];
 /// Steps of such a fit.
 const PROFILE_STEPS: usize = 3;
+/// Sizes that the fit begins with, and of which it goes on after its first step: the best.
+const PROFILES_BEGUN: usize = 3;
+const PROFILES_KEPT: usize = 2;
 
 /// Tries `effect` at large doses of its first parameter, and as it is, each time with those of the model's own parameters
 /// fitted anew that reach all that it reaches; the best of them.
 ///
 /// Thresholds fitted to delayed touches account for most of the delay: beside them it is worth little, and only beside
 /// thresholds of its own does it show what it explains.
-pub(crate) fn profile<D: Domain>(
-    linear: &Linear<'_, D>,
+pub(crate) fn profile<'a, D: Domain>(
+    linear: &Linear<'a, D>,
     effect: &Effect,
     parameters: &[Parameter],
 ) -> Result<Option<Profiled>, DiagnosisError> {
@@ -59,9 +62,9 @@ pub(crate) fn profile<D: Domain>(
             starts.push(start);
         }
     }
-    let profiled = |start: Effect| -> Result<Profiled, DiagnosisError> {
-        let mut tried = linear.moved_to(linear.with(start))?;
-        for _ in 0..PROFILE_STEPS {
+    // Up to so many steps of the fit, and whether more would gain nothing worth while.
+    let fitted = |mut tried: Linear<'a, D>, steps: usize| -> Result<(Linear<'a, D>, bool), DiagnosisError> {
+        for _ in 0..steps {
             let step = tried.assess(&tried.base_columns(&free)?, &tried.residual).step;
             let Some(better) = descend(&tried, |scale| {
                 let mut model = tried.model.clone();
@@ -72,29 +75,46 @@ pub(crate) fn profile<D: Domain>(
                 model
             })?
             else {
-                break;
+                return Ok((tried, true));
             };
             let gained = tried.loss - better.loss;
             tried = better;
             if gained < LEAST_GAINED * tried.loss {
-                break;
+                return Ok((tried, true));
             }
         }
-        let after = linear.losses_of(&tried.predicted);
-        let gains: Vec<f64> = (linear.loss_by_take().iter().zip(after))
-            .map(|(before, after)| before - after.iter().sum::<f64>())
-            .collect();
-        Ok(Profiled { model: tried.model, gains })
+        Ok((tried, false))
     };
-    let all: Vec<Profiled> = starts.into_par_iter().map(profiled).collect::<Result<_, _>>()?;
-    let mut best: Option<(f64, Profiled)> = None;
-    for profiled in all {
-        let gained = profiled.gains.iter().sum();
-        if best.as_ref().is_none_or(|(most, _)| gained > *most) {
-            best = Some((gained, profiled));
-        }
-    }
-    Ok(best.map(|(_, profiled)| profiled))
+    let gains = |tried: &Linear<'a, D>| -> Vec<f64> {
+        let after = linear.losses_of(&tried.predicted);
+        let by_take = linear.loss_by_take().into_iter().zip(after);
+        by_take.map(|(before, after)| before - after.iter().sum::<f64>()).collect()
+    };
+    let gained = |tried: &Linear<'a, D>| gains(tried).iter().sum::<f64>();
+    let start = |start: Effect| {
+        let tried = linear.moved_to(linear.with(start))?;
+        Ok((gained(&tried), tried))
+    };
+    let mut started: Vec<(f64, Linear<'a, D>)> =
+        starts.into_par_iter().map(start).collect::<Result<_, DiagnosisError>>()?;
+    started.sort_by(|(one, _), (other, _)| other.total_cmp(one));
+    started.truncate(PROFILES_BEGUN);
+    let begin = |(_, tried): (f64, Linear<'a, D>)| {
+        let (tried, is_done) = fitted(tried, 1)?;
+        Ok((gained(&tried), tried, is_done))
+    };
+    let mut begun: Vec<(f64, Linear<'a, D>, bool)> =
+        started.into_par_iter().map(begin).collect::<Result<_, DiagnosisError>>()?;
+    begun.sort_by(|(one, ..), (other, ..)| other.total_cmp(one));
+    begun.truncate(PROFILES_KEPT);
+    let go_on = |(_, tried, is_done): (f64, Linear<'a, D>, bool)| {
+        let tried = if is_done { tried } else { fitted(tried, PROFILE_STEPS - 1)?.0 };
+        Ok((gained(&tried), tried))
+    };
+    let ended: Vec<(f64, Linear<'a, D>)> =
+        begun.into_par_iter().map(go_on).collect::<Result<_, DiagnosisError>>()?;
+    let best = ended.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
+    Ok(best.map(|(_, best)| Profiled { gains: gains(&best), model: best.model }))
 }
 
 /// The first of ever shorter steps from `from` that lowers the loss; `None` if none does. `stepped` takes the share of the

@@ -438,6 +438,15 @@ impl<'a, D: Domain> Linear<'a, D> {
         removed
     }
 
+    /// Squares of the residuals, by unit.
+    pub(crate) fn squares_by_unit(&self) -> Vec<f64> {
+        let mut squares = vec![0.0; self.domain.num_units()];
+        for (idx, segment) in self.segments.iter().enumerate() {
+            squares[self.rows.unit(idx)] += square(&segment.residual);
+        }
+        squares
+    }
+
     /// Residuals of `predicted` (by take) with these weights and nuisances: what a candidate leaves.
     pub(crate) fn residual_of(&self, predicted: &[Vec<Series>]) -> Residual {
         let mut values: Vec<Arc<[f64]>> =

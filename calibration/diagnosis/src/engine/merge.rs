@@ -8,7 +8,7 @@ use palpate_sim::effects::Effect;
 use super::fit::{fit, refit};
 use super::linear::Linear;
 use super::name::{REFIT_STEPS, WEIGHING_STEPS, founded, stands_in};
-use super::screen::screen;
+use super::screen::{Hopeless, screen};
 use super::{Domain, Model, NamingConfig};
 use crate::DiagnosisError;
 
@@ -62,7 +62,7 @@ pub(super) fn merge<D: Domain>(
             Model { base: model.base.clone(), effects: effects.map(|(_, effect)| effect.clone()).collect() };
         let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
         let linear = Linear::new(domain, &without, takes)?;
-        let mut screened = screen(&linear, &candidates, &|_| Ok(()))?;
+        let mut screened = screen(&linear, &candidates, &mut Hopeless::default(), &|_| Ok(()))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
         for candidate in screened.iter().take(FITS).filter(|candidate| candidate.promise > 0.0) {
             let fitted = fit(&linear, &candidate.effect, &candidate.parameters)?;

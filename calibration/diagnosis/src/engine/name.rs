@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::fit::{Fitted, fit, profile, refit};
 use super::linear::{Linear, predict};
 use super::merge::merge;
-use super::screen::{Screened, screen};
+use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
 
@@ -150,6 +150,7 @@ pub fn name<D: Domain>(
     let mut dropped: Vec<Effect> = Vec::new();
     // What every candidate promised when it was last screened.
     let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
+    let mut hopeless = Hopeless::default();
     loop {
         let round_idx = rounds.len();
         let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
@@ -174,7 +175,7 @@ pub fn name<D: Domain>(
             candidates.sort_by(|a, b| known(b).total_cmp(&known(a)));
             candidates.truncate(PROMISING);
         }
-        let mut screened = screen(&linear, &candidates, &|done| report(0.7 * done, &stage))?;
+        let mut screened = screen(&linear, &candidates, &mut hopeless, &|done| report(0.7 * done, &stage))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
         let promises: BTreeMap<_, _> =
             screened.iter().map(|candidate| (key(&candidate.effect), candidate.promise)).collect();
@@ -252,7 +253,9 @@ pub(crate) fn strongest<D: Domain>(
     let linear = Linear::new(domain, model, takes)?;
     let mut candidates = domain.candidates();
     candidates.retain(|candidate| !config.without.contains(&candidate.id));
-    let mut screened = screen(&linear, &candidates, &|done| progress(0.7 * done, "trying every effect"))?;
+    let mut screened = screen(&linear, &candidates, &mut Hopeless::default(), &|done| {
+        progress(0.7 * done, "trying every effect")
+    })?;
     screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
     let finalists = finalists(&screened, config.num_fits).into_iter().map(|idx| &screened[idx]);
     let fitted =

@@ -1,6 +1,6 @@
 //! Every candidate by its response to a standard dose.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
@@ -22,12 +22,39 @@ pub(crate) struct Screened {
     pub(crate) promised_share: f64,
 }
 
-/// Screens `candidates` around `linear`; `done` hears the fraction of the work and may stop it.
+/// Large doses (of an effect at a place, of one of its parameters, by their number) that made what is left so much worse
+/// when they were last tried that they are not tried again.
+#[derive(Default)]
+pub(crate) struct Hopeless(BTreeSet<(String, Place, usize, usize)>);
+
+impl Hopeless {
+    fn key(effect: &Effect, parameter: usize, dose: usize) -> (String, Place, usize, usize) {
+        (effect.id.clone(), effect.place.clone(), parameter, dose)
+    }
+
+    fn contains(&self, effect: &Effect, parameter: usize, dose: usize) -> bool {
+        self.0.contains(&Self::key(effect, parameter, dose))
+    }
+
+    /// Hears that a dose removes so much of the squares that there are where it acts.
+    fn hear(&mut self, effect: &Effect, parameter: usize, dose: usize, removed: f64, squares: f64) {
+        if removed < -HOPELESS_SHARE * squares {
+            self.0.insert(Self::key(effect, parameter, dose));
+        }
+    }
+}
+
+/// Share of the squares that a large dose must add to be hopeless: it then is far from what is there, whatever else is
+/// named first.
+const HOPELESS_SHARE: f64 = 0.1;
+
+/// Screens `candidates` around `linear`, with large doses that are not `hopeless`; `done` hears the fraction of the work and may stop it.
 ///
 /// One simulation serves every place of an effect that reaches other units: the response is split by unit.
 pub(crate) fn screen<D: Domain>(
     linear: &Linear<'_, D>,
     candidates: &[Effect],
+    hopeless: &mut Hopeless,
     done: &(dyn Fn(f64) -> Result<(), DiagnosisError> + Sync),
 ) -> Result<Vec<Screened>, DiagnosisError> {
     let parameters: Vec<Vec<Parameter>> =
@@ -43,6 +70,7 @@ pub(crate) fn screen<D: Domain>(
             parameters.iter().enumerate().map(move |(idx, parameter)| Item {
                 owner: candidate,
                 parameter: idx,
+                dose: 0,
                 effect: dosed(effect, parameter),
                 step: parameter.dose,
                 name: parameter.name.clone(),
@@ -66,7 +94,8 @@ pub(crate) fn screen<D: Domain>(
         columns[item.owner][item.parameter] = column;
     }
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
-    let mut screened: Vec<Screened> = jobs
+    let known = &*hopeless;
+    let dosed: Vec<(Screened, Vec<Dosed>)> = jobs
         .into_par_iter()
         .filter(|(_, columns)| columns.iter().any(|column| !column.is_empty()))
         .map(|((effect, parameters), columns)| {
@@ -78,13 +107,22 @@ pub(crate) fn screen<D: Domain>(
             let screened = Screened { effect: estimate, parameters, promise, promised_share };
             match &screened.effect.place {
                 Place::Stream(_) if screened.parameters.len() <= FEW => {
-                    dosed_largely(linear, &effect, screened)
+                    dosed_largely(linear, &effect, screened, known)
                 }
-                _ => Ok(screened),
+                _ => Ok((screened, Vec::new())),
             }
         })
         .collect::<Result<_, DiagnosisError>>()?;
-    dose_places_largely(linear, &mut screened)?;
+    let squares = linear.squares_by_unit();
+    let mut screened = Vec::with_capacity(dosed.len());
+    for (one, doses) in dosed {
+        let reach = linear.domain.support(&one.effect, "");
+        for Dosed { dose, removed } in doses {
+            hopeless.hear(&one.effect, 0, dose, removed, within(&squares, &reach));
+        }
+        screened.push(one);
+    }
+    dose_places_largely(linear, &mut screened, &squares, hopeless)?;
     Ok(screened)
 }
 
@@ -93,29 +131,44 @@ const FEW: usize = 2;
 /// Large doses, as multiples of the standard one.
 const LARGE_DOSES: [f64; 2] = [1.0, 3.0];
 
+/// What became of a large dose.
+struct Dosed {
+    dose: usize,
+    removed: f64,
+}
+
+/// The sum of `squares` over the units that are reached.
+fn within(squares: &[f64], reach: &[bool]) -> f64 {
+    squares.iter().zip(reach).filter(|(_, reached)| **reached).map(|(squares, _)| squares).sum()
+}
+
 /// `screened`, or the effect at a large dose of its first parameter where that removes more than the estimate promises:
 /// what delays or filters a whole stream is far from linear, so that a small dose says little about a large effect.
 fn dosed_largely<D: Domain>(
     linear: &Linear<'_, D>,
     neutral: &Effect,
     mut screened: Screened,
-) -> Result<Screened, DiagnosisError> {
-    let Some(parameter) = screened.parameters.first().cloned() else { return Ok(screened) };
+    hopeless: &Hopeless,
+) -> Result<(Screened, Vec<Dosed>), DiagnosisError> {
+    let mut dosed = Vec::new();
+    let Some(parameter) = screened.parameters.first().cloned() else { return Ok((screened, dosed)) };
     let before = linear.residual.square();
-    for dose in LARGE_DOSES.iter().flat_map(|share| [share * parameter.dose, -share * parameter.dose]) {
+    let doses = LARGE_DOSES.iter().flat_map(|share| [share * parameter.dose, -share * parameter.dose]);
+    for (dose_idx, dose) in doses.enumerate() {
         let value = parameter.neutral + dose;
-        if !(parameter.lower..=parameter.upper).contains(&value) {
+        if !(parameter.lower..=parameter.upper).contains(&value) || hopeless.contains(neutral, 0, dose_idx) {
             continue;
         }
         let mut effect = neutral.clone();
         effect.parameters.insert(parameter.name.clone(), value);
         let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
         let removed = before - linear.residual_of(&predicted).square();
+        dosed.push(Dosed { dose: dose_idx, removed });
         if removed > screened.promise {
             (screened.effect, screened.promise) = (effect, removed);
         }
     }
-    Ok(screened)
+    Ok((screened, dosed))
 }
 
 /// Large doses of what acts on a patch, an object or a joint, as multiples of the standard one.
@@ -128,18 +181,29 @@ const PLACED_DOSES: [f64; 4] = [2.0, -2.0, 4.0, -4.0];
 fn dose_places_largely<D: Domain>(
     linear: &Linear<'_, D>,
     screened: &mut [Screened],
+    squares: &[f64],
+    hopeless: &mut Hopeless,
 ) -> Result<(), DiagnosisError> {
     let (mut apart, mut of_objects) = (Vec::new(), BTreeMap::<_, Vec<_>>::new());
     for (owner, candidate) in screened.iter().enumerate() {
         for (idx, parameter) in candidate.parameters.iter().enumerate() {
             for (dose_idx, step) in PLACED_DOSES.map(|share| share * parameter.dose).into_iter().enumerate() {
                 let value = parameter.neutral + step;
-                if !(parameter.lower..=parameter.upper).contains(&value) {
+                if !(parameter.lower..=parameter.upper).contains(&value)
+                    || hopeless.contains(&candidate.effect, idx, dose_idx)
+                {
                     continue;
                 }
                 let mut effect = neutral(&candidate.effect, &candidate.parameters);
                 effect.parameters.insert(parameter.name.clone(), value);
-                let item = Item { owner, parameter: idx, effect, step, name: parameter.name.clone() };
+                let item = Item {
+                    owner,
+                    parameter: idx,
+                    dose: dose_idx,
+                    effect,
+                    step,
+                    name: parameter.name.clone(),
+                };
                 match candidate.effect.place {
                     Place::Patch(_) => apart.push(item),
                     Place::Joint(_) if linear.domain.support(&item.effect, &item.name).contains(&false) => {
@@ -174,6 +238,7 @@ fn dose_places_largely<D: Domain>(
                     of_item += reached.map(|(removed, _)| removed).sum::<f64>();
                 }
             }
+            hopeless.hear(&item.effect, item.parameter, item.dose, of_item, within(squares, &reach));
             let candidate = &mut screened[item.owner];
             if of_item > candidate.promise {
                 (candidate.effect, candidate.promise) = (item.effect, of_item);
@@ -244,10 +309,12 @@ pub(crate) fn stepped(effect: &Effect, parameters: &[Parameter], steps: &[f64]) 
     moved
 }
 
-/// One parameter of one candidate at its dose.
+/// One parameter of one candidate at a dose.
 struct Item {
     owner: usize,
     parameter: usize,
+    /// Which of several doses.
+    dose: usize,
     effect: Effect,
     step: f64,
     name: String,

@@ -63,6 +63,8 @@ impl<T> Kept<T> {
 #[derive(Clone)]
 struct ChannelLoad {
     arrived: Arc<Arrived>,
+    /// Of its load, see [`checksum`].
+    checksum: u64,
     activations: Recent<6>,
     readings: Recent<2>,
 }
@@ -70,18 +72,26 @@ struct ChannelLoad {
 impl ChannelLoad {
     fn new(arrived: Arrived) -> Self {
         let (activations, readings) = (Recent(Vec::new()), Recent(Vec::new()));
-        Self { arrived: Arc::new(arrived), activations, readings }
+        let checksum = checksum(&arrived.present);
+        Self { arrived: Arc::new(arrived), checksum, activations, readings }
     }
 
-    /// Whether its load has the bits of `other`.
-    fn is(&self, other: &Arrived) -> bool {
+    /// Whether its load has the bits of that of `other`.
+    fn is(&self, other: &Self) -> bool {
         let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
-        let Arrived { present, past, past_share } = &*self.arrived;
-        past_share.to_bits() == other.past_share.to_bits()
+        let (Arrived { present, past, past_share }, other_checksum) = (&*self.arrived, other.checksum);
+        let other = &*other.arrived;
+        self.checksum == other_checksum
+            && past_share.to_bits() == other.past_share.to_bits()
             && past.len() == other.past.len()
             && same(present, &other.present)
             && past.iter().zip(&other.past).all(|(a, b)| same(a, b))
     }
+}
+
+/// Tells nearly all different loads apart: what they have in common is mostly that they begin without any.
+fn checksum(loads: &[f64]) -> u64 {
+    loads.iter().fold(0, |sum: u64, load| sum.rotate_left(1).wrapping_add(load.to_bits()))
 }
 
 /// A few series, the latest last, by `N` numbers as bits.
@@ -235,9 +245,9 @@ impl TactileDomain<'_> {
             let load = known.clone().or_else(|| {
                 let arrived = arrived[channel].take()?;
                 // What a change of the model does not reach arrives as it did before, and what was made of it still holds.
-                let mut memory = self.memory(take);
-                let same = memory.channels[channel].find(|known| known.is(&arrived)).cloned();
-                Some(same.unwrap_or_else(|| Arc::new(ChannelLoad::new(arrived))))
+                let new = ChannelLoad::new(arrived);
+                let same = self.memory(take).channels[channel].find(|known| known.is(&new)).cloned();
+                Some(same.unwrap_or_else(|| Arc::new(new)))
             });
             let Some(mut load) = load else { unreachable!("the chain gives every channel that is wanted") };
             let (activation, reading) = match keys.series_of(&load) {
@@ -330,9 +340,9 @@ impl TactileDomain<'_> {
             moving.for_each(|one| one.add_to(&mut key));
             key
         };
-        let softness = chain.response.pad_softness_m.to_bits();
+        let gaps = chain.gaps_below_m(layout).to_bits();
         let mut key = key_of(&|_| true);
-        key.push(softness);
+        key.push(gaps);
         let mut wanted: Vec<bool> =
             layout.patches.iter().map(|patch| channels[patch.channels.clone()].contains(&true)).collect();
         if let Some((has, geometry)) = self.memory(take).geometries.get(&key).cloned() {
@@ -347,7 +357,7 @@ impl TactileDomain<'_> {
             .map(|patch| {
                 let mut key = key_of(&|one| one.channels[patch.channels.clone()].contains(&true));
                 if layout.streams[patch.stream].kind == SensorKind::Proximity {
-                    key.push(softness);
+                    key.push(gaps);
                 }
                 key
             })
