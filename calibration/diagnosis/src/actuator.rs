@@ -3,6 +3,7 @@
 //! The engine and its rules are those of touch; [`ActuatorDomain`] says what is measured and what a model predicts, and
 //! the gap is the mean absolute position error when the model is driven through a whole log without looking at it.
 
+mod adequacy;
 mod domain;
 mod report;
 
@@ -93,15 +94,12 @@ pub struct ActuatorOutcome {
     pub model: Model,
     /// Highest evidence of any effect in the first round.
     pub first_evidence: f64,
-    /// Mean square of what is left of the positions, in variances: about 0.3 if the model is complete.
-    pub misfit: f64,
+    /// Loss of a row by signal (position, PWM, supply voltage, sign of the PWM) on the fitted logs, in variances.
+    pub losses: Vec<f64>,
 }
 
 /// The shipped bar: four standard errors beyond the smallest size that matters.
 pub const ACTUATOR_BAR: f64 = 16.0;
-/// Left misfit above which something is unexplained. Chosen by hand: emulated servos whose every hidden effect was named
-/// stayed below 0.67.
-pub const ACTUATOR_MISFIT: f64 = 1.0;
 /// Share of the loss that a named effect removes at least.
 const LEAST_SHARE: f64 = 0.005;
 /// Candidates fitted in a round: all of them, they are few.
@@ -141,7 +139,7 @@ pub fn diagnose_actuator(
         without: config.without.clone(),
     };
     let (mut naming_config, mut refused) = (naming_config, Vec::new());
-    let naming = loop {
+    let mut naming = loop {
         let naming = engine::name(&domain, &calibrated, &fitted, &naming_config, &|fraction, stage| {
             watch(0.1 + 0.6 * fraction, stage)
         })?;
@@ -154,15 +152,21 @@ pub fn diagnose_actuator(
     };
     // The models as deployed: the motor alone, then with one more effect each, every one fitted from several starts.
     let mut steps = vec![calibrated];
-    for count in 1..=naming.model.effects.len() {
-        watch(0.7 + 0.2 * count as f64 / naming.model.effects.len() as f64, "fitting from several starts")?;
-        let partial =
-            Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
-        steps.push(fit_well(&domain, &partial, &fitted, config)?);
+    loop {
+        let num_effects = naming.model.effects.len();
+        for count in steps.len()..=num_effects {
+            watch(0.7 + 0.2 * count as f64 / num_effects as f64, "fitting from several starts")?;
+            let partial =
+                Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
+            steps.push(fit_well(&domain, &partial, &fitted, config)?);
+        }
+        let Some(inadequate) = adequacy::inadequate(&domain, &steps, &fitted)? else { break };
+        naming.withhold_one(&domain, inadequate, &fitted)?;
+        steps.truncate(inadequate + 1);
     }
     watch(0.92, "judging on logs that nothing was fitted to")?;
     let last = steps[steps.len() - 1].clone();
-    let misfit = misfit(&domain, &last, &fitted)?;
+    let losses = adequacy::losses(&domain, &last, &fitted)?;
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
     let report = report::report(&report::Evidence {
         config,
@@ -172,12 +176,12 @@ pub fn diagnose_actuator(
         steps: &steps,
         fitted: &fitted,
         confirm: &confirm,
-        misfit,
+        losses: &losses,
         refused: &refused,
         seconds: clock_s() - start_s,
     })?;
     progress.report(1.0, "done");
-    Ok(ActuatorOutcome { report, model: last, first_evidence, misfit })
+    Ok(ActuatorOutcome { report, model: last, first_evidence, losses })
 }
 
 /// Fits `model` to `takes` from itself and from points around it, and keeps the best: a fit that has not converged turns
@@ -240,14 +244,6 @@ fn loss(domain: &ActuatorDomain<'_>, model: &Model, takes: &[usize]) -> Result<f
         }
     }
     Ok(sum)
-}
-
-fn misfit(domain: &ActuatorDomain<'_>, model: &Model, takes: &[usize]) -> Result<f64, DiagnosisError> {
-    let mut sum = 0.0;
-    for &take in takes {
-        sum += domain.position_misfit(take, &domain.predict(take, model)?);
-    }
-    Ok(sum / takes.len().max(1) as f64)
 }
 
 fn check(config: &ActuatorConfig, logs: &[ServoLog]) -> Result<(), DiagnosisError> {

@@ -4,8 +4,10 @@
 //! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
 //! - [`screen`]: every candidate by its dose response
 //! - [`fit`]: candidates and whole models, fitted for real
+//! - [`adequacy`]: whether names account for what is there
 //! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
 
+mod adequacy;
 mod fit;
 mod linear;
 mod merge;
@@ -15,6 +17,7 @@ mod screen;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use adequacy::{loss_by_unit, share_left};
 pub(crate) use fit::refit;
 pub(crate) use linear::inverse;
 pub(crate) use name::strongest;
@@ -107,6 +110,12 @@ pub trait Domain: Sync {
 
     /// What `model` predicts for the signals of `take`.
     fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError>;
+
+    /// How far `model` is from what is known of it before anything is measured, as a datasheet or a scale has it: squares
+    /// of standard deviations, summed. 0 where nothing is known.
+    fn strain(&self, _model: &Model) -> Result<f64, DiagnosisError> {
+        Ok(0.0)
+    }
 
     /// One over the standard deviation that each sample of `signal` is allowed around `prediction`.
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64>;

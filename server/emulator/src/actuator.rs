@@ -57,7 +57,7 @@ pub struct ServoTruth {
     pub coulomb_nm: f64,
     /// Friction at rest beyond that of motion, N m; gone at some 0.3 rad/s.
     pub stribeck_nm: f64,
-    /// Friction per transmitted torque.
+    /// Friction per torque between the flanks of the gear.
     pub load_friction: f64,
     /// Time that commands take, s.
     pub latency_s: f64,
@@ -81,6 +81,14 @@ pub struct ServoTruth {
     pub thermal: f64,
     /// Friction of one spot of the gear, N m, over 0.15 rad from 0.2 rad on.
     pub spot_nm: f64,
+    /// Friction of motions in the positive direction alone, N m.
+    pub one_sided_nm: f64,
+    /// Twist of a loose coupling between gear and joint, rad / N m.
+    pub coupling_rad_per_nm: f64,
+    /// Bits of the encoder's count that always read 0.
+    pub stuck_encoder_bits: i64,
+    /// Share of the full duty that the driver withholds.
+    pub duty_withheld: f64,
 }
 
 /// Records every motion at every gain on the servo that `truth` describes: 15 logs.
@@ -211,7 +219,9 @@ impl<'a> World<'a> {
     /// What the encoder on the joint shows, in whole counts.
     fn encoder_rad(&self) -> f64 {
         let count_rad = TAU / ServoLog::COUNTS_PER_TURN;
-        ((self.joint_rad + self.truth.encoder_offset_rad) / count_rad).round() * count_rad
+        let centre = ServoLog::COUNTS_PER_TURN / 2.0;
+        let count = ((self.joint_rad + self.truth.encoder_offset_rad) / count_rad).round() + centre;
+        ((count as i64 & !self.truth.stuck_encoder_bits) as f64 - centre) * count_rad
     }
 
     fn firmware(&mut self) {
@@ -222,7 +232,8 @@ impl<'a> World<'a> {
         }
         let counts = (self.goal_rad - self.encoder_rad()) * ServoLog::COUNTS_PER_TURN / TAU;
         let pwm = counts * self.gain_register * (1.0 + self.truth.gain) / 256.0;
-        self.duty = if self.torque_on { (pwm / ServoLog::FULL_PWM).clamp(-1.0, 1.0) } else { 0.0 };
+        let most = 1.0 - self.truth.duty_withheld;
+        self.duty = if self.torque_on { (pwm / ServoLog::FULL_PWM).clamp(-most, most) } else { 0.0 };
     }
 
     fn step(&mut self) {
@@ -244,7 +255,7 @@ impl<'a> World<'a> {
         let gear_nm = self.gear_nm();
         let motor_nm = constant * self.current_a + truth.ripple_nm * (14.0 * self.rotor_rad).sin();
         let gravity_nm = (1.0 + truth.gravity) * MASS_KG * GRAVITY_M_PER_S2 * LENGTH_M * self.joint_rad.sin();
-        let friction_nm = self.friction_nm(gravity_nm, motor_nm);
+        let friction_nm = self.friction_nm(gear_nm);
         let rotor = ROTOR_KG_M2 + truth.inertia_kg_m2;
         self.rotor_rad_per_s += STEP_S * (motor_nm - friction_nm - gear_nm) / rotor;
         self.joint_rad_per_s += STEP_S * (gear_nm - gravity_nm) / (MASS_KG * LENGTH_M * LENGTH_M);
@@ -261,21 +272,24 @@ impl<'a> World<'a> {
         if pressed_rad == 0.0 && half_rad > 0.0 {
             return 0.0;
         }
-        let torque_nm =
-            GEAR_NM_PER_RAD * pressed_rad + GEAR_NM_S_PER_RAD * (self.rotor_rad_per_s - self.joint_rad_per_s);
+        // A loose coupling is a spring in series; damped to the same degree.
+        let softened = 1.0 / (1.0 + GEAR_NM_PER_RAD * self.truth.coupling_rad_per_nm);
+        let torque_nm = GEAR_NM_PER_RAD * softened * pressed_rad
+            + GEAR_NM_S_PER_RAD * softened.sqrt() * (self.rotor_rad_per_s - self.joint_rad_per_s);
         // Flanks push, they do not stick.
         if half_rad > 0.0 && torque_nm * pressed_rad < 0.0 { 0.0 } else { torque_nm }
     }
 
     /// Friction at the rotor: a bristle that bends until it slides.
-    fn friction_nm(&mut self, gravity_nm: f64, motor_nm: f64) -> f64 {
+    fn friction_nm(&mut self, gear_nm: f64) -> f64 {
         let truth = self.truth;
         let speed = self.rotor_rad_per_s;
         let on_spot = (0.2..0.35).contains(&self.rotor_rad);
         let sliding_nm = truth.coulomb_nm
             + truth.stribeck_nm * (-(speed / 0.3).powi(2)).exp()
-            + truth.load_friction * 0.5 * (gravity_nm + motor_nm).abs()
-            + if on_spot { truth.spot_nm } else { 0.0 };
+            + truth.load_friction * gear_nm.abs()
+            + if on_spot { truth.spot_nm } else { 0.0 }
+            + if speed > 0.0 { truth.one_sided_nm } else { 0.0 };
         let viscous_nm = truth.viscous_nm_s_per_rad * speed;
         if sliding_nm < 1e-6 {
             self.bristle_rad = 0.0;

@@ -34,12 +34,19 @@ const DUTY: f64 = 0.02;
 const SUPPLY_V: f64 = 0.5;
 /// Standard deviation of whether a reading exceeds the signed range.
 const CARRY: f64 = 0.3;
-/// Signals: position, duty, supply, carry.
-const SIGNALS: usize = 4;
-/// Which of them is the position.
-pub(super) const POSITION: usize = 0;
+/// Number of signals.
+pub(super) const SIGNALS: usize = SIGNAL_NAMES.len();
+/// The signals.
+pub(super) const SIGNAL_NAMES: [&str; 4] = ["position", "PWM", "supply voltage", "sign of the PWM"];
 /// Weight of each signal.
 const WEIGHTS: [f64; SIGNALS] = [1.0, 1.0 / DUTY, 1.0 / SUPPLY_V, 1.0 / CARRY];
+/// What motors of one make differ by from their datasheet, as a share: the tolerance of magnets and windings.
+const MOTOR_SPREAD: f64 = 0.1;
+/// What a supply differs by from the voltage that the log states, as a share.
+const SUPPLY_SPREAD: f64 = 0.03;
+/// What the torque of a load differs by from that of the mass and length that the log states, as a share: these are weighed
+/// and measured. What no datasheet states, such as the inertia of a rotor, may be anything.
+const LOAD_SPREAD: f64 = 0.05;
 /// Highest PWM reading that a signed register can hold.
 const SIGNED_MAX: f64 = 32_767.0;
 /// What a sixteen-bit reading wraps at.
@@ -139,16 +146,6 @@ impl<'a> ActuatorDomain<'a> {
         let start = smoothed(prepared.log, 0);
         let sensed = rollout(&self.plant(model)?, &prepared.drive(), start, prepared.log.times_s.len());
         Ok(sensed.iter().map(|sensed| sensed.position_rad).collect())
-    }
-
-    /// Mean square of the whitened position residuals of `take`, each counting up to four standard deviations.
-    pub(super) fn position_misfit(&self, take: usize, predicted: &[Series]) -> f64 {
-        let (observed, predicted) = (&self.logs[take].observed[POSITION], &predicted[POSITION]);
-        let deviations = observed
-            .iter()
-            .zip(predicted.iter())
-            .map(|(observed, predicted)| ((observed - predicted) * WEIGHTS[POSITION]).clamp(-4.0, 4.0));
-        deviations.map(|deviation| deviation.powi(2)).sum::<f64>() / predicted.len().max(1) as f64
     }
 
     /// Samples of each window of `take`, with the state at its beginning.
@@ -336,6 +333,19 @@ impl Domain for ActuatorDomain<'_> {
             ))),
             None => Ok(signals),
         }
+    }
+
+    /// A pendulum with a heavier rotor moves as one with a lighter load and a higher resistance of the winding does: only
+    /// what is stated tells them apart.
+    fn strain(&self, model: &Model) -> Result<f64, DiagnosisError> {
+        let (plant, stated) = (self.plant(model)?, Plant::default());
+        let factors = [
+            (plant.torque_constant_nm_per_a / stated.torque_constant_nm_per_a, MOTOR_SPREAD),
+            (plant.resistance_ohm / stated.resistance_ohm, MOTOR_SPREAD),
+            (plant.supply_factor / stated.supply_factor, SUPPLY_SPREAD),
+            (plant.gravity_factor / stated.gravity_factor, LOAD_SPREAD),
+        ];
+        Ok(factors.iter().map(|(factor, spread)| (factor.ln() / spread).powi(2)).sum())
     }
 
     fn weights(&self, _take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {

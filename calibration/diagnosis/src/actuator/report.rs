@@ -11,15 +11,18 @@ use palpate_wire::api::{
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{ACTUATOR_BAR, ACTUATOR_MISFIT, ActuatorConfig, ActuatorDomain};
+use super::domain::SIGNAL_NAMES;
+use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy};
 use crate::DiagnosisError;
-use crate::engine::{Domain as _, Model, Naming};
+use crate::engine::{Domain as _, Model, Naming, Round, refit};
 use crate::job::interval;
 
 /// Speed below which a joint holds, rad/s.
 const HOLDING_RAD_PER_S: f64 = 0.05;
 /// Share of the excess that the reported cells hold.
 const CELLS_SHARE: f64 = 0.8;
+/// Difference of two models over a log, in standard deviations, that recording it again would show.
+const LEAST_TELLING: f64 = 4.0;
 /// The three states of motion.
 const PHASES: [&str; 3] = ["moving", "holding", "reversing"];
 
@@ -33,14 +36,15 @@ pub(super) struct Evidence<'a> {
     pub(super) steps: &'a [Model],
     pub(super) fitted: &'a [usize],
     pub(super) confirm: &'a [usize],
-    pub(super) misfit: f64,
+    /// Loss of a row by signal on the fitted logs, in variances.
+    pub(super) losses: &'a [f64],
     /// Ids of effects that fitted only at the end of their bounds.
     pub(super) refused: &'a [String],
     pub(super) seconds: f64,
 }
 
 pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, DiagnosisError> {
-    let Evidence { config, domain, naming, nominal, steps, fitted, confirm, misfit, .. } = *evidence;
+    let Evidence { config, domain, naming, nominal, steps, fitted, confirm, losses, .. } = *evidence;
     let judged_on = if confirm.is_empty() { fitted } else { confirm };
     let mut models = vec![nominal];
     models.extend(steps);
@@ -60,7 +64,8 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         .enumerate()
         .map(|(idx, effect)| named(evidence, effect, idx, &errors[idx + 1], &errors[idx + 2]))
         .collect();
-    let left = misfit > ACTUATOR_MISFIT;
+    let left_in: Vec<&str> = adequacy::left(losses).map(|signal| SIGNAL_NAMES[signal]).collect();
+    let left = !left_in.is_empty();
     let verdict = match (effects.is_empty(), left) {
         (true, true) => Verdict::Unexplained,
         (true, false) => Verdict::NoDiscrepancy,
@@ -81,10 +86,11 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         })
         .collect();
     let cells_after = cells(domain, &steps[steps.len() - 1], judged_on, config)?;
-    let mut notes = vec![format!(
-        "what is left of the positions over windows of the fitted logs is {misfit:.2} variances; above \
-         {ACTUATOR_MISFIT} something is unexplained"
-    )];
+    let mut notes = Vec::new();
+    if left {
+        notes
+            .push(format!("more is left than a complete model leaves: of the {}", left_in.join(", of the ")));
+    }
     if confirm.is_empty() {
         notes.push("no log is held out: the figures are from the logs that were fitted".to_owned());
     }
@@ -99,6 +105,12 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             effect.id
         ));
     }
+    for effect in &naming.withheld {
+        notes.push(format!(
+            "{} was named at first and taken back: it leaves most of what it should explain, or makes another signal worse",
+            effect.id
+        ));
+    }
     for effect in &effects {
         if effect.gap_after >= effect.gap_before && effect.id != "integer_wrap" {
             notes.push(format!(
@@ -107,6 +119,14 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
                 effect.id
             ));
         }
+    }
+    let telling = Telling::new(evidence)?;
+    if let Some(Telling { rivals: [a, b], difference, .. }) = &telling
+        && *difference < LEAST_TELLING
+    {
+        notes.push(format!(
+            "no recorded motion tells {a} from {b}: what is stated of the motor and its load decided between them"
+        ));
     }
     let first = &naming.rounds[0];
     let ids = |takes: &[usize]| takes.iter().map(|&take| domain.log(take).id.clone()).collect::<Vec<_>>();
@@ -127,7 +147,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
                 explanation: explain(&tried.effect),
             })
             .collect(),
-        next_experiment: next_experiment(evidence)?,
+        next_experiment: telling.and_then(|telling| telling.next_experiment(domain)),
         effects,
         cells: cells(domain, &steps[0], judged_on, config)?,
         gap: gap([fitted_errors[0], fitted_errors[1], fitted_errors[2]]),
@@ -333,51 +353,72 @@ fn bootstrap(errors: &[f64], config: &ActuatorConfig) -> Option<[f64; 2]> {
     Some([at(0.025), at(0.975)])
 }
 
-/// The motion, among those that were recorded, in which the members of the first ambiguous class differ most.
-fn next_experiment(evidence: &Evidence<'_>) -> Result<Option<NextExperiment>, DiagnosisError> {
-    let Evidence { domain, naming, .. } = *evidence;
-    let Some(round) = naming.rounds.iter().find(|round| round.class.len() > 1) else { return Ok(None) };
-    let with = |member: usize| {
-        let mut model = round.before.clone();
-        model.effects.push(round.tried[member].effect.clone());
-        model
-    };
-    let (a, b) = (with(round.class[0]), with(round.class[1]));
-    let mut best: Option<(f64, usize)> = None;
-    for take in 0..domain.num_takes() {
-        let (of_a, of_b) = (domain.predict(take, &a)?, domain.predict(take, &b)?);
-        let squares = of_a.iter().zip(&of_b).enumerate().map(|(signal, (a, b))| {
-            let weights = domain.weights(take, signal, a);
-            a.iter()
-                .zip(b.iter())
-                .zip(weights)
-                .map(|((a, b), weight)| ((a - b) * weight).powi(2))
-                .sum::<f64>()
-        });
-        let square: f64 = squares.sum();
-        if best.is_none_or(|(most, _)| square > most) {
-            best = Some((square, take));
+/// Where two effects of one class differ most.
+struct Telling {
+    rivals: [String; 2],
+    take: usize,
+    /// By how much, in standard deviations.
+    difference: f64,
+}
+
+impl Telling {
+    /// The log, among those that were recorded, in which the members of the class of the first ambiguous name differ most,
+    /// each with everything else fitted anew beside it.
+    fn new(evidence: &Evidence<'_>) -> Result<Option<Self>, DiagnosisError> {
+        let Evidence { domain, naming, fitted, .. } = *evidence;
+        let is_kept = |round: &Round| {
+            let named = round.named.map(|named| &round.tried[named].effect.id);
+            naming.model.effects.iter().any(|effect| Some(&effect.id) == named)
+        };
+        let ambiguous = naming.rounds.iter().find(|round| round.class.len() > 1 && is_kept(round));
+        let Some(round) = ambiguous else { return Ok(None) };
+        let with = |member: usize| {
+            let mut model = round.before.clone();
+            model.effects.push(round.tried[member].effect.clone());
+            refit(domain, &model, fitted, FIT_STEPS)
+        };
+        let (a, b) = (with(round.class[0])?, with(round.class[1])?);
+        let rivals = [0, 1].map(|member| round.tried[round.class[member]].effect.id.clone());
+        let mut most: Option<Self> = None;
+        for take in 0..domain.num_takes() {
+            let (of_a, of_b) = (domain.predict(take, &a)?, domain.predict(take, &b)?);
+            let squares = of_a.iter().zip(&of_b).enumerate().map(|(signal, (a, b))| {
+                let weights = domain.weights(take, signal, a);
+                a.iter()
+                    .zip(b.iter())
+                    .zip(weights)
+                    .map(|((a, b), weight)| ((a - b) * weight).powi(2))
+                    .sum::<f64>()
+            });
+            let difference = squares.sum::<f64>().sqrt();
+            if most.as_ref().is_none_or(|most| difference > most.difference) {
+                most = Some(Self { rivals: rivals.clone(), take, difference });
+            }
         }
+        Ok(most)
     }
-    let Some((square, take)) = best else { return Ok(None) };
-    let log = domain.log(take);
-    let field = |name: &str| log.fields.get(name).cloned().unwrap_or_default();
-    let primitive = field("trajectory");
-    let separates: Vec<String> =
-        round.class[..2].iter().map(|&member| round.tried[member].effect.id.clone()).collect();
-    Ok(Some(NextExperiment {
-        sentence: format!(
-            "Record {primitive} at position gain {} again, several times: of the recorded motions it differs most \
-             between {} and {}.",
-            field("kp"),
-            separates[0],
-            separates[1]
-        ),
-        primitive,
-        object: String::new(),
-        separates,
-        expected_gain: square.sqrt(),
-    }))
+
+    /// The log again, if that would tell the rivals apart.
+    fn next_experiment(self, domain: &ActuatorDomain<'_>) -> Option<NextExperiment> {
+        if self.difference < LEAST_TELLING {
+            return None;
+        }
+        let log = domain.log(self.take);
+        let field = |name: &str| log.fields.get(name).cloned().unwrap_or_default();
+        let primitive = field("trajectory");
+        let [a, b] = &self.rivals;
+        Some(NextExperiment {
+            sentence: format!(
+                "Record {primitive} at position gain {} again, several times: of the recorded motions it differs most \
+                 between {a} and {b}.",
+                field("kp"),
+            ),
+            primitive,
+            object: String::new(),
+            separates: self.rivals.to_vec(),
+            expected_gain: self.difference,
+        })
+    }
 }
 
 fn mean(values: &[f64]) -> f64 {

@@ -100,6 +100,19 @@ impl Naming {
         self.evidence.truncate(known);
         self.standard_errors.truncate(known);
     }
+
+    /// Takes the name of the effect `idx` back, and fits and assesses the others without it.
+    pub(crate) fn withhold_one<D: Domain>(
+        &mut self,
+        domain: &D,
+        idx: usize,
+        takes: &[usize],
+    ) -> Result<(), DiagnosisError> {
+        self.withheld.push(self.model.effects.remove(idx));
+        self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
+        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
+        Ok(())
+    }
 }
 
 /// Steps of a full fit after an addition.
@@ -218,8 +231,8 @@ pub fn name<D: Domain>(
             })
             .collect::<Result<_, DiagnosisError>>()?;
         let refitted = refitted.into_iter().flatten().collect();
-        let named =
-            simplest_of_best(refitted, linear.loss, &tried).map(|(_, contender, with)| (contender, with));
+        let named = simplest_of_best(domain, refitted, linear.loss, &tried)?
+            .map(|(_, contender, with)| (contender, with));
         let (named, refitted) = named.unzip();
         let class = named.map_or_else(Vec::new, |named| {
             let least = RIVAL_SHARE * tried[0].held_out_gain;
@@ -479,19 +492,30 @@ fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usi
     contenders
 }
 
-/// Of models with their losses and the index in `tried` of what each adds: the one with the least loss, or one with fewer
-/// parameters that is as good as that. `before` is the loss without any.
-fn simplest_of_best(
+/// Of models with their losses and the index in `tried` of what each adds: the one with the least loss, or one that is as
+/// good as that with fewer parameters, or with less [strain](Domain::strain). `before` is the loss without any.
+fn simplest_of_best<D: Domain>(
+    domain: &D,
     refitted: Vec<(f64, usize, Model)>,
     before: f64,
     tried: &[Tried],
-) -> Option<(f64, usize, Model)> {
-    let least = refitted.iter().map(|(loss, ..)| *loss).min_by(f64::total_cmp)?;
+) -> Result<Option<(f64, usize, Model)>, DiagnosisError> {
+    let least = refitted.iter().map(|(loss, ..)| *loss).fold(f64::INFINITY, f64::min);
     let as_good = least + AS_GOOD * (before - least).max(0.0);
-    refitted.into_iter().filter(|(loss, ..)| *loss <= as_good).min_by(|(one, a, _), (other, b, _)| {
-        let count = |idx: usize| tried[idx].effect.parameters.len();
-        count(*a).cmp(&count(*b)).then(one.total_cmp(other))
-    })
+    let as_good: Vec<(f64, (f64, usize, Model))> = refitted
+        .into_iter()
+        .filter(|(loss, ..)| *loss <= as_good)
+        .map(|refitted| Ok((domain.strain(&refitted.2)?, refitted)))
+        .collect::<Result<_, DiagnosisError>>()?;
+    let count = |idx: usize| tried[idx].effect.parameters.len();
+    let simplest =
+        as_good.into_iter().min_by(|(strain, (loss, idx, _)), (other_strain, (other, other_idx, _))| {
+            count(*idx)
+                .cmp(&count(*other_idx))
+                .then(strain.total_cmp(other_strain))
+                .then(loss.total_cmp(other))
+        });
+    Ok(simplest.map(|(_, refitted)| refitted))
 }
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.

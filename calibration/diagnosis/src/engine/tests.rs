@@ -24,6 +24,9 @@ struct Sines {
     observed: Vec<Vec<f64>>,
     blocks: Vec<Range<usize>>,
     base: Vec<BaseParameter>,
+    shapes: &'static [&'static str],
+    /// What the level is known to be.
+    level: Option<f64>,
 }
 
 const SHAPES: [&str; 4] = ["slow", "fast", "nearly_fast", "square"];
@@ -32,6 +35,8 @@ fn shape(id: &str, row: usize) -> f64 {
     let phase = row as f64 * 0.05;
     match id {
         "slow" => phase.sin(),
+        // With another level not to be told from the one above.
+        "slow_and_raised" => phase.sin() + 1.0,
         "fast" => (3.0 * phase).sin(),
         // Hardly to be told from the one above.
         "nearly_fast" => (3.0 * phase).sin() + 0.05 * (7.0 * phase).sin(),
@@ -66,6 +71,8 @@ impl Sines {
             observed,
             blocks: (0..ROWS / 20).map(|block| block * 20..(block + 1) * 20).collect(),
             base: vec![BaseParameter { name: "level".to_owned(), lower: -5.0, upper: 5.0, dose: 0.1 }],
+            shapes: &SHAPES,
+            level: None,
         }
     }
 
@@ -101,7 +108,7 @@ impl Domain for Sines {
     }
 
     fn candidates(&self) -> Vec<Effect> {
-        SHAPES.iter().map(|id| effect(id, 0.0)).collect()
+        self.shapes.iter().map(|id| effect(id, 0.0)).collect()
     }
 
     fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
@@ -124,6 +131,10 @@ impl Domain for Sines {
             model.base[0] + expected + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
         };
         Ok(vec![(0..ROWS).map(of_row).collect()])
+    }
+
+    fn strain(&self, model: &Model) -> Result<f64, DiagnosisError> {
+        Ok(self.level.map_or(0.0, |level| (model.base[0] - level).powi(2)))
     }
 
     fn weights(&self, _take: usize, _signal: usize, prediction: &[f64]) -> Vec<f64> {
@@ -166,6 +177,18 @@ fn what_the_data_cannot_tell_apart_is_one_class() {
     class.sort_unstable();
     assert_eq!(class, ["fast", "nearly_fast"]);
     assert_eq!(naming.model.effects.len(), 1, "the rival is not named beside it");
+}
+
+#[test]
+fn of_two_that_explain_the_same_the_one_that_leaves_the_model_as_it_is_known_is_named() {
+    for hidden in ["slow", "slow_and_raised"] {
+        let mut sines = Sines::new(&[(hidden, 0.3)], 5);
+        sines.shapes = &["slow_and_raised", "slow"];
+        sines.level = Some(0.7);
+        let naming = sines.name(&config());
+        assert_eq!(ids(&naming), [hidden]);
+        assert_eq!(naming.rounds[0].class.len(), 2, "both are in the class");
+    }
 }
 
 #[test]
