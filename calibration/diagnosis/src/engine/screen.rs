@@ -48,7 +48,8 @@ impl Hopeless {
 /// named first.
 const HOPELESS_SHARE: f64 = 0.1;
 
-/// Screens `candidates` around `linear`, with large doses that are not `hopeless`; `done` hears the fraction of the work and may stop it.
+/// Screens `candidates` around `linear`, with large doses that are not `hopeless`; `done` hears the fraction of the work and may
+/// stop it.
 ///
 /// One simulation serves every place of an effect that reaches other units: the response is split by unit.
 pub(crate) fn screen<D: Domain>(
