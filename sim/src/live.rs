@@ -116,10 +116,10 @@ impl LiveTouch {
     /// An episode in which nothing has happened yet.
     pub fn new(scene: Arc<LiveScene>) -> Self {
         let geometry = Geometry {
-            trace: ContactTrace::empty(&scene.probes, 0),
+            trace: ContactTrace::empty(&scene.layout, 0),
             layout: scene.layout.clone(),
             positions: Vec::new(),
-            spread: None,
+            made: None,
         };
         Self { scene, times_s: Vec::new(), positions: Vec::new(), geometry }
     }
@@ -129,7 +129,7 @@ impl LiveTouch {
         self.times_s.clear();
         self.positions.clear();
         self.geometry.positions.clear();
-        self.geometry.trace = ContactTrace::empty(&self.scene.probes, 0);
+        self.geometry.trace = ContactTrace::empty(&self.scene.layout, 0);
     }
 
     /// Readings of the frame at `time_s`, one frame of `num_channels`, with the robot at `positions` (one per degree of

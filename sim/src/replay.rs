@@ -58,14 +58,13 @@ impl Gaps {
     }
 
     /// `-s ln sum_i exp(-d_i / s)` over the distances of all nodes, frame by frame, `s` being `softness_m`, where the
-    /// nearest is at `min_distance_m`. Frames without gaps, and those in which nothing would come below `below_m`, keep
-    /// the distance of the nearest.
-    pub(crate) fn soft_distances_m(&self, min_distance_m: &[f64], softness_m: f64, below_m: f64) -> Vec<f64> {
+    /// nearest is at `min_distance_m`. Frames without gaps keep the distance of the nearest.
+    pub(crate) fn soft_distances_m(&self, min_distance_m: &[f64], softness_m: f64) -> Vec<f64> {
         let mut start = 0;
         let of_frame = |(frame, &smallest_m): (usize, &f64)| {
             let end = self.ends.get(frame).map_or(start, |end| *end as usize);
             let gaps_m = &self.gaps_m[std::mem::replace(&mut start, end)..end];
-            if gaps_m.is_empty() || smallest_m - softness_m * (gaps_m.len() as f64).ln() >= below_m {
+            if gaps_m.is_empty() {
                 return smallest_m;
             }
             let near = gaps_m.iter().filter(|gap_m| **gap_m < SOFT_TAIL * softness_m);
@@ -164,27 +163,31 @@ pub(crate) fn trace_of(
 ) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
     let num_dofs = robot.num_dofs();
-    let probes = probes(layout, gaps_below_m);
+    let probes: Vec<(usize, Probe)> = (0..layout.patches.len())
+        .filter(|&idx| wanted[idx])
+        .map(|idx| (idx, Probe::new(layout, &layout.patches[idx], gaps_below_m)))
+        .collect();
     let object_from_base = base_from_object.inverse();
+    let needed = robot.leading_to(probes.iter().map(|(_, probe)| probe.link));
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
-        let mut felt: Vec<ChunkTrace> = probes.iter().map(|probe| probe.empty_chunk(frames.len())).collect();
+        let mut felt: Vec<ChunkTrace> =
+            probes.iter().map(|(_, probe)| probe.empty_chunk(frames.len())).collect();
         let mut root_from_link = Vec::new();
         // Where nobody wants to know, nothing need be anywhere.
-        for frame in frames.filter(|_| wanted.contains(&true)) {
-            robot.forward_kinematics(
-                &positions[frame * num_dofs..(frame + 1) * num_dofs],
-                &mut root_from_link,
-            );
-            for ((probe, felt), _) in probes.iter().zip(&mut felt).zip(wanted).filter(|(_, wanted)| **wanted)
-            {
+        for frame in frames.filter(|_| !probes.is_empty()) {
+            let of_frame = &positions[frame * num_dofs..(frame + 1) * num_dofs];
+            robot.forward_kinematics_of(of_frame, &needed, &mut root_from_link);
+            for ((_, probe), felt) in probes.iter().zip(&mut felt) {
                 probe.feel(object, &(object_from_base * root_from_link[probe.link]), felt);
             }
         }
         felt
     });
-    let mut trace = ContactTrace::empty(&probes, num_frames);
-    chunks.into_iter().for_each(|chunk| trace.append(chunk));
+    let mut trace = ContactTrace::empty(layout, num_frames);
+    for chunk in chunks {
+        trace.append(probes.iter().map(|(idx, _)| *idx).zip(chunk));
+    }
     Ok(trace)
 }
 
@@ -216,7 +219,8 @@ pub(crate) fn feel_frame<'a>(
         }
     }
     trace.num_frames += 1;
-    trace.append(nearest.unwrap_or_else(|| probes.iter().map(Probe::untouched).collect()));
+    let nearest = nearest.unwrap_or_else(|| probes.iter().map(Probe::untouched).collect());
+    trace.append(nearest.into_iter().enumerate());
 }
 
 /// The patches of `layout`, prepared; `gaps_below_m` as for [`trace_of`].
@@ -410,26 +414,21 @@ impl ChunkTrace {
 }
 
 impl ContactTrace {
-    /// Of no frames yet, with room for `num_frames`; `num_frames` is what it will hold.
-    pub(crate) fn empty(probes: &[Probe], num_frames: usize) -> Self {
-        let empty = |probe: &Probe| match probe.kind {
-            SensorKind::Proximity => PatchTrace::Proximity {
-                min_distance_m: Vec::with_capacity(num_frames),
-                gaps: Gaps::default(),
-            },
-            SensorKind::Pressure => {
-                let mut offsets = Vec::with_capacity(num_frames + 1);
-                offsets.push(0);
-                PatchTrace::Pressure { offsets, entries: Vec::new() }
+    /// Of no frames yet; `num_frames` is what it will hold.
+    pub(crate) fn empty(layout: &TactileLayout, num_frames: usize) -> Self {
+        let empty = |patch: &Patch| match layout.streams[patch.stream].kind {
+            SensorKind::Proximity => {
+                PatchTrace::Proximity { min_distance_m: Vec::new(), gaps: Gaps::default() }
             }
+            SensorKind::Pressure => PatchTrace::Pressure { offsets: vec![0], entries: Vec::new() },
         };
-        Self { num_frames, patches: probes.iter().map(|probe| Arc::new(empty(probe))).collect() }
+        Self { num_frames, patches: layout.patches.iter().map(|patch| Arc::new(empty(patch))).collect() }
     }
 
-    /// Puts the frames of a chunk behind those that are there.
-    fn append(&mut self, chunk: Vec<ChunkTrace>) {
-        for (patch, felt) in self.patches.iter_mut().zip(chunk) {
-            match (Arc::make_mut(patch), felt) {
+    /// Puts the frames of a chunk, by patch, behind those that are there.
+    fn append(&mut self, chunk: impl Iterator<Item = (usize, ChunkTrace)>) {
+        for (patch, felt) in chunk {
+            match (Arc::make_mut(&mut self.patches[patch]), felt) {
                 (
                     PatchTrace::Proximity { min_distance_m: all, gaps: all_gaps },
                     ChunkTrace::Proximity { min_distance_m, gaps },
@@ -533,7 +532,7 @@ mod tests {
         match felt {
             ChunkTrace::Proximity { min_distance_m, .. } if softness_m == 0.0 => min_distance_m[0],
             ChunkTrace::Proximity { min_distance_m, gaps } => {
-                gaps.soft_distances_m(&min_distance_m, softness_m, f64::INFINITY)[0]
+                gaps.soft_distances_m(&min_distance_m, softness_m)[0]
             }
             ChunkTrace::Pressure { .. } => unreachable!("the pad senses proximity"),
         }

@@ -4,7 +4,7 @@
 //! switching threshold (NaN where a take is binary only).
 //!
 //! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a latch
-//! know nothing of frames that are 100 ms apart. Every stream lags behind by up to some milliseconds, which is fitted along.
+//! know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a time. Every stream lags behind by up to some milliseconds, which is fitted along.
 //!
 //! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
 //! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.
@@ -66,8 +66,10 @@ pub struct TactileDomain<'a> {
     frozen: Vec<Option<Frozen>>,
     /// Per channel, its gain's name among the parameters of a stream.
     gain_names: Vec<String>,
-    /// What is remembered of the latest predictions, by take.
-    memories: Vec<Mutex<Memory>>,
+    /// Per channel, the limb that it is on.
+    limb_of: Vec<usize>,
+    /// What is remembered of the latest predictions, by take and limb.
+    memories: Vec<Vec<Mutex<Memory>>>,
 }
 
 /// Width of the switching curve to begin with, in units of the load at which a channel switches.
@@ -146,13 +148,26 @@ impl<'a> TactileDomain<'a> {
                 takes: Vec::new(),
             })
             .collect();
+        let limbs = observe::limbs(&station.layout);
+        let limb_of = station.layout.channels.iter().map(|channel| limbs[channel.patch]).collect();
         let memories = memories(station, takes.len());
         let gain_names =
             station.layout.channels.iter().map(|channel| format!("gain_{}", channel.id)).collect();
         let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&takes, stream)).collect();
         let moves = moves(station);
-        let domain =
-            Self { station, takes, kinds, base, candidates, alike, moves, frozen, gain_names, memories };
+        let domain = Self {
+            station,
+            takes,
+            kinds,
+            base,
+            candidates,
+            alike,
+            moves,
+            frozen,
+            gain_names,
+            limb_of,
+            memories,
+        };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
     }
 
@@ -246,6 +261,7 @@ impl<'a> TactileDomain<'a> {
             alike: self.alike.clone(),
             moves: self.moves.clone(),
             frozen: self.frozen.clone(),
+            limb_of: self.limb_of.clone(),
         })
     }
 
@@ -259,8 +275,11 @@ impl<'a> TactileDomain<'a> {
     }
 }
 
-fn memories(station: &Station, num_takes: usize) -> Vec<Mutex<Memory>> {
-    (0..num_takes).map(|_| Memory::new(station.layout.num_channels(), station.layout.patches.len())).collect()
+fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {
+    let layout = &station.layout;
+    let num_limbs = observe::limbs(layout).into_iter().max().map_or(0, |last| last + 1);
+    let of_take = || (0..num_limbs).map(|_| Memory::new(layout.num_channels(), layout.patches.len()));
+    (0..num_takes).map(|_| of_take().collect()).collect()
 }
 
 /// Sets of at least two patches with several taxels each that are of one make.

@@ -211,16 +211,51 @@ impl Robot {
     /// # Ok::<(), palpate_robot_model::ModelError>(())
     /// ```
     pub fn forward_kinematics(&self, positions: &[f64], root_from_link: &mut Vec<Isometry3<f64>>) {
+        self.forward_kinematics_where(positions, |_| true, root_from_link);
+    }
+
+    /// [`Self::forward_kinematics`] of the links in `needed`, one flag a link, as [`Self::leading_to`] has them; the poses of
+    /// all others mean nothing.
+    pub fn forward_kinematics_of(
+        &self,
+        positions: &[f64],
+        needed: &[bool],
+        root_from_link: &mut Vec<Isometry3<f64>>,
+    ) {
+        self.forward_kinematics_where(positions, |link| needed[link], root_from_link);
+    }
+
+    fn forward_kinematics_where(
+        &self,
+        positions: &[f64],
+        is_needed: impl Fn(usize) -> bool,
+        root_from_link: &mut Vec<Isometry3<f64>>,
+    ) {
         assert_eq!(positions.len(), self.num_dofs(), "one position per degree of freedom");
         root_from_link.clear();
         root_from_link.push(Isometry3::identity());
         for joint in &self.joints {
+            if !is_needed(joint.child_link) {
+                root_from_link.push(Isometry3::identity());
+                continue;
+            }
             let root_from_joint = root_from_link[joint.parent_link] * joint.parent_from_joint;
             root_from_link.push(match joint.dof {
                 Some(dof) => joint.moved(&root_from_joint, positions[dof]),
                 None => root_from_joint,
             });
         }
+    }
+
+    /// Per link, whether the pose of one of `links` depends on its own.
+    pub fn leading_to(&self, links: impl IntoIterator<Item = usize>) -> Vec<bool> {
+        let mut leading = vec![false; self.links.len()];
+        links.into_iter().for_each(|link| leading[link] = true);
+        // Parents come before their children.
+        for joint in self.joints.iter().rev() {
+            leading[joint.parent_link] |= leading[joint.child_link];
+        }
+        leading
     }
 }
 
@@ -311,6 +346,21 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn links_that_are_needed_stand_where_all_links_put_them(
+            chain in prop::collection::vec(chain_joint(), 1..9),
+            wanted in 0_usize..10,
+        ) {
+            let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).unwrap();
+            let wanted = wanted.min(robot.links.len() - 1);
+            let needed = robot.leading_to([wanted]);
+            prop_assert_eq!(needed.iter().filter(|needed| **needed).count(), wanted + 1);
+            let (mut all, mut some) = (Vec::new(), Vec::new());
+            robot.forward_kinematics(&positions(&chain), &mut all);
+            robot.forward_kinematics_of(&positions(&chain), &needed, &mut some);
+            prop_assert_eq!(all[wanted], some[wanted]);
+        }
+
         #[test]
         fn chain_is_the_product_of_its_transforms(chain in prop::collection::vec(chain_joint(), 1..9)) {
             let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).expect("valid chain");

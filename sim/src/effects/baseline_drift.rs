@@ -46,8 +46,8 @@ impl EffectKind for BaselineDrift {
         if rate_per_s == 0.0 {
             return;
         }
-        let start_s = state.times_s.first().copied().unwrap_or(0.0);
-        let elapsed_s: Vec<f64> = state.times_s.iter().map(|time_s| time_s - start_s).collect();
+        let start_s = scene.frame_times_s.first().copied().unwrap_or(0.0);
+        let elapsed_s: Vec<f64> = scene.frame_times_s.iter().map(|time_s| time_s - start_s).collect();
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
             let load_per_s = rate_per_s * state.on_loads[channel];
             let loads = state.of_channel_mut(channel).iter_mut().zip(&elapsed_s);

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, Patch, Place, SensorKind, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, Patch, Place, SensorKind, Station, Stream, TactileLayout};
 
 use super::{Effect, EffectKind, TACTILE, places};
 use crate::geometry::SignedDistance;
@@ -57,6 +57,8 @@ pub struct Kinematics {
 pub struct Contact<'a> {
     /// Distances and node pressures.
     pub trace: Cow<'a, ContactTrace>,
+    /// Per patch, whether anybody needs what it feels: what is made of others is lost.
+    pub needed: &'a [bool],
     /// Nodes and taxels, with mounting errors.
     pub layout: &'a TactileLayout,
     /// Per patch, decay of pressure along the elastomer, 1/m.
@@ -68,13 +70,9 @@ pub struct Contact<'a> {
 /// Load of every channel over time, as its sensor reports it.
 #[derive(Clone, Debug)]
 pub struct Load {
-    /// Number of channels.
-    pub num_channels: usize,
-    /// Time of each frame, s.
-    pub times_s: Vec<f64>,
-    /// `[channel * num_frames + frame]`; pressure in Pa, or for proximity channels how far the patch has come into
-    /// the sensor's reach ([`Response::reach_m`]) in m. Zero without touch.
-    pub values: Vec<f64>,
+    /// Per channel, frame by frame: pressure in Pa, or for proximity channels how far the patch has come into the
+    /// sensor's reach ([`Response::reach_m`]) in m. Zero without touch. A channel that nobody needs may have no frames.
+    pub values: Vec<Vec<f64>>,
     /// Per channel, whether anybody needs its load: what is made of others is lost.
     pub needed: Vec<bool>,
     /// Per channel, the load at which it switches on. Effects size additive errors by it.
@@ -84,7 +82,8 @@ pub struct Load {
 /// Which moment each reading shows.
 #[derive(Clone, Debug)]
 pub struct Transport {
-    /// Per stream and frame, the time (on the joints' clock, s) at which the reading in effect was sampled.
+    /// Per stream and frame, the time (on the joints' clock, s) at which the reading in effect was sampled. A stream that
+    /// nobody needs has no frames.
     pub device_times_s: Vec<Vec<f64>>,
     /// Per stream, how it freezes.
     pub holds: Vec<Option<Hold>>,
@@ -109,7 +108,7 @@ pub struct Hold {
 /// What arrives of the load of one channel, frame by frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arrived {
-    /// As [`Load::values`], at the moments that the host sees.
+    /// As one of [`Load::values`], at the moments that the host sees.
     pub present: Vec<f64>,
     /// The same at the moments that a frozen stream may show instead, equally likely; none unless it freezes and the
     /// chain is soft.
@@ -125,7 +124,7 @@ pub struct Sensed {
     pub num_frames: usize,
     /// Number of channels.
     pub num_channels: usize,
-    /// As [`Load::values`], at the moments that the host sees.
+    /// As [`Load::values`], at the moments that the host sees, `[frame * num_channels + channel]`.
     pub load: Vec<f64>,
     /// Activation, 0 or 1; in between where [`Switching::widths`] are not zero, and for an effect that is there in part.
     /// Same indexing.
@@ -171,7 +170,7 @@ impl Chain<'_> {
             &kinematics.positions,
             wanted,
         )?;
-        Ok(Geometry { trace, layout, positions: kinematics.positions, spread: Some(Spread::default()) })
+        Ok(Geometry { trace, layout, positions: kinematics.positions, made: Some(Made::default()) })
     }
 
     /// The nearest nodes of a soft pad that are below this, m, matter together with their neighbours
@@ -256,7 +255,8 @@ impl Chain<'_> {
         let needed_patches: Vec<bool> =
             nominal.patches.iter().map(|patch| needed[patch.channels.clone()].contains(&true)).collect();
         let mut contact = Contact {
-            trace: self.softened(&geometry.trace, &needed_patches),
+            trace: self.softened(geometry, &needed_patches),
+            needed: &needed_patches,
             layout: &geometry.layout,
             alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
             positions: &geometry.positions,
@@ -268,8 +268,6 @@ impl Chain<'_> {
             }
         });
         let mut load = Load {
-            num_channels: nominal.num_channels(),
-            times_s: scene.frame_times_s.to_vec(),
             values: loads(
                 &contact,
                 geometry,
@@ -286,12 +284,14 @@ impl Chain<'_> {
             }
         });
 
+        let device_times_s = |(idx, stream): (usize, &Stream)| {
+            if !wanted[stream.channels.clone()].contains(&true) {
+                return Vec::new();
+            }
+            scene.arrival_times_s.get(idx).map_or(scene.frame_times_s, |times_s| times_s).to_vec()
+        };
         let mut transport = Transport {
-            device_times_s: (0..nominal.streams.len())
-                .map(|stream| {
-                    scene.arrival_times_s.get(stream).map_or_else(|| scene.frame_times_s.to_vec(), Vec::clone)
-                })
-                .collect(),
+            device_times_s: nominal.streams.iter().enumerate().map(device_times_s).collect(),
             holds: vec![None; nominal.streams.len()],
         };
         self.each(|kind, effect| kind.transport(effect, scene, &mut transport));
@@ -302,7 +302,7 @@ impl Chain<'_> {
         let moments: Vec<(Moments, Vec<Moments>)> = (0..nominal.streams.len())
             .map(|stream| {
                 let past = if soft { transport.past(stream) } else { Vec::new() };
-                let at = |times_s: &Vec<f64>| Moments::new(&load.times_s, times_s);
+                let at = |times_s: &Vec<f64>| Moments::new(scene.frame_times_s, times_s);
                 (at(&transport.device_times_s[stream]), past.iter().map(at).collect())
             })
             .collect();
@@ -319,19 +319,24 @@ impl Chain<'_> {
         })
     }
 
-    /// `trace` as soft pads feel it.
-    fn softened<'t>(&self, trace: &'t ContactTrace, needed: &[bool]) -> Cow<'t, ContactTrace> {
+    /// The trace of `geometry` as soft pads feel it.
+    fn softened<'t>(&self, geometry: &'t Geometry, needed: &[bool]) -> Cow<'t, ContactTrace> {
         let softness_m = self.response.pad_softness_m;
+        let trace = &geometry.trace;
         let mut softened = Cow::Borrowed(trace);
         if softness_m == 0.0 {
             return softened;
         }
-        // Effects lower and raise distances by less than what these frames have beyond the sensors' reach.
-        let below_m = self.response.reach_m(&self.theta) + GAPS_STEP_M;
         let soft = map_chunks(trace.patches.len(), |idx| match &*trace.patches[idx] {
             PatchTrace::Proximity { min_distance_m, gaps } if needed[idx] => {
-                let min_distance_m = gaps.soft_distances_m(min_distance_m, softness_m, below_m);
-                Some(Arc::new(PatchTrace::Proximity { min_distance_m, gaps: Gaps::default() }))
+                let soft = || {
+                    let min_distance_m = gaps.soft_distances_m(min_distance_m, softness_m);
+                    Arc::new(PatchTrace::Proximity { min_distance_m, gaps: Gaps::default() })
+                };
+                Some(match &geometry.made {
+                    Some(made) => made.softened.of(idx, softness_m, soft),
+                    None => soft(),
+                })
             }
             _ => None,
         });
@@ -400,7 +405,7 @@ pub struct Geometry {
     pub(crate) layout: TactileLayout,
     pub(crate) positions: Vec<f64>,
     /// What has been made of the trace; `None` for one that grows.
-    pub(crate) spread: Option<Spread>,
+    pub(crate) made: Option<Made>,
 }
 
 /// What touches one patch.
@@ -422,7 +427,7 @@ impl Geometry {
             self.trace.patches[idx] = Arc::clone(&patch.trace);
             self.layout.patches[idx] = patch.patch.clone();
         }
-        self.spread = Some(Spread::default());
+        self.made = Some(Made::default());
     }
 }
 
@@ -444,7 +449,7 @@ pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Tacti
     layout
 }
 
-/// As [`Load::values`]; zero for channels of patches that are not `needed`. `geometry` remembers the pressures of
+/// As [`Load::values`]; no frames for channels of patches that are not `needed`. `geometry` remembers the pressures of
 /// patches that no effect has changed.
 fn loads(
     contact: &Contact<'_>,
@@ -452,18 +457,18 @@ fn loads(
     reach_m: f64,
     needed: &[bool],
     num_frames: usize,
-) -> Vec<f64> {
+) -> Vec<Vec<f64>> {
     let patches = &contact.layout.patches;
     // Patches are independent: each is a unit of work.
     let by_patch = map_chunks(patches.len(), |idx| {
         let (patch, trace) = (&patches[idx], &contact.trace.patches[idx]);
         if !needed[idx] {
-            return Vec::new().into();
+            return vec![Vec::new(); patch.channels.len()];
         }
         match &**trace {
             PatchTrace::Proximity { min_distance_m, .. } => {
-                let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0));
-                load.collect::<Vec<f64>>().repeat(patch.channels.len()).into()
+                let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0)).collect();
+                vec![load; patch.channels.len()]
             }
             PatchTrace::Pressure { .. } => {
                 let alpha_per_m = contact.alpha_per_m[idx];
@@ -471,54 +476,57 @@ fn loads(
                     propagate_patch(contact.layout, patch, trace, alpha_per_m, num_frames).into()
                 };
                 let unchanged = Arc::ptr_eq(trace, &geometry.trace.patches[idx]);
-                match geometry.spread.as_ref().filter(|_| unchanged) {
-                    Some(spread) => spread.of_patch(idx, alpha_per_m, propagated),
+                let of_patch = match geometry.made.as_ref().filter(|_| unchanged) {
+                    Some(made) => made.spread.of(idx, alpha_per_m, propagated),
                     None => propagated(),
-                }
+                };
+                let taxels = 0..patch.channels.len();
+                taxels.map(|taxel| of_patch[taxel * num_frames..(taxel + 1) * num_frames].to_vec()).collect()
             }
         }
     });
-    let mut values = vec![0.0; contact.layout.num_channels() * num_frames];
-    for (patch, of_patch) in patches.iter().zip(by_patch).filter(|(_, of_patch)| !of_patch.is_empty()) {
-        values[patch.channels.start * num_frames..patch.channels.end * num_frames].copy_from_slice(&of_patch);
-    }
-    values
+    by_patch.into_iter().flatten().collect()
 }
 
-/// Steps of [`Chain::gaps_below_m`], and how far beyond the sensors' reach pads are felt as soft, m.
+/// Steps of [`Chain::gaps_below_m`], m.
 const GAPS_STEP_M: f64 = 4e-3;
 
-/// Index of a patch, and the bits of a decay.
-type PatchAndDecay = (usize, u64);
-
-/// Pressures of whole patches that have been propagated lately, by patch and decay.
+/// What has been made of the patches of a geometry lately.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Spread {
-    by_patch: Arc<Mutex<BTreeMap<PatchAndDecay, Arc<[f64]>>>>,
+pub(crate) struct Made {
+    /// Pressures at the taxels, by decay.
+    spread: ByPatch<Arc<[f64]>>,
+    /// What soft pads feel, by softness.
+    softened: ByPatch<Arc<PatchTrace>>,
 }
 
-/// Decays that are remembered for a patch before they are forgotten.
-const DECAYS_KEPT: usize = 3;
+/// Values by patch and the bits of a number.
+#[derive(Clone, Debug)]
+struct ByPatch<T>(Arc<Mutex<BTreeMap<(usize, u64), T>>>);
 
-impl Spread {
-    fn of_patch(
-        &self,
-        patch: usize,
-        alpha_per_m: f64,
-        propagated: impl FnOnce() -> Arc<[f64]>,
-    ) -> Arc<[f64]> {
-        let lock = || self.by_patch.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (patch, alpha_per_m.to_bits());
+impl<T> Default for ByPatch<T> {
+    fn default() -> Self {
+        Self(Arc::default())
+    }
+}
+
+/// Numbers for which something is remembered of a patch before they are forgotten.
+const NUMBERS_KEPT: usize = 3;
+
+impl<T: Clone> ByPatch<T> {
+    fn of(&self, patch: usize, number: f64, make: impl FnOnce() -> T) -> T {
+        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (patch, number.to_bits());
         if let Some(known) = lock().get(&key) {
-            return Arc::clone(known);
+            return known.clone();
         }
-        let new = propagated();
+        let new = make();
         let mut kept = lock();
         let of_patch = kept.range((patch, 0)..=(patch, u64::MAX)).map(|(key, _)| *key).collect::<Vec<_>>();
-        if of_patch.len() >= DECAYS_KEPT {
+        if of_patch.len() >= NUMBERS_KEPT {
             of_patch.iter().for_each(|key| drop(kept.remove(key)));
         }
-        kept.insert(key, Arc::clone(&new));
+        kept.insert(key, new.clone());
         new
     }
 }
@@ -589,13 +597,11 @@ impl Load {
 
     /// Loads of `channel`, frame by frame.
     pub fn of_channel(&self, channel: usize) -> &[f64] {
-        let num_frames = self.times_s.len();
-        &self.values[channel * num_frames..(channel + 1) * num_frames]
+        &self.values[channel]
     }
 
     /// As [`Self::of_channel`], to change them.
     pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
-        let num_frames = self.times_s.len();
-        &mut self.values[channel * num_frames..(channel + 1) * num_frames]
+        &mut self.values[channel]
     }
 }

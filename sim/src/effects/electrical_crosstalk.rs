@@ -53,14 +53,9 @@ impl EffectKind for ElectricalCrosstalk {
             })
             .collect();
         let own = state.values.clone();
-        let num_frames = state.times_s.len();
         for (channel, other) in pairs {
-            let others = &own[other * num_frames..(other + 1) * num_frames];
-            state
-                .of_channel_mut(channel)
-                .iter_mut()
-                .zip(others)
-                .for_each(|(load, other)| *load += leak * other);
+            let loads = state.of_channel_mut(channel).iter_mut().zip(&own[other]);
+            loads.for_each(|(load, other)| *load += leak * other);
         }
     }
 }

@@ -42,7 +42,7 @@ impl EffectKind for LowPass {
             return;
         }
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
-            let lagging = lag(&state.times_s, state.of_channel(channel), time_constant_s);
+            let lagging = lag(scene.frame_times_s, state.of_channel(channel), time_constant_s);
             state.of_channel_mut(channel).copy_from_slice(&lagging);
         }
     }

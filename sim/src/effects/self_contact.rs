@@ -64,11 +64,15 @@ impl EffectKind for SelfContact {
             return;
         }
         let robot = &scene.station.robot;
-        let meetings = meetings(robot, state.layout, one, other);
+        let mut meetings = meetings(robot, state.layout, one, other);
+        meetings.retain(|meeting| state.needed[meeting.patch]);
         let mut felt: Vec<Touches> = meetings.iter().map(|_| Touches::new()).collect();
+        let met = meetings.iter().flat_map(|meeting| &meeting.links).copied();
+        let felt_by = meetings.iter().map(|meeting| state.layout.patches[meeting.patch].link);
+        let needed = robot.leading_to(met.chain(felt_by));
         let mut root_from_link = Vec::new();
         for positions in state.positions.chunks_exact(robot.num_dofs().max(1)) {
-            robot.forward_kinematics(positions, &mut root_from_link);
+            robot.forward_kinematics_of(positions, &needed, &mut root_from_link);
             for (meeting, felt) in meetings.iter().zip(&mut felt) {
                 meeting.feel(robot, state.layout, &root_from_link, felt);
             }

@@ -52,7 +52,7 @@ impl EffectKind for ViscoelasticRelease {
             return;
         }
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
-            let strain = lag(&state.times_s, state.of_channel(channel), time_constant_s);
+            let strain = lag(scene.frame_times_s, state.of_channel(channel), time_constant_s);
             let loads = state.of_channel_mut(channel).iter_mut().zip(strain);
             loads.for_each(|(load, z)| *load = load.max(fraction * z));
         }

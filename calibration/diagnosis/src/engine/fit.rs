@@ -37,84 +37,115 @@ const PROFILE_STEPS: usize = 3;
 const PROFILES_BEGUN: usize = 3;
 const PROFILES_KEPT: usize = 2;
 
-/// Tries `effect` at large doses of its first parameter, and as it is, each time with those of the model's own parameters
-/// fitted anew that reach all that it reaches; the best of them.
+/// A trial of an effect with the model's own parameters fitted anew, after its first step.
 ///
-/// Thresholds fitted to delayed touches account for most of the delay: beside them it is worth little, and only beside
-/// thresholds of its own does it show what it explains.
-pub(crate) fn profile<'a, D: Domain>(
-    linear: &Linear<'a, D>,
-    effect: &Effect,
-    parameters: &[Parameter],
-) -> Result<Option<Profiled>, DiagnosisError> {
-    let Some(first) = parameters.first() else { return Ok(None) };
-    let domain = linear.domain;
-    let reach = domain.support(effect, &first.name);
-    let covers = |support: &[bool]| reach.iter().zip(support).all(|(reached, covered)| !reached || *covered);
-    let free: Vec<usize> =
-        (0..domain.base().len()).filter(|&idx| covers(&domain.base_support(idx))).collect();
-    let mut starts = vec![effect.clone()];
-    for dose in PROFILED_DOSES {
-        let value = first.neutral + dose * first.dose;
-        if (first.lower..=first.upper).contains(&value) {
-            let mut start = effect.clone();
-            start.parameters.insert(first.name.clone(), value);
-            starts.push(start);
-        }
-    }
-    // Up to so many steps of the fit, and whether more would gain nothing worth while.
-    let fitted = |mut tried: Linear<'a, D>, steps: usize| -> Result<(Linear<'a, D>, bool), DiagnosisError> {
-        for _ in 0..steps {
-            let step = tried.assess(&tried.base_columns(&free)?, &tried.residual).step;
-            let Some(better) = descend(&tried, |scale| {
-                let mut model = tried.model.clone();
-                for (&idx, step) in free.iter().zip(step.iter()) {
-                    let bounds = &domain.base()[idx];
-                    model.base[idx] = (model.base[idx] + scale * step).clamp(bounds.lower, bounds.upper);
-                }
-                model
-            })?
-            else {
-                return Ok((tried, true));
-            };
-            let gained = tried.loss - better.loss;
-            tried = better;
-            if gained < LEAST_GAINED * tried.loss {
-                return Ok((tried, true));
+/// It is tried at large doses of its first parameter, and as it is, each time with those of the model's own parameters
+/// fitted anew that reach all that it reaches. Thresholds fitted to delayed touches account for most of the delay: beside
+/// them it is worth little, and only beside thresholds of its own does it show what it explains.
+pub(crate) struct Profile<'l, 'a, D: Domain> {
+    linear: &'l Linear<'a, D>,
+    /// Which of the model's own parameters are fitted.
+    free: Vec<usize>,
+    /// Trials at several sizes, the best first.
+    begun: Vec<Begun<'a, D>>,
+}
+
+/// A fit that was begun.
+struct Begun<'a, D: Domain> {
+    /// Loss that it removes.
+    gained: f64,
+    tried: Linear<'a, D>,
+    /// Whether more steps would gain nothing worth while.
+    is_done: bool,
+}
+
+impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
+    /// Begins with `effect`; `None` where it has no parameter.
+    pub(crate) fn begin(
+        linear: &'l Linear<'a, D>,
+        effect: &Effect,
+        parameters: &[Parameter],
+    ) -> Result<Option<Self>, DiagnosisError> {
+        let Some(first) = parameters.first() else { return Ok(None) };
+        let domain = linear.domain;
+        let reach = domain.support(effect, &first.name);
+        let covers =
+            |support: &[bool]| reach.iter().zip(support).all(|(reached, covered)| !reached || *covered);
+        let free = (0..domain.base().len()).filter(|&idx| covers(&domain.base_support(idx))).collect();
+        let mut profile = Self { linear, free, begun: Vec::new() };
+        let mut starts = vec![effect.clone()];
+        for dose in PROFILED_DOSES {
+            let value = first.neutral + dose * first.dose;
+            if (first.lower..=first.upper).contains(&value) {
+                let mut start = effect.clone();
+                start.parameters.insert(first.name.clone(), value);
+                starts.push(start);
             }
         }
-        Ok((tried, false))
-    };
-    let gains = |tried: &Linear<'a, D>| -> Vec<f64> {
-        let after = linear.losses_of(&tried.predicted);
-        let by_take = linear.loss_by_take().into_iter().zip(after);
+        let start = |start: Effect| {
+            let tried = linear.moved_to(linear.with(start))?;
+            Ok(Begun { gained: profile.gained(&tried), tried, is_done: false })
+        };
+        let started = starts.into_par_iter().map(start).collect::<Result<_, DiagnosisError>>()?;
+        let begun = best_of(started, PROFILES_BEGUN).into_par_iter().map(|begun| profile.stepped(begun, 1));
+        profile.begun = best_of(begun.collect::<Result<_, DiagnosisError>>()?, PROFILES_KEPT);
+        Ok(Some(profile))
+    }
+
+    /// Loss that it removes so far.
+    pub(crate) fn gained_so_far(&self) -> f64 {
+        self.begun.first().map_or(0.0, |best| best.gained)
+    }
+
+    /// The best of it, after all steps.
+    pub(crate) fn finish(mut self) -> Result<Option<Profiled>, DiagnosisError> {
+        let begun = std::mem::take(&mut self.begun);
+        let ended = begun.into_par_iter().map(|begun| self.stepped(begun, PROFILE_STEPS - 1));
+        let best = best_of(ended.collect::<Result<_, DiagnosisError>>()?, 1).pop();
+        Ok(best.map(|best| Profiled { gains: self.gains(&best.tried), model: best.tried.model }))
+    }
+
+    /// Loss that `tried` removes on each take.
+    fn gains(&self, tried: &Linear<'a, D>) -> Vec<f64> {
+        let after = self.linear.losses_of(&tried.predicted);
+        let by_take = self.linear.loss_by_take().into_iter().zip(after);
         by_take.map(|(before, after)| before - after.iter().sum::<f64>()).collect()
-    };
-    let gained = |tried: &Linear<'a, D>| gains(tried).iter().sum::<f64>();
-    let start = |start: Effect| {
-        let tried = linear.moved_to(linear.with(start))?;
-        Ok((gained(&tried), tried))
-    };
-    let mut started: Vec<(f64, Linear<'a, D>)> =
-        starts.into_par_iter().map(start).collect::<Result<_, DiagnosisError>>()?;
-    started.sort_by(|(one, _), (other, _)| other.total_cmp(one));
-    started.truncate(PROFILES_BEGUN);
-    let begin = |(_, tried): (f64, Linear<'a, D>)| {
-        let (tried, is_done) = fitted(tried, 1)?;
-        Ok((gained(&tried), tried, is_done))
-    };
-    let mut begun: Vec<(f64, Linear<'a, D>, bool)> =
-        started.into_par_iter().map(begin).collect::<Result<_, DiagnosisError>>()?;
-    begun.sort_by(|(one, ..), (other, ..)| other.total_cmp(one));
-    begun.truncate(PROFILES_KEPT);
-    let go_on = |(_, tried, is_done): (f64, Linear<'a, D>, bool)| {
-        let tried = if is_done { tried } else { fitted(tried, PROFILE_STEPS - 1)?.0 };
-        Ok((gained(&tried), tried))
-    };
-    let ended: Vec<(f64, Linear<'a, D>)> =
-        begun.into_par_iter().map(go_on).collect::<Result<_, DiagnosisError>>()?;
-    let best = ended.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
-    Ok(best.map(|(_, best)| Profiled { gains: gains(&best), model: best.model }))
+    }
+
+    fn gained(&self, tried: &Linear<'a, D>) -> f64 {
+        self.gains(tried).iter().sum()
+    }
+
+    /// `begun` after up to so many further `steps`.
+    fn stepped(&self, begun: Begun<'a, D>, steps: usize) -> Result<Begun<'a, D>, DiagnosisError> {
+        let Begun { mut tried, mut is_done, .. } = begun;
+        let base = self.linear.domain.base();
+        for _ in 0..steps {
+            if is_done {
+                break;
+            }
+            let step = tried.assess(&tried.base_columns(&self.free)?, &tried.residual).step;
+            let better = descend(&tried, |scale| {
+                let mut model = tried.model.clone();
+                for (&idx, step) in self.free.iter().zip(step.iter()) {
+                    model.base[idx] =
+                        (model.base[idx] + scale * step).clamp(base[idx].lower, base[idx].upper);
+                }
+                model
+            })?;
+            is_done =
+                better.as_ref().is_none_or(|better| tried.loss - better.loss < LEAST_GAINED * better.loss);
+            tried = better.unwrap_or(tried);
+        }
+        Ok(Begun { gained: self.gained(&tried), tried, is_done })
+    }
+}
+
+/// The `most` that gained most, the best first.
+fn best_of<'a, D: Domain>(mut fits: Vec<Begun<'a, D>>, most: usize) -> Vec<Begun<'a, D>> {
+    fits.sort_by(|one, other| other.gained.total_cmp(&one.gained));
+    fits.truncate(most);
+    fits
 }
 
 /// The first of ever shorter steps from `from` that lowers the loss; `None` if none does. `stepped` takes the share of the
@@ -341,7 +372,8 @@ mod tests {
         );
 
         let parameters = events.parameters(&doubt(0.0));
-        let profiled = profile(&linear, &doubt(0.0), &parameters).unwrap().unwrap();
+        let profile = Profile::begin(&linear, &doubt(0.0), &parameters).unwrap().unwrap();
+        let profiled = profile.finish().unwrap().unwrap();
         let found = profiled.model.effects[0].parameter("doubt");
         let gained: f64 = profiled.gains.iter().sum();
         assert!(found < 0.1 && gained < 0.1 * linear.loss, "doubt {found} gains {gained} of {}", linear.loss);

@@ -6,7 +6,7 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
-use super::fit::{Fitted, fit, profile, refit};
+use super::fit::{Fitted, Profile, fit, refit};
 use super::linear::{Linear, predict};
 use super::merge::merge;
 use super::screen::{Hopeless, Screened, screen};
@@ -122,7 +122,7 @@ const RIVAL_SHARE: f64 = 0.8;
 /// What still promises more than this share of what it did once the other is named explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
-const PROMISING: usize = 160;
+const PROMISING: usize = 100;
 /// Rivals that are fitted along with everything else before one is named.
 const MOST_CONTENDERS: usize = 3;
 /// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
@@ -133,6 +133,9 @@ const SIMILAR_COUNT: usize = 7;
 pub(super) const WEIGHING_STEPS: usize = 2;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
 const FEW: usize = 2;
+/// Share of what removes most at a place that a trial beside thresholds of its own removes at least with its first step: no
+/// rival begins worse.
+const LEAST_BEGUN: f64 = 0.5;
 /// What such a trial must remove, over what the effect removes beside the thresholds that are there.
 const PROFILE_GAIN: f64 = 1.3;
 /// Share of the remaining loss that a named effect removes at least beside the others.
@@ -164,6 +167,8 @@ pub fn name<D: Domain>(
     // What every candidate promised when it was last screened.
     let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
     let mut hopeless = Hopeless::default();
+    // Where an effect was named that thresholds had absorbed: they now are what they are without it.
+    let mut uncovered: Vec<Place> = Vec::new();
     loop {
         let round_idx = rounds.len();
         let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
@@ -197,20 +202,22 @@ pub fn name<D: Domain>(
         }
         known_gains.extend(promises);
         let finalists = finalists(&screened, config.num_fits);
-        let profiled = round_idx < PROFILED_ROUNDS;
-        let fitted = fit_all(&linear, finalists.iter().map(|&idx| &screened[idx]), profiled, &|done, id| {
-            report(0.7 + 0.3 * done, &format!("round {}: fitting {id}", round_idx + 1))
-        })?;
+        let profiled = |place: &Place| round_idx < PROFILED_ROUNDS && !uncovered.contains(place);
+        let fitted =
+            fit_all(&linear, finalists.iter().map(|&idx| &screened[idx]), &profiled, &|done, id| {
+                report(0.7 + 0.3 * done, &format!("round {}: fitting {id}", round_idx + 1))
+            })?;
         // Where thresholds have absorbed one effect of a stream, no effect of that stream shows beside them.
-        let absorbing: Vec<&Place> = fitted.iter().filter_map(|trial| trial.absorbed()).collect();
+        let mut absorbed: BTreeMap<Place, f64> = BTreeMap::new();
+        for (place, gain) in fitted.iter().filter_map(Trial::absorbed) {
+            absorbed.entry(place).and_modify(|most| *most = most.max(gain)).or_insert(gain);
+        }
         let masked = screened.iter().enumerate().filter(|(idx, candidate)| {
-            absorbing.contains(&&candidate.effect.place) && !finalists.contains(idx)
+            absorbed.contains_key(&candidate.effect.place) && !finalists.contains(idx)
         });
-        let masked: Vec<Option<Tried>> = masked
-            .collect::<Vec<_>>()
-            .into_par_iter()
-            .map(|(_, candidate)| beside_own_thresholds(&linear, &candidate.effect, &candidate.parameters))
-            .collect::<Result<_, DiagnosisError>>()?;
+        let masked =
+            masked.map(|(_, candidate)| (candidate.effect.clone(), &candidate.parameters[..])).collect();
+        let masked = beside_own_thresholds(&linear, masked, &|_| true, &absorbed)?;
         let mut tried: Vec<Tried> = fitted.into_iter().filter_map(|trial| trial.tried).collect();
         tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
@@ -234,6 +241,8 @@ pub fn name<D: Domain>(
         let named = simplest_of_best(domain, refitted, linear.loss, &tried)?
             .map(|(_, contender, with)| (contender, with));
         let (named, refitted) = named.unzip();
+        let place = named.map(|named: usize| tried[named].effect.place.clone());
+        uncovered.extend(place.filter(|place| absorbed.contains_key(place)));
         let class = named.map_or_else(Vec::new, |named| {
             let least = RIVAL_SHARE * tried[0].held_out_gain;
             (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
@@ -271,8 +280,9 @@ pub(crate) fn strongest<D: Domain>(
     })?;
     screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
     let finalists = finalists(&screened, config.num_fits).into_iter().map(|idx| &screened[idx]);
-    let fitted =
-        fit_all(&linear, finalists, true, &|done, id| progress(0.7 + 0.3 * done, &format!("fitting {id}")))?;
+    let fitted = fit_all(&linear, finalists, &|_| true, &|done, id| {
+        progress(0.7 + 0.3 * done, &format!("fitting {id}"))
+    })?;
     let tried = fitted.into_iter().filter_map(|trial| trial.tried);
     let evidence = tried.filter(|tried| tried.share > config.least_share).map(|tried| tried.evidence);
     Ok(evidence.fold(0.0, f64::max))
@@ -286,39 +296,38 @@ struct Trial {
 }
 
 impl Trial {
-    /// The place of an effect that thresholds absorb.
-    fn absorbed(&self) -> Option<&Place> {
-        self.tried.as_ref().filter(|_| self.is_absorbed).map(|tried| &tried.effect.place)
+    /// The place of an effect that thresholds absorb, and the loss that it removes beside thresholds of its own.
+    fn absorbed(&self) -> Option<(Place, f64)> {
+        let tried = self.tried.as_ref().filter(|_| self.is_absorbed)?;
+        Some((tried.effect.place.clone(), tried.held_out_gain))
     }
 }
 
-/// Fits each of `candidates` beside the model of `linear`; if `profiled`, beside thresholds of its own too.
+/// Fits each of `candidates` beside the model of `linear`; where its place is `profiled`, beside thresholds of its own too.
 fn fit_all<'c, D: Domain>(
     linear: &Linear<'_, D>,
     candidates: impl Iterator<Item = &'c Screened>,
-    profiled: bool,
+    profiled: &(dyn Fn(&Place) -> bool + Sync),
     progress: &Watch<'_>,
 ) -> Result<Vec<Trial>, DiagnosisError> {
-    each(
+    let fits = each(
         candidates.collect(),
         |done, candidate| progress(done, &candidate.effect.id),
-        |candidate| {
-            let fitted = fit(linear, &candidate.effect, &candidate.parameters)?;
-            let beside = match profiled {
-                true => beside_own_thresholds(linear, &fitted.effect, &candidate.parameters)?,
-                false => None,
-            };
-            let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
-                let evidence =
-                    evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
-                let loss = linear.loss_in(&fitted.changes);
-                Tried::new(fitted.effect, &linear.model, evidence, &fitted.held_out_gains, loss)
-            });
-            let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
-            let better = beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain);
-            Ok(Trial { is_absorbed: better.is_some(), tried: better.or(as_is) })
-        },
-    )
+        |candidate| Ok((fit(linear, &candidate.effect, &candidate.parameters)?, &candidate.parameters)),
+    )?;
+    let effects = fits.iter().map(|(fitted, parameters)| (fitted.effect.clone(), &parameters[..]));
+    let beside = beside_own_thresholds(linear, effects.collect(), profiled, &BTreeMap::new())?;
+    let trials = fits.into_iter().zip(beside).map(|((fitted, _), beside)| {
+        let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
+            let evidence = evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
+            let loss = linear.loss_in(&fitted.changes);
+            Tried::new(fitted.effect, &linear.model, evidence, &fitted.held_out_gains, loss)
+        });
+        let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
+        let better = beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain);
+        Trial { is_absorbed: better.is_some(), tried: better.or(as_is) }
+    });
+    Ok(trials.collect())
 }
 
 /// What tells candidates apart.
@@ -341,24 +350,43 @@ fn keep_rivals(
     });
 }
 
-/// `effect`, if it is of a whole stream and has few parameters, with the model's own parameters fitted anew beside it;
-/// `None` if that removes nothing. Its evidence is left to the full fit.
+/// Those of `effects`, each with its parameters, that are of a whole stream that is `profiled` and have few parameters, with
+/// the model's own parameters fitted anew beside them; `None` for those that remove nothing, or much less to begin with
+/// than others at their place do, or is `known` to be removed there. Their evidence is left to the full fit.
 fn beside_own_thresholds<D: Domain>(
     linear: &Linear<'_, D>,
-    effect: &Effect,
-    parameters: &[Parameter],
-) -> Result<Option<Tried>, DiagnosisError> {
-    if !matches!(effect.place, Place::Stream(_)) || parameters.len() > FEW {
-        return Ok(None);
+    effects: Vec<(Effect, &[Parameter])>,
+    profiled: &(dyn Fn(&Place) -> bool + Sync),
+    known: &BTreeMap<Place, f64>,
+) -> Result<Vec<Option<Tried>>, DiagnosisError> {
+    let begin = |(effect, parameters): &(Effect, &[Parameter])| {
+        if !matches!(effect.place, Place::Stream(_)) || parameters.len() > FEW || !profiled(&effect.place) {
+            return Ok(None);
+        }
+        Profile::begin(linear, effect, parameters)
+    };
+    let begun: Vec<Option<Profile<'_, '_, D>>> =
+        effects.par_iter().map(begin).collect::<Result<_, DiagnosisError>>()?;
+    let mut most = known.clone();
+    for ((effect, _), profile) in effects.iter().zip(&begun) {
+        let gained = profile.as_ref().map_or(0.0, Profile::gained_so_far);
+        most.entry(effect.place.clone()).and_modify(|most| *most = most.max(gained)).or_insert(gained);
     }
-    let Some(profiled) = profile(linear, effect, parameters)? else { return Ok(None) };
-    let Some(effect) = profiled.model.effects.last() else { return Ok(None) };
-    let beside = Model { base: profiled.model.base.clone(), effects: linear.model.effects.clone() };
-    let (with, without) = (&profiled.model, &beside);
-    let without = Linear::without_nuisances(linear.domain, without, &linear.takes)?;
-    let changes = without.kinds_changed(&predict(linear.domain, with, &linear.takes)?);
-    let tried = Tried::new(effect.clone(), with, 0.0, &profiled.gains, linear.loss_in(&changes));
-    Ok((tried.held_out_gain > 0.0 && changes.contains(&true)).then_some(tried))
+    let go_on = |(profile, (effect, _)): (Option<Profile<'_, '_, D>>, &(Effect, &[Parameter]))| {
+        let least = LEAST_BEGUN * most.get(&effect.place).copied().unwrap_or(0.0);
+        let Some(profile) = profile.filter(|profile| profile.gained_so_far() >= least) else {
+            return Ok(None);
+        };
+        let Some(profiled) = profile.finish()? else { return Ok(None) };
+        let Some(effect) = profiled.model.effects.last() else { return Ok(None) };
+        let beside = Model { base: profiled.model.base.clone(), effects: linear.model.effects.clone() };
+        let (with, without) = (&profiled.model, &beside);
+        let without = Linear::without_nuisances(linear.domain, without, &linear.takes)?;
+        let changes = without.kinds_changed(&predict(linear.domain, with, &linear.takes)?);
+        let tried = Tried::new(effect.clone(), with, 0.0, &profiled.gains, linear.loss_in(&changes));
+        Ok((tried.held_out_gain > 0.0 && changes.contains(&true)).then_some(tried))
+    };
+    begun.into_par_iter().zip(&effects).map(go_on).collect()
 }
 
 /// Indices of candidates to fit: those that promise most, few places of each effect, and those that promise the largest

@@ -9,6 +9,7 @@ use palpate_robot_model::{Place, SensorKind};
 use palpate_sim::effects::{
     self, Arrived, Chain, Effect, EffectKind, Geometry, PatchGeometry, Stage, TakeScene,
 };
+use palpate_sim::{Response, Theta};
 
 use super::{Base, TactileDomain, WIDTH};
 use crate::DiagnosisError;
@@ -114,7 +115,7 @@ impl<const N: usize> Recent<N> {
     }
 }
 
-/// What is remembered of a take.
+/// What is remembered of a limb in a take.
 pub(super) struct Memory {
     channels: Vec<Kept<Arc<ChannelLoad>>>,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
@@ -176,9 +177,38 @@ impl Reaching<'_> {
     }
 }
 
+/// A model, as far as it concerns a take.
+struct Concerning<'m> {
+    model: &'m Model,
+    theta: Theta,
+    response: Response,
+    /// Width of the switching curve of each stream.
+    widths: Vec<f64>,
+    /// Per channel, the load that reads as one, and the exponent of its readings.
+    read_by: Vec<[f64; 2]>,
+    /// Those of the model, and what its own parameters amount to.
+    effects: Vec<Effect>,
+    /// Those of the model.
+    reaching: Vec<Reaching<'m>>,
+}
+
 impl TactileDomain<'_> {
     /// [`Domain::predict`].
     pub(super) fn forward(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
+        let concerning = self.concerning(take, model);
+        let mut signals: Vec<Option<Series>> = vec![None; self.num_signals()];
+        for limb in 0..self.memories[take].len() {
+            for (channel, of_channel) in self.forward_limb(take, limb, &concerning)? {
+                for (signal, series) in signals[2 * channel..].iter_mut().zip(of_channel) {
+                    *signal = Some(series);
+                }
+            }
+        }
+        let every = signals.into_iter().collect::<Option<Vec<Series>>>();
+        Ok(every.unwrap_or_else(|| unreachable!("every channel is on a limb")))
+    }
+
+    fn concerning<'m>(&self, take: usize, model: &'m Model) -> Concerning<'m> {
         let layout = &self.station.layout;
         let mut widths = vec![WIDTH; layout.streams.len()];
         let mut exponents = vec![1.0; layout.streams.len()];
@@ -190,39 +220,54 @@ impl TactileDomain<'_> {
             }
         }
         let reaching = self.reaching(take, model);
-        let observed = &self.takes[take];
-        let scene = observed.scene(self.station);
         let (theta, response) = self.theta_and_response(model);
         let mut effects = self.own_effects(model);
         effects.extend(reaching.iter().map(|one| one.effect.clone()));
-        let chain = Chain { theta, response: &response, effects: &effects, soft_widths: &widths };
-        let switching = chain.switching(&scene);
-        // Per channel, the load that reads as one, and the exponent of its readings.
         let on_load = |stream: usize| match layout.streams[stream].kind {
             SensorKind::Proximity => response.proximity_band_m,
             SensorKind::Pressure => theta.lambda_pre_pa,
         };
-        let read_by: Vec<[f64; 2]> = layout
-            .channels
-            .iter()
-            .map(|channel| [on_load(channel.stream), exponents[channel.stream]])
-            .collect();
-        let keys: Vec<Keys> = (0..layout.num_channels())
-            .map(|channel| Keys {
-                load: self.load_key(channel, model, &reaching),
-                activation: switching.of_channel(channel).map(f64::to_bits),
-                reading: read_by[channel].map(f64::to_bits),
+        let channels = layout.channels.iter();
+        let read_by = channels.map(|channel| [on_load(channel.stream), exponents[channel.stream]]).collect();
+        Concerning { model, theta, response, widths, read_by, effects, reaching }
+    }
+
+    /// Activation and reading of each channel of `limb`.
+    fn forward_limb(
+        &self,
+        take: usize,
+        limb: usize,
+        concerning: &Concerning<'_>,
+    ) -> Result<Vec<(usize, [Series; 2])>, DiagnosisError> {
+        let Concerning { model, theta, response, widths, read_by, effects, reaching } = concerning;
+        let observed = &self.takes[take];
+        let scene = observed.scene(self.station, limb);
+        let chain = Chain { theta: *theta, response, effects, soft_widths: widths };
+        let switching = chain.switching(&scene);
+        let keys: Vec<(usize, Keys)> = (0..self.limb_of.len())
+            .filter(|&channel| self.limb_of[channel] == limb)
+            .map(|channel| {
+                let keys = Keys {
+                    load: self.load_key(channel, model, reaching),
+                    activation: switching.of_channel(channel).map(f64::to_bits),
+                    reading: read_by[channel].map(f64::to_bits),
+                };
+                (channel, keys)
             })
             .collect();
+        let mut wanted = vec![false; self.limb_of.len()];
         let known: Vec<Option<Arc<ChannelLoad>>> = {
-            let mut memory = self.memory(take);
-            let channels = memory.channels.iter_mut().zip(&keys);
-            channels.map(|(memory, keys)| memory.get(&keys.load).map(|load| Arc::clone(load))).collect()
+            let mut memory = self.memory(take, limb);
+            let of_channel = |(channel, keys): &(usize, Keys)| {
+                let known = memory.channels[*channel].get(&keys.load).map(|load| Arc::clone(load));
+                wanted[*channel] = known.is_none();
+                known
+            };
+            keys.iter().map(of_channel).collect()
         };
-        let wanted: Vec<bool> = known.iter().map(Option::is_none).collect();
         let mut arrived = if wanted.contains(&true) {
             let inputs = chain.inputs(self.station, &wanted);
-            let geometry = self.geometry(take, &chain, &scene, &reaching, &inputs)?;
+            let geometry = self.geometry(take, limb, &chain, &scene, reaching, &inputs)?;
             chain.arrive(&scene, &geometry, &wanted)
         } else {
             vec![None; wanted.len()]
@@ -238,15 +283,15 @@ impl TactileDomain<'_> {
                 }
                 last.1
             };
-            observed.at_frames(&arrived.load()).iter().map(&mut of_load).collect()
+            observed.at_frames(limb, &arrived.load()).iter().map(&mut of_load).collect()
         };
-        let mut signals = Vec::with_capacity(2 * keys.len());
-        for (channel, (keys, known)) in keys.into_iter().zip(known).enumerate() {
+        let mut signals = Vec::with_capacity(keys.len());
+        for ((channel, keys), known) in keys.into_iter().zip(known) {
             let load = known.clone().or_else(|| {
                 let arrived = arrived[channel].take()?;
                 // What a change of the model does not reach arrives as it did before, and what was made of it still holds.
                 let new = ChannelLoad::new(arrived);
-                let same = self.memory(take).channels[channel].find(|known| known.is(&new)).cloned();
+                let same = self.memory(take, limb).channels[channel].find(|known| known.is(&new)).cloned();
                 Some(same.unwrap_or_else(|| Arc::new(new)))
             });
             let Some(mut load) = load else { unreachable!("the chain gives every channel that is wanted") };
@@ -254,23 +299,24 @@ impl TactileDomain<'_> {
                 (Some(activation), Some(reading)) if known.is_some() => (activation, reading),
                 (activation, known_reading) => {
                     let activation = activation.unwrap_or_else(|| {
-                        observed.at_frames(&switching.activation(channel, &load.arrived, scene.frame_times_s))
+                        let at_moments = switching.activation(channel, &load.arrived, scene.frame_times_s);
+                        observed.at_frames(limb, &at_moments)
                     });
                     let reading = known_reading.unwrap_or_else(|| reading(channel, &load.arrived));
                     let made = Arc::make_mut(&mut load);
                     made.activations.put(keys.activation, &activation);
                     made.readings.put(keys.reading, &reading);
-                    self.memory(take).channels[channel].put(keys.load, load);
+                    self.memory(take, limb).channels[channel].put(keys.load, load);
                     (activation, reading)
                 }
             };
-            signals.extend([activation, reading]);
+            signals.push((channel, [activation, reading]));
         }
         Ok(signals)
     }
 
-    fn memory(&self, take: usize) -> std::sync::MutexGuard<'_, Memory> {
-        self.memories[take].lock().unwrap_or_else(PoisonError::into_inner)
+    fn memory(&self, take: usize, limb: usize) -> std::sync::MutexGuard<'_, Memory> {
+        self.memories[take][limb].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The effects of `model` that concern `take`.
@@ -324,10 +370,11 @@ impl TactileDomain<'_> {
         load
     }
 
-    /// The geometry of the patches of `channels`.
+    /// The geometry of the patches of `channels`, at the moments of `limb`.
     fn geometry(
         &self,
         take: usize,
+        limb: usize,
         chain: &Chain<'_>,
         scene: &TakeScene<'_>,
         reaching: &[Reaching<'_>],
@@ -345,7 +392,7 @@ impl TactileDomain<'_> {
         key.push(gaps);
         let mut wanted: Vec<bool> =
             layout.patches.iter().map(|patch| channels[patch.channels.clone()].contains(&true)).collect();
-        if let Some((has, geometry)) = self.memory(take).geometries.get(&key).cloned() {
+        if let Some((has, geometry)) = self.memory(take, limb).geometries.get(&key).cloned() {
             if has.iter().zip(&wanted).all(|(has, wanted)| *has || !wanted) {
                 return Ok(geometry);
             }
@@ -363,7 +410,7 @@ impl TactileDomain<'_> {
             })
             .collect();
         let known: Vec<Option<Arc<PatchGeometry>>> = {
-            let mut memory = self.memory(take);
+            let mut memory = self.memory(take, limb);
             let patches = memory.patches.iter_mut().zip(&keys).zip(&wanted);
             patches.map(|((kept, key), wanted)| wanted.then(|| kept.get(key).cloned()).flatten()).collect()
         };
@@ -377,7 +424,7 @@ impl TactileDomain<'_> {
             new.map(|(idx, _)| (idx, Arc::new(geometry.patch(idx)))).collect();
         geometry.adopt(known.iter().enumerate().filter_map(|(idx, known)| Some((idx, &**known.as_ref()?))));
         let geometry = Arc::new(geometry);
-        let mut memory = self.memory(take);
+        let mut memory = self.memory(take, limb);
         for (idx, patch) in new {
             memory.patches[idx].put(keys[idx].clone(), patch);
         }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use palpate_recording::{SpanKind, StreamLog, Take};
-use palpate_robot_model::{JointKind, ObjectModel, Station};
+use palpate_robot_model::{JointKind, ObjectModel, Station, TactileLayout};
 use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -32,15 +32,9 @@ pub(crate) struct Observed<'a> {
     pub(crate) take: &'a Take,
     pub(crate) object: &'a ObjectModel,
     pub(crate) has_raw: bool,
-    /// Moments at which touch is simulated: those of the joint frames and, near contact, more between them.
-    moments: Moments,
-    /// Joint positions at the moments, as in [`TakeScene::positions`].
-    positions: Vec<f64>,
-    /// Per stream, when the sample in effect at each moment arrived, s.
-    pub(crate) arrivals_s: Vec<Vec<f64>>,
-    /// As [`TakeScene::frozen_for_s`]; empty without raw readings, whose noise is what tells.
-    frozen_for_s: Vec<Vec<f64>>,
-    /// The same at the joint frames.
+    /// By number of [`limbs`], at which moments its touch is simulated.
+    limbs: Vec<Limb>,
+    /// As [`TakeScene::frozen_for_s`], at the joint frames; empty without raw readings, whose noise is what tells.
     frozen_at_frames_s: Vec<Vec<f64>>,
     /// Frame by frame, as [`super::TactileDomain`] numbers them.
     pub(crate) signals: Vec<Vec<f64>>,
@@ -52,6 +46,45 @@ pub(crate) struct Observed<'a> {
     pub(crate) noise: Vec<f64>,
     /// Per channel, highest raw reading the device can give, in units of the threshold.
     pub(crate) ceilings: Vec<f64>,
+}
+
+/// Patches that touch and let go together, and the moments at which their touch is simulated: those of the joint frames
+/// and, while one of them is near contact, more between them.
+#[derive(Clone)]
+struct Limb {
+    moments: Moments,
+    /// Joint positions at the moments, as in [`TakeScene::positions`].
+    positions: Vec<f64>,
+    /// Per stream, when the sample in effect at each moment arrived, s.
+    arrivals_s: Vec<Vec<f64>>,
+    /// As [`TakeScene::frozen_for_s`]; empty without raw readings.
+    frozen_for_s: Vec<Vec<f64>>,
+}
+
+impl Limb {
+    /// The limb of `take` in which something is felt at the times `felt_s`. `repeated_for_s`: of every stream, see
+    /// [`repeated_for_s`].
+    fn new(station: &Station, take: &Take, felt_s: &[f64], repeated_for_s: &[Vec<f64>]) -> Self {
+        let moments = Moments::new(&take.joints.times_s, felt_s);
+        let mut arrivals_s = Vec::new();
+        let mut frozen_for_s = Vec::new();
+        for (log, repeated_for_s) in take.streams.iter().zip(repeated_for_s) {
+            let mut frozen = vec![0.0; moments.times_s().len()];
+            let mut arrivals = moments.times_s().to_vec();
+            for (moment, arrival) in arrivals.iter_mut().enumerate() {
+                let Some(sample) = sample_in_effect(log, *arrival) else { continue };
+                *arrival = log.times_s[sample];
+                frozen[moment] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
+            }
+            arrivals_s.push(arrivals);
+            frozen_for_s.push(frozen);
+        }
+        if !take.has_raw() {
+            frozen_for_s.clear();
+        }
+        let positions = moments.interpolated(&take.joints.positions, station.robot.num_dofs());
+        Self { moments, positions, arrivals_s, frozen_for_s }
+    }
 }
 
 impl<'a> Observed<'a> {
@@ -70,22 +103,11 @@ impl<'a> Observed<'a> {
         let layout = &station.layout;
         let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
         let frame_times_s = &take.joints.times_s;
-        let moments = Moments::new(frame_times_s, &felt_s(take));
         let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * 2];
-        let mut arrivals_s = Vec::new();
-        let mut frozen_for_s = Vec::new();
         let mut noise = vec![0.0; num_channels];
         let mut ceilings = vec![f64::INFINITY; num_channels];
         for ((stream, config), log) in layout.streams.iter().zip(&station.streams).zip(&take.streams) {
             let width = stream.channels.len();
-            let repeated_for_s = repeated_for_s(log, width);
-            let mut frozen = vec![0.0; moments.times_s().len()];
-            let mut arrivals = moments.times_s().to_vec();
-            for (moment, arrival) in arrivals.iter_mut().enumerate() {
-                let Some(sample) = sample_in_effect(log, *arrival) else { continue };
-                *arrival = log.times_s[sample];
-                frozen[moment] = repeated_for_s.get(sample).copied().unwrap_or(0.0);
-            }
             for (frame, &time_s) in frame_times_s.iter().enumerate() {
                 let Some(sample) = sample_in_effect(log, time_s) else { continue };
                 for (idx, channel) in stream.channels.clone().enumerate() {
@@ -97,8 +119,6 @@ impl<'a> Observed<'a> {
                     }
                 }
             }
-            arrivals_s.push(arrivals);
-            frozen_for_s.push(frozen);
             for (idx, channel) in stream.channels.clone().enumerate() {
                 if let Some(reference) = log.reference.get(idx) {
                     ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
@@ -109,20 +129,20 @@ impl<'a> Observed<'a> {
         let repetitions = repetitions(take);
         let blocks = repetitions.iter().map(|(frames, _)| frames.clone()).collect();
         let has_raw = take.has_raw();
-        let positions = moments.interpolated(&take.joints.positions, station.robot.num_dofs());
-        if !has_raw {
-            frozen_for_s.clear();
-        }
-        let at_frames = |of_moments: &Vec<f64>| moments.frames().iter().map(|&at| of_moments[at]).collect();
-        let frozen_at_frames_s = frozen_for_s.iter().map(at_frames).collect();
+        let streams = layout.streams.iter().zip(&take.streams);
+        let repeated_for_s: Vec<Vec<f64>> =
+            streams.map(|(stream, log)| repeated_for_s(log, stream.channels.len())).collect();
+        let limbs = felt_s(layout, take)
+            .iter()
+            .map(|felt_s| Limb::new(station, take, felt_s, &repeated_for_s))
+            .collect();
+        let frozen_at_frames_s =
+            if has_raw { Limb::new(station, take, &[], &repeated_for_s).frozen_for_s } else { Vec::new() };
         Ok(Self {
             take,
             object,
             has_raw,
-            moments,
-            positions,
-            arrivals_s,
-            frozen_for_s,
+            limbs,
             frozen_at_frames_s,
             signals,
             blocks,
@@ -162,7 +182,9 @@ impl<'a> Observed<'a> {
             }
         }
         let mut simulated = self.clone();
-        simulated.positions = self.moments.interpolated(&positions, num_dofs);
+        for limb in &mut simulated.limbs {
+            limb.positions = limb.moments.interpolated(&positions, num_dofs);
+        }
         let off_fractions: Vec<f64> = station
             .layout
             .channels
@@ -191,44 +213,67 @@ impl<'a> Observed<'a> {
         simulated
     }
 
-    /// What the simulation needs of it, at the moments at which touch is simulated.
-    pub(crate) fn scene<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
+    /// What the simulation of a limb needs of it, at the moments at which its touch is simulated.
+    pub(crate) fn scene<'s>(&'s self, station: &'s Station, limb: usize) -> TakeScene<'s> {
+        let limb = &self.limbs[limb];
+        TakeScene {
+            frame_times_s: limb.moments.times_s(),
+            positions: &limb.positions,
+            arrival_times_s: &limb.arrivals_s,
+            frozen_for_s: &limb.frozen_for_s,
+            ..self.scene_at_frames(station)
+        }
+    }
+
+    /// The same of all limbs at the joint frames alone, as whoever replays the take sees it.
+    pub(crate) fn scene_at_frames<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
         TakeScene {
             station,
             object: self.object,
             base_from_object: &self.take.meta.base_from_object,
-            frame_times_s: self.moments.times_s(),
-            positions: &self.positions,
-            arrival_times_s: &self.arrivals_s,
-            frozen_for_s: &self.frozen_for_s,
-        }
-    }
-
-    /// The same at the joint frames alone, as whoever replays the take sees it.
-    pub(crate) fn scene_at_frames<'s>(&'s self, station: &'s Station) -> TakeScene<'s> {
-        TakeScene {
             frame_times_s: &self.take.joints.times_s,
             positions: &self.take.joints.positions,
             arrival_times_s: &[],
             frozen_for_s: &self.frozen_at_frames_s,
-            ..self.scene(station)
         }
     }
 
-    /// Of values at the moments, those at the joint frames.
-    pub(crate) fn at_frames(&self, of_moments: &[f64]) -> Series {
-        self.moments.frames().iter().map(|&moment| of_moments[moment]).collect()
+    /// Of values at the moments of a limb, those at the joint frames.
+    pub(crate) fn at_frames(&self, limb: usize, of_moments: &[f64]) -> Series {
+        self.limbs[limb].moments.frames().iter().map(|&moment| of_moments[moment]).collect()
     }
 }
 
-/// When anything was felt, s.
-fn felt_s(take: &Take) -> Vec<f64> {
-    let of_stream = |log: &StreamLog| -> Vec<f64> {
-        let width = log.active.len() / log.times_s.len().max(1);
-        let samples = log.times_s.iter().zip(log.active.chunks_exact(width.max(1)));
-        samples.filter(|(_, active)| active.contains(&true)).map(|(&time_s, _)| time_s).collect()
-    };
-    take.streams.iter().flat_map(of_stream).collect()
+/// Per patch, the limb that it is on: a limb is the patches of one group, such as those of a finger. Fingers touch at
+/// different times, so that each has moments of its own.
+pub(super) fn limbs(layout: &TactileLayout) -> Vec<usize> {
+    let mut groups: Vec<&str> = Vec::new();
+    let mut limbs = Vec::with_capacity(layout.patches.len());
+    for patch in &layout.patches {
+        let known = groups.iter().position(|group| *group == patch.group);
+        limbs.push(known.unwrap_or(groups.len()));
+        if known.is_none() {
+            groups.push(&patch.group);
+        }
+    }
+    limbs
+}
+
+/// Per limb, when anything was felt, s.
+fn felt_s(layout: &TactileLayout, take: &Take) -> Vec<Vec<f64>> {
+    let limbs = limbs(layout);
+    let num_limbs = limbs.iter().max().map_or(0, |last| last + 1);
+    let mut felt_s = vec![Vec::new(); num_limbs];
+    for (stream, log) in layout.streams.iter().zip(&take.streams) {
+        let samples = log.times_s.iter().zip(log.active.chunks_exact(stream.channels.len().max(1)));
+        for (&time_s, active) in samples {
+            let channels = layout.channels[stream.channels.clone()].iter();
+            for (channel, _) in channels.zip(active).filter(|(_, active)| **active) {
+                felt_s[limbs[channel.patch]].push(time_s);
+            }
+        }
+    }
+    felt_s
 }
 
 /// The last sample of `log` that had arrived by `time_s`.
