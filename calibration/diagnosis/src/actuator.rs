@@ -131,9 +131,11 @@ pub fn diagnose_actuator(
     let nominal = domain.nominal();
     watch(0.02, "fitting the motor")?;
     let calibrated = fit_well(&domain, &nominal, &fitted, config)?;
+    let bar = config.bar.unwrap_or(ACTUATOR_BAR);
     let naming_config = NamingConfig {
         max_effects: config.max_effects,
-        bar: config.bar.unwrap_or(ACTUATOR_BAR),
+        bar,
+        kept_bar: bar,
         least_share: LEAST_SHARE,
         num_fits: NUM_FITS,
         without: config.without.clone(),

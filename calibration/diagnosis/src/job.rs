@@ -67,6 +67,10 @@ pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
 pub(crate) const LEAST_SHARE: f64 = 0.002;
 
+/// Evidence that a name must have in the end, beside all others: of those that had less on the tuning station's sessions of
+/// one effect (15 to 17, a debounce and a preload) none was right, of the right ones none had less than 50.
+pub(crate) const KEPT_EVIDENCE: f64 = 20.0;
+
 /// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
 /// the moments at which channels switch, with no reading to tell it by: sessions of an emulated station that hide nothing
 /// reach evidence 115 and a share of 0.05, strong effects 1600 and 0.08.
@@ -105,6 +109,7 @@ pub fn diagnose(
     let naming_config = NamingConfig {
         max_effects: config.max_effects + nominal.effects.len(),
         bar: least_evidence,
+        kept_bar: least_evidence.max(KEPT_EVIDENCE),
         least_share,
         num_fits: NUM_FITS,
         without: config.without.clone(),

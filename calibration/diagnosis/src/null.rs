@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::DiagnosisError;
 use crate::engine::{self, NamingConfig};
-use crate::job::{DiagnosisConfig, LEAST_SHARE, NUM_FITS, Prepared, check, prepare};
+use crate::job::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS, Prepared, check, prepare};
 use crate::tactile::adequacy::Adequacy;
 
 /// A station's null bar.
@@ -76,6 +76,7 @@ pub fn null_bar(
     let naming = NamingConfig {
         max_effects: 0,
         bar: NullBar::DEFAULT_EVIDENCE,
+        kept_bar: KEPT_EVIDENCE,
         least_share: LEAST_SHARE,
         num_fits: NUM_FITS,
         without: config.without.clone(),

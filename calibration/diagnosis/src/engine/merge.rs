@@ -151,6 +151,7 @@ mod tests {
             let config = NamingConfig {
                 max_effects: 4,
                 bar: 12.0,
+                kept_bar: 12.0,
                 least_share: 0.002,
                 num_fits: 4,
                 without: Vec::new(),

@@ -21,6 +21,9 @@ pub struct NamingConfig {
     /// Evidence that an effect must reach: how far its estimate lies beyond the smallest size that matters, in standard
     /// errors, squared.
     pub bar: f64,
+    /// Evidence that it must have beside all others in the end: what is barely founded while others are still missing is
+    /// often a part of them.
+    pub kept_bar: f64,
     /// Share of the loss, in the kinds of rows that an effect changes, that it must remove on takes it was not fitted to.
     pub least_share: f64,
     /// Candidates that are fitted in each round.
@@ -122,7 +125,7 @@ const RIVAL_SHARE: f64 = 0.8;
 /// What still promises more than this share of what it did once the other is named explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
-const PROMISING: usize = 100;
+const PROMISING: usize = 160;
 /// Rivals that are fitted along with everything else before one is named.
 const MOST_CONTENDERS: usize = 3;
 /// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
@@ -167,8 +170,6 @@ pub fn name<D: Domain>(
     // What every candidate promised when it was last screened.
     let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
     let mut hopeless = Hopeless::default();
-    // Where an effect was named that thresholds had absorbed: they now are what they are without it.
-    let mut uncovered: Vec<Place> = Vec::new();
     loop {
         let round_idx = rounds.len();
         let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
@@ -202,11 +203,10 @@ pub fn name<D: Domain>(
         }
         known_gains.extend(promises);
         let finalists = finalists(&screened, config.num_fits);
-        let profiled = |place: &Place| round_idx < PROFILED_ROUNDS && !uncovered.contains(place);
-        let fitted =
-            fit_all(&linear, finalists.iter().map(|&idx| &screened[idx]), &profiled, &|done, id| {
-                report(0.7 + 0.3 * done, &format!("round {}: fitting {id}", round_idx + 1))
-            })?;
+        let profiled = round_idx < PROFILED_ROUNDS;
+        let fitted = fit_all(&linear, finalists.iter().map(|&idx| &screened[idx]), profiled, &|done, id| {
+            report(0.7 + 0.3 * done, &format!("round {}: fitting {id}", round_idx + 1))
+        })?;
         // Where thresholds have absorbed one effect of a stream, no effect of that stream shows beside them.
         let mut absorbed: BTreeMap<Place, f64> = BTreeMap::new();
         for (place, gain) in fitted.iter().filter_map(Trial::absorbed) {
@@ -217,7 +217,7 @@ pub fn name<D: Domain>(
         });
         let masked =
             masked.map(|(_, candidate)| (candidate.effect.clone(), &candidate.parameters[..])).collect();
-        let masked = beside_own_thresholds(&linear, masked, &|_| true, &absorbed)?;
+        let masked = beside_own_thresholds(&linear, masked, &absorbed)?;
         let mut tried: Vec<Tried> = fitted.into_iter().filter_map(|trial| trial.tried).collect();
         tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
@@ -241,8 +241,6 @@ pub fn name<D: Domain>(
         let named = simplest_of_best(domain, refitted, linear.loss, &tried)?
             .map(|(_, contender, with)| (contender, with));
         let (named, refitted) = named.unzip();
-        let place = named.map(|named: usize| tried[named].effect.place.clone());
-        uncovered.extend(place.filter(|place| absorbed.contains_key(place)));
         let class = named.map_or_else(Vec::new, |named| {
             let least = RIVAL_SHARE * tried[0].held_out_gain;
             (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
@@ -258,7 +256,7 @@ pub fn name<D: Domain>(
         model = refitted;
         drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
     }
-    finish(domain, &mut model, known, takes, config.bar, &mut dropped)?;
+    finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
 }
@@ -280,9 +278,8 @@ pub(crate) fn strongest<D: Domain>(
     })?;
     screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
     let finalists = finalists(&screened, config.num_fits).into_iter().map(|idx| &screened[idx]);
-    let fitted = fit_all(&linear, finalists, &|_| true, &|done, id| {
-        progress(0.7 + 0.3 * done, &format!("fitting {id}"))
-    })?;
+    let fitted =
+        fit_all(&linear, finalists, true, &|done, id| progress(0.7 + 0.3 * done, &format!("fitting {id}")))?;
     let tried = fitted.into_iter().filter_map(|trial| trial.tried);
     let evidence = tried.filter(|tried| tried.share > config.least_share).map(|tried| tried.evidence);
     Ok(evidence.fold(0.0, f64::max))
@@ -303,11 +300,11 @@ impl Trial {
     }
 }
 
-/// Fits each of `candidates` beside the model of `linear`; where its place is `profiled`, beside thresholds of its own too.
+/// Fits each of `candidates` beside the model of `linear`; if `profiled`, beside thresholds of its own too.
 fn fit_all<'c, D: Domain>(
     linear: &Linear<'_, D>,
     candidates: impl Iterator<Item = &'c Screened>,
-    profiled: &(dyn Fn(&Place) -> bool + Sync),
+    profiled: bool,
     progress: &Watch<'_>,
 ) -> Result<Vec<Trial>, DiagnosisError> {
     let fits = each(
@@ -315,8 +312,12 @@ fn fit_all<'c, D: Domain>(
         |done, candidate| progress(done, &candidate.effect.id),
         |candidate| Ok((fit(linear, &candidate.effect, &candidate.parameters)?, &candidate.parameters)),
     )?;
-    let effects = fits.iter().map(|(fitted, parameters)| (fitted.effect.clone(), &parameters[..]));
-    let beside = beside_own_thresholds(linear, effects.collect(), profiled, &BTreeMap::new())?;
+    let beside = if profiled {
+        let effects = fits.iter().map(|(fitted, parameters)| (fitted.effect.clone(), &parameters[..]));
+        beside_own_thresholds(linear, effects.collect(), &BTreeMap::new())?
+    } else {
+        fits.iter().map(|_| None).collect()
+    };
     let trials = fits.into_iter().zip(beside).map(|((fitted, _), beside)| {
         let as_is = (fitted.changes.contains(&true) && !stands_in(&fitted)).then(|| {
             let evidence = evidence(&fitted.effect, &fitted.parameters, &fitted.assessment.standard_errors);
@@ -350,17 +351,16 @@ fn keep_rivals(
     });
 }
 
-/// Those of `effects`, each with its parameters, that are of a whole stream that is `profiled` and have few parameters, with
-/// the model's own parameters fitted anew beside them; `None` for those that remove nothing, or much less to begin with
+/// Those of `effects`, each with its parameters, that are of a whole stream and have few parameters, with the model's own
+/// parameters fitted anew beside them; `None` for those that remove nothing, or much less to begin with
 /// than others at their place do, or is `known` to be removed there. Their evidence is left to the full fit.
 fn beside_own_thresholds<D: Domain>(
     linear: &Linear<'_, D>,
     effects: Vec<(Effect, &[Parameter])>,
-    profiled: &(dyn Fn(&Place) -> bool + Sync),
     known: &BTreeMap<Place, f64>,
 ) -> Result<Vec<Option<Tried>>, DiagnosisError> {
     let begin = |(effect, parameters): &(Effect, &[Parameter])| {
-        if !matches!(effect.place, Place::Stream(_)) || parameters.len() > FEW || !profiled(&effect.place) {
+        if !matches!(effect.place, Place::Stream(_)) || parameters.len() > FEW {
             return Ok(None);
         }
         Profile::begin(linear, effect, parameters)

@@ -83,7 +83,14 @@ impl Sines {
 }
 
 fn config() -> NamingConfig {
-    NamingConfig { max_effects: 4, bar: 12.0, least_share: 0.002, num_fits: 4, without: Vec::new() }
+    NamingConfig {
+        max_effects: 4,
+        bar: 12.0,
+        kept_bar: 12.0,
+        least_share: 0.002,
+        num_fits: 4,
+        without: Vec::new(),
+    }
 }
 
 fn ids(naming: &Naming) -> Vec<&str> {
