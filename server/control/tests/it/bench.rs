@@ -60,6 +60,18 @@ struct Frames {
 impl Bench {
     /// A station whose devices are all found and ready.
     pub(crate) fn new() -> Self {
+        Self::of(station())
+    }
+
+    /// The same that waits longer for its operator: for what takes long and is not about operators that fall silent. The
+    /// threads of a test stand still for a moment now and then, where those of a station do not.
+    pub(crate) fn patient() -> Self {
+        let mut station = station();
+        (station.safety.heartbeat_ttl_s, station.safety.disarm_after_s) = (1.0, 2.0);
+        Self::of(station)
+    }
+
+    fn of(station: Station) -> Self {
         let turn = turn();
         let dir = tempfile::tempdir().expect("a folder");
         let stop = Arc::new(AtomicBool::new(false));
@@ -85,7 +97,7 @@ impl Bench {
             }
         });
         let (emulated, device_ports) = ports.recv_timeout(PATIENCE).expect("the devices come up");
-        let station = Arc::new(station());
+        let station = Arc::new(station);
         let frames = Arc::new(Mutex::new(Frames::default()));
         let placing = emulated.clone();
         let config = ControlConfig {

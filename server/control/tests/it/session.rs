@@ -55,7 +55,7 @@ fn to_start(bench: &Bench, operator: &Operator) {
 
 #[test]
 fn a_take_is_recorded_checked_accepted_and_can_be_read() {
-    let bench = Bench::new();
+    let bench = Bench::patient();
     let plans = bench.handle.recording().unwrap().plans;
     assert!(plans.iter().any(|plan| plan.id == "quick_check" && plan.takes == 3), "{plans:?}");
     let session = start(&bench, "monday").unwrap();
