@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::engine::{self, Domain, Model, Naming, NamingConfig};
 use crate::null::NullBar;
-use crate::tactile::adequacy::{Adequacy, adequacy};
+use crate::tactile::adequacy::{Adequacy, account_where_they_act, adequacy, changed_signals};
 use crate::tactile::judge::{Judged, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
 use crate::{DiagnosisError, show};
@@ -119,10 +119,13 @@ pub fn diagnose(
     })?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
-    let before = adequacy(station, &domain, &start, &fitted)?;
-    let mut adequacy = adequacy(station, &domain, &naming.model, &fitted)?;
+    let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
+    let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
     let limits = bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
-    if domain.num_raw_takes() > 0 && !adequacy.accounts_for(&before, &limits) {
+    let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
+    let accounts = account_where_they_act(&left_before, &left, &changed)
+        .unwrap_or_else(|| adequacy.accounts_for(&before, &limits));
+    if domain.num_raw_takes() > 0 && !accounts {
         naming.withhold(&start);
         adequacy = before;
     }

@@ -42,39 +42,122 @@ const MOST_LEFT: f64 = 0.35;
 
 /// Residuals count up to this many standard deviations.
 const CLIP: f64 = 4.0;
+
+/// What is left in one signal.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Left {
+    /// Products of what residuals of repeated motions have in common, and their number.
+    products: [f64; 2],
+    /// Huber's loss, and the number of rows.
+    losses: [f64; 2],
+}
+
+impl Left {
+    /// Of several signals together.
+    fn sum<'l>(signals: impl Iterator<Item = &'l Self>) -> Self {
+        signals.fold(Self::default(), |sum, one| Self {
+            products: [0, 1].map(|idx| sum.products[idx] + one.products[idx]),
+            losses: [0, 1].map(|idx| sum.losses[idx] + one.losses[idx]),
+        })
+    }
+
+    /// As [`Adequacy::repeating`].
+    fn repeating(&self) -> f64 {
+        let [product, count] = self.products;
+        if count > 0.0 { (product / count).max(0.0) } else { 0.0 }
+    }
+
+    /// As [`Adequacy::loss`].
+    fn loss(&self) -> f64 {
+        let [loss, rows] = self.losses;
+        if rows > 0.0 { loss / rows } else { 0.0 }
+    }
+}
+
+/// Whether names account for what there was in the signals that they change, where that is clear; `None` where it is not.
+///
+/// `before` and `after` are what is left without and with them, by signal. However much repeats elsewhere, right names
+/// leave little of it where they act, and what is named in place of something else leaves most of it.
+pub(crate) fn account_where_they_act(before: &[Left], after: &[Left], changed: &[bool]) -> Option<bool> {
+    let there = |left: &[Left]| {
+        Left::sum(left.iter().zip(changed).filter(|(_, changed)| **changed).map(|(left, _)| left))
+    };
+    let (before, after) = (there(before), there(after));
+    let share = |after: f64, before: f64| if before > 0.0 { after / before } else { f64::NAN };
+    let repeating = share(after.repeating(), before.repeating());
+    let loss = share(after.loss(), before.loss());
+    if repeating <= LITTLE_REPEATING || loss <= LITTLE_LOSS {
+        return Some(true);
+    }
+    (repeating > MOST_REPEATING && loss > MOST_LOSS).then_some(false)
+}
+
+/// Shares of what repeats, and of the loss, in the signals that names change: what right names leave at most, one or the
+/// other, and what only wrong ones leave. On the tuning station, one effect hidden, those that act on places leave 0.04 to
+/// 0.29 of what repeats, or else (what acts on a stream) 0.01 to 0.5 of the loss; wrong ones 0.3 to 0.73 and 0.67 to 0.87.
+const LITTLE_REPEATING: f64 = 0.25;
+const LITTLE_LOSS: f64 = 0.55;
+const MOST_REPEATING: f64 = 0.6;
+const MOST_LOSS: f64 = 0.7;
+
+/// Which signals the effects of `model` beyond the first `known` change: those in which they do more than a small share of
+/// what they do in one.
+pub(crate) fn changed_signals(
+    domain: &TactileDomain<'_>,
+    model: &Model,
+    known: usize,
+    takes: &[usize],
+) -> Result<Vec<bool>, DiagnosisError> {
+    let mut without = model.clone();
+    without.effects.truncate(known);
+    let mut changes = vec![0.0; domain.num_signals()];
+    for &take in takes {
+        let predicted = domain.predict(take, model)?.into_iter().zip(domain.predict(take, &without)?);
+        for (signal, ((with, without), change)) in predicted.zip(&mut changes).enumerate() {
+            let rows = with.iter().zip(without.iter()).zip(domain.weights(take, signal, &with));
+            let squares =
+                rows.map(|((with, without), weight)| ((with - without) * weight).abs().min(CLIP).powi(2));
+            *change += squares.sum::<f64>();
+        }
+    }
+    let most = changes.iter().copied().fold(0.0, f64::max);
+    Ok(changes.iter().map(|change| *change > SMALL_CHANGE * most).collect())
+}
+
+/// Share of what names do in one signal below which they do nothing in another.
+const SMALL_CHANGE: f64 = 0.02;
 /// A channel is quiet where the model expects less than this, in units of the threshold.
 const QUIET: f64 = 0.02;
 
-/// Measures `model` on `takes`.
+/// Measures `model` on `takes`: over all signals, and what is left in each.
 pub(crate) fn adequacy(
     station: &Station,
     domain: &TactileDomain<'_>,
     model: &Model,
     takes: &[usize],
-) -> Result<Adequacy, DiagnosisError> {
-    let (mut product, mut count) = (0.0, 0.0);
-    let (mut loss, mut rows_measured) = (0.0, 0.0);
+) -> Result<(Adequacy, Vec<Left>), DiagnosisError> {
+    let mut left = vec![Left::default(); domain.num_signals()];
     let mut quiet = vec![Quiet::default(); station.layout.streams.len()];
     for &take in takes {
         let observed = domain.take(take);
         let prediction = domain.predict(take, model)?;
         let repeated = repeated(observed);
-        for (signal, predicted) in prediction.iter().enumerate() {
+        for ((signal, predicted), Left { products, losses }) in prediction.iter().enumerate().zip(&mut left) {
             let weights = domain.weights(take, signal, predicted);
             let rows = observed.signals[signal].iter().zip(predicted.iter()).zip(&weights);
             let deviation: Vec<f64> =
                 rows.map(|((row, predicted), weight)| (row - predicted) * weight).collect();
             for deviation in deviation.iter().filter(|deviation| deviation.is_finite()) {
-                loss += huber(*deviation);
-                rows_measured += 1.0;
+                losses[0] += huber(*deviation);
+                losses[1] += 1.0;
             }
             let residual = |frame: usize| deviation[frame].clamp(-CLIP, CLIP);
             for (a, b) in repeated.iter().flat_map(|(first, second)| first.clone().zip(second.clone())) {
                 let (x, y) = (residual(a), residual(b));
                 let near = predicted[a] > QUIET || predicted[b] > QUIET;
                 if near && x.is_finite() && y.is_finite() {
-                    product += x * y;
-                    count += 1.0;
+                    products[0] += x * y;
+                    products[1] += 1.0;
                 }
             }
         }
@@ -82,11 +165,9 @@ pub(crate) fn adequacy(
             sum.add(observed, &prediction, stream.channels.clone());
         }
     }
-    Ok(Adequacy {
-        repeating: if count > 0.0 { (product / count).max(0.0) } else { 0.0 },
-        common_mode: quiet.iter().map(Quiet::ratio).fold(0.0, f64::max),
-        loss: if rows_measured > 0.0 { loss / rows_measured } else { 0.0 },
-    })
+    let all = Left::sum(left.iter());
+    let common_mode = quiet.iter().map(Quiet::ratio).fold(0.0, f64::max);
+    Ok((Adequacy { repeating: all.repeating(), common_mode, loss: all.loss() }, left))
 }
 
 #[derive(Clone, Copy, Default)]
@@ -118,5 +199,31 @@ impl Quiet {
 
     fn ratio(&self) -> f64 {
         if self.frames > 0.0 { self.squares / self.frames } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two signals, of which names change the first; the other is as bad with them as without.
+    fn accounts(repeating: [f64; 2], loss: [f64; 2]) -> Option<bool> {
+        let elsewhere = Left { products: [50.0, 10.0], losses: [500.0, 100.0] };
+        let of = |idx: usize| {
+            let first = Left { products: [10.0 * repeating[idx], 10.0], losses: [100.0 * loss[idx], 100.0] };
+            [first, elsewhere]
+        };
+        account_where_they_act(&of(0), &of(1), &[true, false])
+    }
+
+    #[test]
+    fn names_are_judged_by_what_they_leave_where_they_act() {
+        assert_eq!(accounts([2.0, 0.2], [1.2, 1.0]), Some(true), "nothing repeats any more");
+        assert_eq!(accounts([0.2, 0.15], [4.0, 0.6]), Some(true), "the loss is gone");
+        assert_eq!(accounts([2.0, 1.5], [1.2, 1.1]), Some(false), "nearly all is left");
+        assert_eq!(accounts([2.0, 0.9], [1.2, 0.9]), None);
+        assert_eq!(accounts([0.0, 0.0], [1.2, 1.1]), None, "nothing repeated there");
+        let left = [Left::default()];
+        assert_eq!(account_where_they_act(&left, &left, &[false]), None, "no names");
     }
 }
