@@ -93,6 +93,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::tests::config;
     use super::super::{BaseParameter, Series};
     use super::*;
 
@@ -148,16 +149,8 @@ mod tests {
 
         /// What becomes of `named`.
         fn merged(&self, named: Vec<Effect>) -> (bool, Vec<String>) {
-            let config = NamingConfig {
-                max_effects: 4,
-                bar: 12.0,
-                kept_bar: 12.0,
-                least_share: 0.002,
-                num_fits: 4,
-                without: Vec::new(),
-            };
             let mut model = refit(self, &Model { base: vec![0.0], effects: named }, &[0], 3).unwrap();
-            let merged = merge(self, &mut model, 0, &[0], &config, &[]).unwrap();
+            let merged = merge(self, &mut model, 0, &[0], &config(), &[]).unwrap();
             (merged, model.effects.into_iter().map(|effect| effect.id).collect())
         }
     }

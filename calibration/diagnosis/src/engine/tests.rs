@@ -82,7 +82,7 @@ impl Sines {
     }
 }
 
-fn config() -> NamingConfig {
+pub(super) fn config() -> NamingConfig {
     NamingConfig {
         max_effects: 4,
         bar: 12.0,
