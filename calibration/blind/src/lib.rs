@@ -3,19 +3,23 @@
 //! The truth world knows what it hides and the library does not; this crate is the only place where both meet, and it
 //! looks at what was hidden only after a diagnosis. [`tactile`] and [`actuator`] are the jobs.
 
+mod answers;
 mod score;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
 use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, diagnose};
-use palpate_emulator::actuator::{ServoCaseKind, record_servo, servo_cases};
+use palpate_emulator::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
 use palpate_emulator::{EmulationError, Expected, Stage, Strength, cases};
 use palpate_recording::Take;
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, SensorModelError};
-use palpate_wire::api::{DiagnosisReport, Verdict};
+use palpate_wire::api::DiagnosisReport;
+use rayon::prelude::*;
 
+use answers::{Answer, Answers, Asked, Secret};
 pub use score::{BlindReport, LeftOut, Pairs, Scores, StrengthScores};
 
 /// What to run.
@@ -31,8 +35,16 @@ pub struct BlindConfig {
     pub binary_only: bool,
     /// Whether effects are diagnosed again with themselves left out of the library.
     pub leave_out: bool,
-    /// Run only cases whose label contains this; empty: all.
-    pub only: String,
+    /// Run only cases whose label contains one of these; empty: all.
+    pub only: Vec<String>,
+    /// Where answers are kept, one a line: those that are there are not asked for again.
+    pub answers: Option<PathBuf>,
+}
+
+impl BlindConfig {
+    fn wants(&self, label: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|part| label.contains(part))
+    }
 }
 
 /// A bench that cannot be run.
@@ -53,64 +65,20 @@ pub enum BlindError {
     /// The station's nominal model.
     #[error(transparent)]
     Model(#[from] SensorModelError),
+    /// The file of answers.
+    #[error("answers {path}: {source}")]
+    Answers {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// Nothing to run.
-    #[error("no case's label contains {0:?}")]
-    NoCase(String),
+    #[error("no case's label contains any of {0:?}")]
+    NoCase(Vec<String>),
     /// Somebody cancelled.
     #[error("cancelled")]
     Cancelled,
-}
-
-/// What was hidden in a session: for scoring alone.
-#[derive(Clone, Debug)]
-pub(crate) struct Secret {
-    pub(crate) label: String,
-    /// Ids, in no order.
-    pub(crate) hidden: Vec<String>,
-    /// `weak`, `medium` or `strong`; `None` for pairs and without effects.
-    pub(crate) strength: Option<String>,
-    pub(crate) expected: Expected,
-}
-
-impl Secret {
-    /// Whether to ask again with the effect left out of the library.
-    fn to_leave_out(&self) -> Option<String> {
-        let strong = self.strength.as_deref() == Some("strong") && self.expected == Expected::Named;
-        strong.then(|| self.hidden[0].clone())
-    }
-}
-
-/// What one diagnosis said about one session.
-#[derive(Clone, Debug)]
-pub(crate) struct Answer {
-    pub(crate) secret: Secret,
-    /// Whether the effect was left out of the library.
-    pub(crate) left_out: bool,
-    /// Whether the raw readings were taken away.
-    pub(crate) binary: bool,
-    /// Names, in order.
-    pub(crate) named: Vec<String>,
-    /// Every member of every name's class.
-    pub(crate) class: Vec<String>,
-    pub(crate) verdict: Verdict,
-    /// Gap of the calibrated and of the diagnosed model on confirm takes.
-    pub(crate) gap: [f64; 2],
-}
-
-impl Answer {
-    fn new(secret: &Secret, left_out: bool, binary: bool, report: &DiagnosisReport) -> Self {
-        let named: Vec<String> = report.effects.iter().map(|effect| effect.id.clone()).collect();
-        tracing::debug!(label = secret.label, left_out, binary, ?named, verdict = ?report.verdict, "answered");
-        Self {
-            secret: secret.clone(),
-            left_out,
-            binary,
-            named,
-            class: report.effects.iter().flat_map(|effect| effect.class.iter().cloned()).collect(),
-            verdict: report.verdict,
-            gap: [report.gap.calibrated, report.gap.diagnosed],
-        }
-    }
 }
 
 /// Runs the bench of touch in the world of the truth file at `truth`.
@@ -129,36 +97,32 @@ pub fn tactile(
     for seed in rounds {
         all.extend(cases(&stage, config.nulls, seed)?);
     }
-    all.retain(|case| case.label.contains(&config.only));
-    let mut answers = Vec::new();
-    for (idx, case) in all.iter().enumerate() {
-        watch(idx, all.len(), &case.label, progress, cancel)?;
+    let sessions = all.into_iter().map(|case| {
         let secret = Secret {
-            label: case.label.clone(),
+            world: stage.truth().name.clone(),
+            label: case.label,
+            seed: case.seed,
             hidden: case.hidden.iter().map(|hidden| hidden.id.clone()).collect(),
+            details: case.hidden,
             strength: case.strength.map(strength_name),
             expected: case.expected,
         };
-        let takes = stage.record(&case.hidden, case.seed)?;
-        let ask = |takes: &[Take], without: Option<String>| {
-            let config = DiagnosisConfig {
-                without: without.into_iter().collect(),
-                bootstrap_resamples: 0,
-                ..DiagnosisConfig::default()
-            };
-            let outcome = diagnose(&config, takes, &nominal, None, &NoProgress, cancel, &|| 0.0);
-            outcome.map(|outcome| outcome.report).map_err(|source| failed(&case.label, source))
+        (secret, ())
+    });
+    let diagnosed = |secret: &Secret, (): &(), asked: Asked| {
+        let mut takes = stage.record(&secret.details, secret.seed)?;
+        if asked == Asked::EventsOnly {
+            takes.iter_mut().for_each(take_raw_away);
+        }
+        let config = DiagnosisConfig {
+            without: without(secret, asked),
+            bootstrap_resamples: 0,
+            ..DiagnosisConfig::default()
         };
-        answers.push(Answer::new(&secret, false, false, &ask(&takes, None)?));
-        if config.binary_only {
-            let takes: Vec<Take> = takes.iter().map(without_raw).collect();
-            answers.push(Answer::new(&secret, false, true, &ask(&takes, None)?));
-        }
-        if let (true, Some(without)) = (config.leave_out, secret.to_leave_out()) {
-            answers.push(Answer::new(&secret, true, false, &ask(&takes, Some(without))?));
-        }
-    }
-    finish(&answers, config, progress)
+        let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, cancel, &|| 0.0);
+        outcome.map(|outcome| outcome.report).map_err(|source| failed(&secret.label, source))
+    };
+    run(sessions.collect(), config, config.binary_only, progress, cancel, &diagnosed)
 }
 
 /// Runs the bench of joint servos.
@@ -167,64 +131,90 @@ pub fn actuator(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<BlindReport, BlindError> {
-    let catalogue = servo_cases();
-    let mut all = Vec::new();
+    let mut sessions = Vec::new();
     for round in 0..config.seeds {
-        for (idx, case) in catalogue.iter().enumerate() {
+        for (idx, case) in servo_cases().into_iter().enumerate() {
             let times = if case.kind == ServoCaseKind::Null { config.nulls } else { 1 };
+            let strengths = [Strength::Weak, Strength::Medium, Strength::Strong];
+            let (strength, expected) = match case.kind {
+                ServoCaseKind::Single(strength) => {
+                    (Some(strength_name(strengths[strength])), Expected::Named)
+                }
+                ServoCaseKind::Pair => (None, Expected::Named),
+                ServoCaseKind::Null => (None, Expected::Nothing),
+                ServoCaseKind::Outside => (None, Expected::Unexplained),
+            };
             let seed = (config.first_seed + round) << 20 | (idx as u64) << 10;
-            all.extend((0..times as u64).map(|time| (case, seed + time)));
+            for time in 0..times as u64 {
+                let secret = Secret {
+                    world: SERVOS.to_owned(),
+                    label: case.label.clone(),
+                    seed: seed + time,
+                    hidden: case.hidden.iter().map(|id| (*id).to_owned()).collect(),
+                    details: Vec::new(),
+                    strength: strength.clone(),
+                    expected,
+                };
+                sessions.push((secret, case.truth.clone()));
+            }
         }
     }
-    all.retain(|(case, _)| case.label.contains(&config.only));
-    let mut answers = Vec::new();
-    for (idx, (case, seed)) in all.iter().enumerate() {
-        watch(idx, all.len(), &case.label, progress, cancel)?;
-        let strengths = [Strength::Weak, Strength::Medium, Strength::Strong];
-        let (strength, expected) = match case.kind {
-            ServoCaseKind::Single(strength) => (Some(strength_name(strengths[strength])), Expected::Named),
-            ServoCaseKind::Pair => (None, Expected::Named),
-            ServoCaseKind::Null => (None, Expected::Nothing),
-            ServoCaseKind::Outside => (None, Expected::Unexplained),
-        };
-        let hidden = case.hidden.iter().map(|id| (*id).to_owned()).collect();
-        let secret = Secret { label: case.label.clone(), hidden, strength, expected };
-        let logs = record_servo(&case.truth, *seed);
-        let ask = |without: Option<String>| {
-            let config =
-                ActuatorConfig { without: without.into_iter().collect(), ..ActuatorConfig::default() };
-            let outcome = diagnose_actuator(&config, &logs, &NoProgress, cancel, &|| 0.0);
-            outcome.map(|outcome| outcome.report).map_err(|source| failed(&case.label, source))
-        };
-        answers.push(Answer::new(&secret, false, false, &ask(None)?));
-        if let (true, Some(without)) = (config.leave_out, secret.to_leave_out()) {
-            answers.push(Answer::new(&secret, true, false, &ask(Some(without))?));
-        }
-    }
-    finish(&answers, config, progress)
+    let diagnosed = |secret: &Secret, truth: &ServoTruth, asked: Asked| {
+        let logs = record_servo(truth, secret.seed);
+        let config = ActuatorConfig { without: without(secret, asked), ..ActuatorConfig::default() };
+        let outcome = diagnose_actuator(&config, &logs, &NoProgress, cancel, &|| 0.0);
+        outcome.map(|outcome| outcome.report).map_err(|source| failed(&secret.label, source))
+    };
+    run(sessions, config, false, progress, cancel, &diagnosed)
 }
 
-fn finish(
-    answers: &[Answer],
+/// The world of the servos, in answers.
+const SERVOS: &str = "servos";
+
+/// Diagnoses each of `sessions`, side by side, in every way that `config` asks for, and scores the answers.
+fn run<T: Sync>(
+    mut sessions: Vec<(Secret, T)>,
     config: &BlindConfig,
-    progress: &dyn Progress,
-) -> Result<BlindReport, BlindError> {
-    if answers.is_empty() {
-        return Err(BlindError::NoCase(config.only.clone()));
-    }
-    progress.report(1.0, "done");
-    Ok(BlindReport::new(answers))
-}
-
-fn watch(
-    idx: usize,
-    count: usize,
-    label: &str,
+    events_only: bool,
     progress: &dyn Progress,
     cancel: &Cancel,
-) -> Result<(), BlindError> {
-    progress.report(idx as f64 / count as f64, &format!("session {} of {count}: {label}", idx + 1));
-    if cancel.is_cancelled() { Err(BlindError::Cancelled) } else { Ok(()) }
+    diagnosed: &(dyn Fn(&Secret, &T, Asked) -> Result<DiagnosisReport, BlindError> + Sync),
+) -> Result<BlindReport, BlindError> {
+    sessions.retain(|(secret, _)| config.wants(&secret.label));
+    if sessions.is_empty() {
+        return Err(BlindError::NoCase(config.only.clone()));
+    }
+    let answers = Answers::open(config.answers.as_deref())?;
+    let asked = sessions.iter().flat_map(|(secret, truth)| {
+        let left_out = config.leave_out && secret.to_leave_out().is_some();
+        let ways = [(Asked::AsRecorded, true), (Asked::EventsOnly, events_only), (Asked::LeftOut, left_out)];
+        ways.into_iter().filter(|(_, is_asked)| *is_asked).map(move |(asked, _)| (secret, truth, asked))
+    });
+    let asked: Vec<_> = asked.collect();
+    let asked_count = asked.len();
+    let num_begun = AtomicUsize::new(0);
+    let answer = |&(secret, truth, asked): &(&Secret, &T, Asked)| {
+        let begun = num_begun.fetch_add(1, Ordering::Relaxed);
+        let (fraction, count) = (begun as f64 / asked_count as f64, asked_count);
+        progress.report(fraction, &format!("diagnosis {} of {count}: {}", begun + 1, secret.label));
+        if cancel.is_cancelled() {
+            return Err(BlindError::Cancelled);
+        }
+        if let Some(known) = answers.find(secret, asked) {
+            return Ok(known);
+        }
+        let answer = Answer::new(secret, asked, diagnosed(secret, truth, asked)?);
+        answers.add(&answer)?;
+        Ok(answer)
+    };
+    let answers: Vec<Answer> = asked.par_iter().with_max_len(1).map(answer).collect::<Result<_, _>>()?;
+    progress.report(1.0, "done");
+    Ok(BlindReport::new(&answers))
+}
+
+/// Effects to leave out of the library.
+fn without(secret: &Secret, asked: Asked) -> Vec<String> {
+    secret.to_leave_out().filter(|_| asked == Asked::LeftOut).cloned().into_iter().collect()
 }
 
 fn failed(label: &str, source: DiagnosisError) -> BlindError {
@@ -238,12 +228,10 @@ fn strength_name(strength: Strength) -> String {
     format!("{strength:?}").to_lowercase()
 }
 
-/// `take` as a device would have recorded it that reports events only.
-fn without_raw(take: &Take) -> Take {
-    let mut take = take.clone();
+/// Leaves of `take` what a device would have recorded that reports events only.
+fn take_raw_away(take: &mut Take) {
     for stream in &mut take.streams {
         stream.raw.clear();
         stream.reference.clear();
     }
-    take
 }

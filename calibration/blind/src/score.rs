@@ -6,7 +6,7 @@ use palpate_emulator::Expected;
 use palpate_wire::api::Verdict;
 use serde::{Deserialize, Serialize};
 
-use crate::Answer;
+use crate::answers::{Answer, Asked};
 
 /// The result of the bench: `palpate blind --json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,29 +84,34 @@ pub struct StrengthScores {
 
 impl BlindReport {
     pub(crate) fn new(answers: &[Answer]) -> Self {
-        let of = |binary: bool| answers.iter().filter(move |answer| answer.binary == binary);
-        let any_binary = of(true).next().is_some();
-        Self { scores: scores(of(false)), binary_only: any_binary.then(|| scores(of(true))) }
+        let of = |events_only: bool| {
+            answers.iter().filter(move |answer| (answer.asked == Asked::EventsOnly) == events_only)
+        };
+        let any_events_only = of(true).next().is_some();
+        Self { scores: scores(of(false)), binary_only: any_events_only.then(|| scores(of(true))) }
     }
 }
 
 fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
     let mut scores = Scores::default();
     // What calibration leaves where nothing is hidden: no diagnosis can be expected to go below.
-    let mut quiet_gaps: Vec<f64> =
-        answers.clone().filter(|a| a.secret.expected == Expected::Nothing).map(|a| a.gap[0]).collect();
+    let mut quiet_gaps: Vec<f64> = answers
+        .clone()
+        .filter(|a| a.secret.expected == Expected::Nothing)
+        .map(|a| a.gap.calibrated)
+        .collect();
     let floor = median(&mut quiet_gaps);
     let mut removed = Vec::new();
     for answer in answers {
         let hidden: Vec<&str> = answer.secret.hidden.iter().map(String::as_str).collect();
-        let names = |id: &str| answer.named.iter().any(|named| named == id);
-        if answer.left_out {
+        let names = |id: &str| answer.named.iter().any(|named| named.id == id);
+        if answer.asked == Asked::LeftOut {
             scores.left_out.cases += 1;
             scores.left_out.misnamed += usize::from(!answer.named.is_empty());
             scores.left_out.flagged += usize::from(answer.verdict == Verdict::Unexplained);
             continue;
         }
-        let first = answer.named.first().map_or_else(|| verdict_name(answer.verdict), String::clone);
+        let first = answer.named.first().map_or_else(|| verdict_name(answer.verdict), |name| name.id.clone());
         let truth = if hidden.is_empty() { "nothing".to_owned() } else { hidden.join(" + ") };
         *scores.confusion.entry(truth).or_default().entry(first.clone()).or_default() += 1;
         match (answer.secret.expected, hidden.as_slice()) {
@@ -120,7 +125,7 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
             }
             (Expected::Named, [one]) => {
                 let named = first == *one;
-                let in_class = answer.class.iter().any(|id| id == one);
+                let in_class = answer.has_in_class(one);
                 let strength = answer.secret.strength.clone().unwrap_or_default();
                 let by_strength = scores.by_strength.entry(strength).or_default();
                 for (cases, correct, class) in [
@@ -136,9 +141,10 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
                     *class += usize::from(in_class);
                 }
                 if let (true, Some(floor)) = (named, floor)
-                    && answer.gap[0] > 1.1 * floor
+                    && answer.gap.calibrated > 1.1 * floor
                 {
-                    removed.push((answer.gap[0] - answer.gap[1]) / (answer.gap[0] - floor));
+                    let of_names = answer.gap.calibrated - answer.gap.diagnosed;
+                    removed.push(of_names / (answer.gap.calibrated - floor));
                 }
             }
             (Expected::Named, several) => {
@@ -147,7 +153,7 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
                 scores.pairs.both += usize::from(found == several.len());
                 scores.pairs.one += usize::from(found > 0);
                 scores.pairs.extra +=
-                    usize::from(answer.named.iter().any(|named| !several.contains(&named.as_str())));
+                    usize::from(answer.named.iter().any(|named| !several.contains(&named.id.as_str())));
             }
         }
     }
@@ -170,24 +176,48 @@ fn median(values: &mut [f64]) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use palpate_robot_model::Place;
+    use palpate_wire::api::{Gap, NamedEffect};
+
     use super::*;
-    use crate::Secret;
+    use crate::answers::Secret;
+
+    fn name(id: &str) -> NamedEffect {
+        NamedEffect {
+            id: id.to_owned(),
+            place: Place::Stream("all".to_owned()),
+            parameters: BTreeMap::new(),
+            interval: BTreeMap::new(),
+            gap_before: 0.02,
+            gap_after: 0.01,
+            p_value: 0.01,
+            evidence: 50.0,
+            takes_improved: "8/9".to_owned(),
+            class: vec![id.to_owned()],
+            rivals: Vec::new(),
+            explanation: String::new(),
+        }
+    }
 
     fn answer(hidden: &[&str], expected: Expected, strength: Option<&str>, named: &[&str]) -> Answer {
-        let ids = |ids: &[&str]| ids.iter().map(|id| (*id).to_owned()).collect::<Vec<_>>();
         Answer {
             secret: Secret {
+                world: String::new(),
                 label: String::new(),
-                hidden: ids(hidden),
+                seed: 1,
+                hidden: hidden.iter().map(|id| (*id).to_owned()).collect(),
+                details: Vec::new(),
                 strength: strength.map(str::to_owned),
                 expected,
             },
-            left_out: false,
-            binary: false,
-            named: ids(named),
-            class: ids(named),
+            asked: Asked::AsRecorded,
             verdict: if named.is_empty() { Verdict::Unexplained } else { Verdict::Explained },
-            gap: [0.02, 0.01],
+            named: named.iter().map(|id| name(id)).collect(),
+            gap: Gap { calibrated: 0.02, diagnosed: 0.01, ..Gap::default() },
+            candidates: Vec::new(),
+            notes: Vec::new(),
         }
     }
 

@@ -22,7 +22,8 @@ fn config(only: &str, first_seed: u64) -> BlindConfig {
         nulls: 1,
         binary_only: false,
         leave_out: false,
-        only: only.to_owned(),
+        only: vec![only.to_owned()],
+        answers: None,
     }
 }
 
@@ -74,4 +75,33 @@ fn coulomb_friction_of_a_servo_is_named() {
 fn a_bench_without_a_case_says_so() {
     let error = actuator(&config("no such effect", 7), &NoProgress, &Cancel::default()).unwrap_err();
     assert!(matches!(error, BlindError::NoCase(_)), "{error}");
+}
+
+#[test]
+fn answers_that_are_kept_are_not_asked_for_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("answers.jsonl");
+    let config =
+        BlindConfig { answers: Some(path.clone()), leave_out: true, ..config("coulomb_friction, strong", 7) };
+    let asked = || actuator(&config, &NoProgress, &Cancel::default());
+    let report = asked().unwrap();
+    let lines = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(lines.lines().count(), 2, "as recorded, and with the effect left out");
+
+    // What was said of the first is changed, and the second cut off in the middle.
+    let end = lines.find('\n').unwrap();
+    let changed = lines[..end].replace("\"explained\"", "\"unexplained\"");
+    assert_ne!(changed, lines[..end]);
+    std::fs::write(&path, format!("{changed}\n{}", &lines[end + 1..end + 100])).unwrap();
+    assert_eq!(asked().unwrap().scores.left_out, report.scores.left_out);
+    let again = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(
+        again,
+        format!("{changed}\n{}", &lines[end + 1..]),
+        "the first is kept, the second asked for again"
+    );
+
+    std::fs::write(&path, "{}\n").unwrap();
+    let error = asked().unwrap_err().to_string();
+    assert!(error.contains("answers.jsonl: line 1: missing field"), "{error}");
 }

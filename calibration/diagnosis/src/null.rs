@@ -28,7 +28,8 @@ impl NullBar {
     pub const DEFAULT_EVIDENCE: f64 = 12.0;
 
     /// Limits of the adequacy statistics, tuned likewise.
-    pub const DEFAULT_ADEQUACY: Adequacy = Adequacy { repeating: 0.5, common_mode: 1.5, loss: 0.61 };
+    pub const DEFAULT_ADEQUACY: Adequacy =
+        Adequacy { repeating: 0.5, common_mode: 1.5, loss: 0.61, switching: 0.002 };
 
     fn default_adequacy() -> Adequacy {
         Self::DEFAULT_ADEQUACY

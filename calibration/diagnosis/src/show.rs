@@ -213,6 +213,7 @@ fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
     let of = &evidence.adequacy;
     let left = of.repeating > limits.repeating
         || of.common_mode > limits.common_mode
+        || of.switching > limits.switching
         || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);
     match (named.is_empty(), left) {
         (true, true) => Verdict::Unexplained,

@@ -1,7 +1,9 @@
 //! The sense of touch as a [`Domain`]: events and raw readings of every channel at every joint frame.
 //!
-//! Signals: `2 * channel`, the event (0 or 1); one further, the raw reading above its reference, in units of the stream's
-//! switching threshold (NaN where a take is binary only).
+//! Signals of a channel ([`Signal`]): the event (0 or 1); the raw reading above its reference, in units of the stream's
+//! switching threshold; and the share of the device's samples since the last frame that were on, which is expected of the
+//! readings that were measured, not of simulated ones: it shows what the firmware makes of readings, whatever touched. The
+//! last two are NaN where a take is binary only.
 //!
 //! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a latch
 //! know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a time. Every stream lags behind by up to some milliseconds, which is fitted along.
@@ -16,6 +18,7 @@ pub(crate) mod judge;
 mod moments;
 pub(crate) mod next;
 mod observe;
+mod switched;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -72,6 +75,29 @@ pub struct TactileDomain<'a> {
     memories: Vec<Vec<Mutex<Memory>>>,
 }
 
+/// Kinds of signals, in the order in which every channel has them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Signal {
+    Event,
+    Reading,
+    /// Share of samples that were on, by the readings that were measured.
+    Switched,
+}
+
+impl Signal {
+    pub(crate) const COUNT: usize = 3;
+
+    /// The number of this signal of `channel`.
+    pub(crate) fn of(self, channel: usize) -> usize {
+        channel * Self::COUNT + self as usize
+    }
+
+    /// Which kind the signal of this number is.
+    pub(crate) fn at(idx: usize) -> Self {
+        [Self::Event, Self::Reading, Self::Switched][idx % Self::COUNT]
+    }
+}
+
 /// Width of the switching curve to begin with, in units of the load at which a channel switches.
 const WIDTH: f64 = 0.2;
 /// A delay that is no news: the input filter of a board and its transport.
@@ -90,8 +116,9 @@ impl<'a> TactileDomain<'a> {
         takes: &'a [Take],
         start: &SensorModel,
     ) -> Result<(Self, Model), DiagnosisError> {
-        let takes: Vec<Observed<'a>> =
+        let mut takes: Vec<Observed<'a>> =
             takes.iter().map(|take| Observed::new(station, take)).collect::<Result<_, _>>()?;
+        ignore_uncertain_switching(station, &mut takes);
         let has = |kind: SensorKind| station.layout.streams.iter().any(|stream| stream.kind == kind);
         let raw = takes.iter().any(|take| take.has_raw);
         let theta = start.theta;
@@ -282,6 +309,22 @@ fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {
     (0..num_takes).map(|_| of_take().collect()).collect()
 }
 
+/// Readings without touch may differ by this from take to take, in units of the switching threshold, for it to be known
+/// from where the firmware counts.
+const STEADY: f64 = 0.03;
+
+/// Ignores what firmware makes of readings where it is uncertain what it takes for no touch.
+fn ignore_uncertain_switching(station: &Station, takes: &mut [Observed<'_>]) {
+    for (channel, config) in station.layout.channels.iter().enumerate() {
+        let references = takes.iter().filter_map(|take| take.reference(station, channel));
+        let (least, most) =
+            references.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+        if most - least > STEADY * station.streams[config.stream].on_threshold {
+            takes.iter_mut().for_each(|take| take.ignore_switching(channel));
+        }
+    }
+}
+
 /// Sets of at least two patches with several taxels each that are of one make.
 fn alike(station: &Station) -> Vec<Vec<usize>> {
     let layout = &station.layout;
@@ -370,7 +413,7 @@ impl Domain for TactileDomain<'_> {
     }
 
     fn num_kinds(&self) -> usize {
-        2
+        Signal::COUNT
     }
 
     fn base_support(&self, idx: usize) -> Vec<bool> {
@@ -430,7 +473,10 @@ impl Domain for TactileDomain<'_> {
     }
 
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {
-        if signal.is_multiple_of(2) {
+        if Signal::at(signal) == Signal::Switched {
+            return vec![SWITCHED_DOUBT.recip(); prediction.len()];
+        }
+        if Signal::at(signal) == Signal::Event {
             let doubt = |frame: usize| prediction[frame] * (1.0 - prediction[frame]);
             let around = (0..prediction.len()).map(|frame| {
                 let next = (frame + 1).min(prediction.len() - 1);
@@ -447,7 +493,7 @@ impl Domain for TactileDomain<'_> {
         }
         // What the model may be wrong by without being wrong: noise, a share of the reading, and about a quarter of a
         // millimetre of depth, which a first touch reads as a share of the threshold.
-        let quiet = self.takes[take].noise[signal / 2].max(LEAST_NOISE);
+        let quiet = self.takes[take].noise[signal / Signal::COUNT].max(LEAST_NOISE);
         let mut last = (f64::NAN, f64::NAN);
         let weight = |&x: &f64| {
             if x != last.0 {
@@ -484,6 +530,9 @@ impl Frozen {
 
 /// The effect that recordings show by themselves.
 const SAMPLE_HOLD: &str = "sample_hold";
+/// Share of a frame's samples that may be on or off by chance: readings are rounded, and the moments of samples are a little
+/// uncertain.
+const SWITCHED_DOUBT: f64 = 0.05;
 /// Variance of an event that the model is sure of.
 const LEAST_DOUBT: f64 = 0.02;
 /// Share of a raw reading that the model may be wrong by.

@@ -4,6 +4,7 @@ use palpate_recording::Take;
 use palpate_robot_model::{ObjectShape, Place, SensorKind, Station};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
 use crate::hidden::Hidden;
@@ -23,7 +24,8 @@ pub enum Strength {
 }
 
 /// What a case asks of a diagnosis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Expected {
     /// Nothing is hidden.
     Nothing,

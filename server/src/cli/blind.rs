@@ -32,9 +32,13 @@ pub(crate) struct BlindArgs {
     /// Leave out the diagnoses with an effect taken out of the library
     #[arg(long)]
     whole_library: bool,
-    /// Run only cases whose label contains this
-    #[arg(long, value_name = "TEXT", default_value = "")]
-    only: String,
+    /// Run only cases whose label contains this; may be given several times
+    #[arg(long, value_name = "TEXT")]
+    only: Vec<String>,
+    /// Keep every answer in this file, one a line, and do not ask again for those that it has: to look into wrong names, and
+    /// to go on where a bench was stopped
+    #[arg(long, value_name = "ANSWERS.jsonl")]
+    answers: Option<PathBuf>,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -54,6 +58,7 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         binary_only: !args.raw_only,
         leave_out: !args.whole_library,
         only: args.only.clone(),
+        answers: args.answers.clone(),
     };
     let report = {
         let bar = Bar::new();

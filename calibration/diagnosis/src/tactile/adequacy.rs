@@ -3,7 +3,7 @@
 use palpate_robot_model::Station;
 
 use super::judge::repeated;
-use super::{Observed, TactileDomain};
+use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
 
@@ -16,8 +16,10 @@ pub struct Adequacy {
     /// Variance of the mean over a stream's quiet channels, over what independent channels would show; about 1 if they
     /// are independent.
     pub common_mode: f64,
-    /// Huber's loss of a row, in variances, over all rows that were measured.
+    /// Huber's loss of a row, in variances, over all events and readings that were measured.
     pub loss: f64,
+    /// The same over what firmware makes of readings.
+    pub switching: f64,
 }
 
 impl Adequacy {
@@ -36,7 +38,7 @@ impl Adequacy {
 }
 
 /// What a model that misses nothing shows, tuned like the limits.
-const COMPLETE: Adequacy = Adequacy { repeating: 0.36, common_mode: 1.07, loss: 0.56 };
+const COMPLETE: Adequacy = Adequacy { repeating: 0.36, common_mode: 1.07, loss: 0.56, switching: 0.0 };
 /// Share of the excess that names may leave and still be the right ones.
 const MOST_LEFT: f64 = 0.35;
 
@@ -166,9 +168,14 @@ pub(crate) fn adequacy(
             sum.add(observed, &prediction, stream.channels.clone());
         }
     }
-    let all = Left::sum(left.iter());
+    let of = |switched: bool| {
+        let signals = left.iter().enumerate();
+        let of_kind = signals.filter(|(idx, _)| (Signal::at(*idx) == Signal::Switched) == switched);
+        Left::sum(of_kind.map(|(_, left)| left))
+    };
+    let (touch, switching) = (of(false), of(true).loss());
     let common_mode = quiet.iter().map(Quiet::ratio).fold(0.0, f64::max);
-    Ok((Adequacy { repeating: all.repeating(), common_mode, loss: all.loss() }, left))
+    Ok((Adequacy { repeating: touch.repeating(), common_mode, loss: touch.loss(), switching }, left))
 }
 
 #[derive(Clone, Copy, Default)]
@@ -181,7 +188,8 @@ impl Quiet {
     fn add(&mut self, observed: &Observed<'_>, prediction: &[Series], channels: std::ops::Range<usize>) {
         for frame in 0..observed.take.num_frames() {
             let (mut sum, mut count) = (0.0, 0.0);
-            let readings = observed.signals.iter().zip(prediction).skip(1).step_by(2);
+            let readings =
+                observed.signals.iter().zip(prediction).skip(Signal::Reading as usize).step_by(Signal::COUNT);
             let of_stream = readings.zip(&observed.noise).take(channels.end).skip(channels.start);
             for ((reading, predicted), noise) in of_stream {
                 let value = reading[frame] - predicted[frame];

@@ -7,11 +7,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use palpate_robot_model::{Place, SensorKind};
 use palpate_sim::effects::{
-    self, Arrived, Chain, Effect, EffectKind, Geometry, PatchGeometry, Stage, TakeScene,
+    self, Arrived, Chain, Effect, EffectKind, Geometry, PatchGeometry, Stage, Switching, TakeScene,
 };
 use palpate_sim::{Response, Theta};
 
-use super::{Base, TactileDomain, WIDTH};
+use super::{Base, Signal, TactileDomain, WIDTH};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series};
 
@@ -119,6 +119,8 @@ impl<const N: usize> Recent<N> {
 pub(super) struct Memory {
     channels: Vec<Kept<Arc<ChannelLoad>>>,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
+    /// Per channel, [`Signal::Switched`] by what its firmware switches by.
+    switched: Vec<Recent<2>>,
     /// Geometries that were put together, with the patches that each has.
     geometries: Kept<(Vec<bool>, Arc<Geometry>)>,
 }
@@ -136,6 +138,7 @@ impl Memory {
     pub(super) fn new(num_channels: usize, num_patches: usize) -> Mutex<Self> {
         Mutex::new(Self {
             channels: (0..num_channels).map(|_| Kept::new(LOADS_KEPT)).collect(),
+            switched: vec![Recent(Vec::new()); num_channels],
             patches: (0..num_patches).map(|_| Kept::new(MOTIONS_KEPT)).collect(),
             geometries: Kept::new(GEOMETRIES_KEPT),
         })
@@ -199,7 +202,7 @@ impl TactileDomain<'_> {
         let mut signals: Vec<Option<Series>> = vec![None; self.num_signals()];
         for limb in 0..self.memories[take].len() {
             for (channel, of_channel) in self.forward_limb(take, limb, &concerning)? {
-                for (signal, series) in signals[2 * channel..].iter_mut().zip(of_channel) {
+                for (signal, series) in signals[Signal::Event.of(channel)..].iter_mut().zip(of_channel) {
                     *signal = Some(series);
                 }
             }
@@ -232,13 +235,13 @@ impl TactileDomain<'_> {
         Concerning { model, theta, response, widths, read_by, effects, reaching }
     }
 
-    /// Activation and reading of each channel of `limb`.
+    /// The signals of each channel of `limb`.
     fn forward_limb(
         &self,
         take: usize,
         limb: usize,
         concerning: &Concerning<'_>,
-    ) -> Result<Vec<(usize, [Series; 2])>, DiagnosisError> {
+    ) -> Result<Vec<(usize, [Series; Signal::COUNT])>, DiagnosisError> {
         let Concerning { model, theta, response, widths, read_by, effects, reaching } = concerning;
         let observed = &self.takes[take];
         let scene = observed.scene(self.station, limb);
@@ -310,9 +313,23 @@ impl TactileDomain<'_> {
                     (activation, reading)
                 }
             };
-            signals.push((channel, [activation, reading]));
+            signals.push((channel, [activation, reading, self.switched(take, limb, channel, &switching)]));
         }
         Ok(signals)
+    }
+
+    /// [`Signal::Switched`] of `channel`.
+    fn switched(&self, take: usize, limb: usize, channel: usize, switching: &Switching) -> Series {
+        let by = [switching.off_fractions[channel], switching.min_on_s[channel]];
+        let key = by.map(f64::to_bits);
+        let mut memory = self.memory(take, limb);
+        let known = &mut memory.switched[channel];
+        known.get(key).unwrap_or_else(|| {
+            let [off_fraction, min_on_s] = by;
+            let switched = self.takes[take].switched(self.station, channel, off_fraction, min_on_s);
+            known.put(key, &switched);
+            switched
+        })
     }
 
     fn memory(&self, take: usize, limb: usize) -> std::sync::MutexGuard<'_, Memory> {

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::Observed;
+use super::{Observed, Signal};
 use crate::DiagnosisError;
 
 /// Events of one model on one take beside the real ones.
@@ -29,7 +29,8 @@ pub(crate) struct Judged {
 /// Real activations of a take, `[frame * num_channels + channel]`.
 pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
     let num_frames = observed.take.num_frames();
-    let of_frame = |frame| observed.signals.iter().step_by(2).map(move |events| events[frame] > 0.5);
+    let of_frame =
+        |frame| observed.signals.iter().step_by(Signal::COUNT).map(move |events| events[frame] > 0.5);
     (0..num_frames).flat_map(of_frame).collect()
 }
 

@@ -8,7 +8,9 @@ use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+use super::Signal;
 use super::moments::Moments;
+use super::switched::Samples;
 use crate::DiagnosisError;
 use crate::engine::Series;
 
@@ -103,7 +105,7 @@ impl<'a> Observed<'a> {
         let layout = &station.layout;
         let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
         let frame_times_s = &take.joints.times_s;
-        let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * 2];
+        let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * Signal::COUNT];
         let mut noise = vec![0.0; num_channels];
         let mut ceilings = vec![f64::INFINITY; num_channels];
         for ((stream, config), log) in layout.streams.iter().zip(&station.streams).zip(&take.streams) {
@@ -111,16 +113,20 @@ impl<'a> Observed<'a> {
             for (frame, &time_s) in frame_times_s.iter().enumerate() {
                 let Some(sample) = sample_in_effect(log, time_s) else { continue };
                 for (idx, channel) in stream.channels.clone().enumerate() {
-                    signals[2 * channel][frame] = f64::from(u8::from(log.active[sample * width + idx]));
+                    signals[Signal::Event.of(channel)][frame] =
+                        f64::from(u8::from(log.active[sample * width + idx]));
                     if let (Some(raw), Some(reference)) =
                         (log.raw.get(sample * width + idx), log.reference.get(idx))
                     {
-                        signals[2 * channel + 1][frame] = f64::from(raw - reference) / config.on_threshold;
+                        signals[Signal::Reading.of(channel)][frame] =
+                            f64::from(raw - reference) / config.on_threshold;
                     }
                 }
             }
             for (idx, channel) in stream.channels.clone().enumerate() {
                 if let Some(reference) = log.reference.get(idx) {
+                    let samples = Samples::new(log, idx, width, config.on_threshold, frame_times_s);
+                    signals[Signal::Switched.of(channel)] = samples.share_on();
                     ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
                     noise[channel] = quiet_noise(take, log, idx, width) / config.on_threshold;
                 }
@@ -150,6 +156,38 @@ impl<'a> Observed<'a> {
             noise,
             ceilings,
         })
+    }
+
+    /// What is expected of the firmware of `channel`: [`Signal::Switched`].
+    pub(crate) fn switched(
+        &self,
+        station: &Station,
+        channel: usize,
+        off_fraction: f64,
+        min_on_s: f64,
+    ) -> Series {
+        if self.signals[Signal::Switched.of(channel)].iter().all(|share| share.is_nan()) {
+            return vec![0.0; self.take.num_frames()].into();
+        }
+        let stream = station.layout.channels[channel].stream;
+        let (log, channels) = (&self.take.streams[stream], &station.layout.streams[stream].channels);
+        let on_threshold = station.streams[stream].on_threshold;
+        let column = channel - channels.start;
+        Samples::new(log, column, channels.len(), on_threshold, &self.take.joints.times_s)
+            .expected_share_on(off_fraction, min_on_s)
+            .into()
+    }
+
+    /// Looks at what the firmware of `channel` makes of its readings no more.
+    pub(crate) fn ignore_switching(&mut self, channel: usize) {
+        self.signals[Signal::Switched.of(channel)].fill(f64::NAN);
+    }
+
+    /// The reading of `channel` without touch, raw units, if it has any.
+    pub(crate) fn reference(&self, station: &Station, channel: usize) -> Option<f64> {
+        let stream = station.layout.channels[channel].stream;
+        let column = channel - station.layout.streams[stream].channels.start;
+        self.take.streams[stream].reference.get(column).map(|reference| f64::from(*reference))
     }
 
     /// Lengths of the spans for which `stream` was frozen, s.
@@ -197,7 +235,7 @@ impl<'a> Observed<'a> {
             let shares: Vec<f64> = (0..num_channels).map(|_| 1.0 + TOUCH_SPREAD * gaussian(rng)).collect();
             for frame in block.clone() {
                 for channel in 0..num_channels {
-                    let (event, raw) = (2 * channel, 2 * channel + 1);
+                    let (event, raw) = (Signal::Event.of(channel), Signal::Reading.of(channel));
                     let noise = self.noise[channel] * gaussian(rng);
                     let reading = predicted[raw][frame] * shares[channel] + noise;
                     on[channel] = reading > if on[channel] { off_fractions[channel] } else { 1.0 };
@@ -207,6 +245,15 @@ impl<'a> Observed<'a> {
                     if !self.signals[raw][frame].is_nan() {
                         simulated.signals[raw][frame] = reading;
                     }
+                }
+            }
+        }
+        // The firmware is that of the take.
+        for channel in 0..num_channels {
+            let idx = Signal::Switched.of(channel);
+            for (share, expected) in simulated.signals[idx].iter_mut().zip(predicted[idx].iter()) {
+                if !share.is_nan() {
+                    *share = *expected;
                 }
             }
         }
