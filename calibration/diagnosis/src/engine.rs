@@ -5,9 +5,11 @@
 //! - [`screen`]: every candidate by its dose response
 //! - [`fit`]: candidates and whole models, fitted for real
 //! - [`adequacy`]: whether names account for what is there
+//! - [`choose`]: what to name of what was tried
 //! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
 
 mod adequacy;
+mod choose;
 mod fit;
 mod linear;
 mod merge;
@@ -107,6 +109,15 @@ pub trait Domain: Sync {
 
     /// Which units a parameter of `effect` can reach.
     fn support(&self, effect: &Effect, parameter: &str) -> Vec<bool>;
+
+    /// Which units `effect` can reach, with any of its parameters.
+    fn reach(&self, effect: &Effect) -> Vec<bool> {
+        let supports = self.parameters(effect).into_iter().map(|p| self.support(effect, &p.name));
+        supports.fold(vec![false; self.num_units()], |mut reach, support| {
+            reach.iter_mut().zip(support).for_each(|(reached, of_parameter)| *reached |= of_parameter);
+            reach
+        })
+    }
 
     /// What `model` predicts for the signals of `take`.
     fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError>;

@@ -13,7 +13,9 @@ use rayon::prelude::*;
 
 use crate::engine::{self, Domain, Model, Naming, NamingConfig};
 use crate::null::NullBar;
-use crate::tactile::adequacy::{Adequacy, account_where_they_act, adequacy, changed_signals};
+use crate::tactile::adequacy::{
+    Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal,
+};
 use crate::tactile::judge::{Judged, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
 use crate::{DiagnosisError, show};
@@ -123,7 +125,7 @@ pub fn diagnose(
     let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
     let limits = bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
     let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
-    let accounts = account_where_they_act(&left_before, &left, &changed)
+    let accounts = account_where_they_act(&left_before, &left, &changed, &complete_by_signal(station))
         .unwrap_or_else(|| adequacy.accounts_for(&before, &limits));
     if domain.num_raw_takes() > 0 && !accounts {
         naming.withhold(&start);

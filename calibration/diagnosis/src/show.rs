@@ -158,7 +158,9 @@ fn named_effect(
     if let Some(round) = round {
         for &member in &round.class {
             let other = &round.tried[member].effect;
-            if Some(member) == round.named {
+            // What was named later is there beside it, not in its place.
+            let is_named = naming.model.effects.iter().any(|e| e.id == other.id && e.place == other.place);
+            if is_named {
                 continue;
             }
             if !class.contains(&other.id) {

@@ -27,10 +27,8 @@ pub(super) fn merge<D: Domain>(
     dropped: &[Effect],
 ) -> Result<bool, DiagnosisError> {
     let reach = |effect: &Effect| -> Vec<usize> {
-        let of_parameters = domain.parameters(effect);
-        let supports: Vec<Vec<bool>> =
-            of_parameters.iter().map(|parameter| domain.support(effect, &parameter.name)).collect();
-        (0..domain.num_units()).filter(|&unit| supports.iter().any(|support| support[unit])).collect()
+        let reach = domain.reach(effect);
+        (0..reach.len()).filter(|&unit| reach[unit]).collect()
     };
     let parts: Vec<(usize, usize)> = (known..model.effects.len())
         .filter_map(|idx| match reach(&model.effects[idx])[..] {

@@ -126,7 +126,9 @@ impl<'a> Observed<'a> {
             for (idx, channel) in stream.channels.clone().enumerate() {
                 if let Some(reference) = log.reference.get(idx) {
                     let samples = Samples::new(log, idx, width, config.on_threshold, frame_times_s);
-                    signals[Signal::Switched.of(channel)] = samples.share_on();
+                    if samples.may_count_from_reference(config.off_fraction()) {
+                        signals[Signal::Switched.of(channel)] = samples.share_on();
+                    }
                     ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
                     noise[channel] = quiet_noise(take, log, idx, width) / config.on_threshold;
                 }

@@ -49,6 +49,31 @@ impl<'a> Samples<'a> {
         shares
     }
 
+    /// Whether the firmware may count from the same reading without touch as the take: it then does not switch on below the
+    /// threshold, nor both later and off earlier (below `off_fraction` of it) than it should. What is always on tells
+    /// nothing.
+    pub(super) fn may_count_from_reference(&self, off_fraction: f64) -> bool {
+        let mut highest_off = f64::NEG_INFINITY;
+        let mut lowest_switched_on = f64::INFINITY;
+        let mut highest_switched_off = f64::NEG_INFINITY;
+        for sample in 0..self.log.times_s.len() {
+            let reading = self.reading(sample);
+            let was_on = sample > 0 && self.is_on(sample - 1);
+            match (was_on, self.is_on(sample)) {
+                (false, true) if sample > 0 => lowest_switched_on = lowest_switched_on.min(reading),
+                (_, true) => {}
+                (was_on, false) => {
+                    highest_off = highest_off.max(reading);
+                    if was_on {
+                        highest_switched_off = highest_switched_off.max(reading);
+                    }
+                }
+            }
+        }
+        let is_late = highest_off > 1.0 + NEAR && highest_switched_off > off_fraction + NEAR;
+        highest_off.is_finite() && lowest_switched_on >= 1.0 - NEAR && !is_late
+    }
+
     fn is_on(&self, sample: usize) -> bool {
         self.log.active[sample * self.width + self.column]
     }
@@ -83,6 +108,9 @@ impl<'a> Samples<'a> {
         self.frame_times_s.iter().map(of_frame).collect()
     }
 }
+
+/// Thresholds and readings without touch are known to this, in units of the threshold.
+const NEAR: f64 = 0.03;
 
 #[cfg(test)]
 mod tests {
@@ -122,6 +150,19 @@ mod tests {
             assert!(of(f64::from(off) / 100.0 + 0.2, debounce as f64 * 0.01) > 0.5);
             assert!(of(f64::from(off) / 100.0, debounce as f64 * 0.01 + 0.02) > 0.5);
         }
+    }
+
+    #[test]
+    fn a_firmware_that_counts_from_elsewhere_is_noticed() {
+        let raw: Vec<f32> = (0..400).map(|sample| 1000.0 + 150.0 * (sample as f32 * 0.05).sin()).collect();
+        let counts_from_here = |on: f32, debounce: usize| {
+            let (log, frames_s) = log(raw.clone(), firmware(&raw, on, on - 40.0, debounce));
+            Samples::new(&log, 0, 1, 100.0, &frames_s).may_count_from_reference(0.6)
+        };
+        assert!(counts_from_here(100.0, 0) && counts_from_here(100.0, 3));
+        assert!(!counts_from_here(120.0, 0) && !counts_from_here(80.0, 0));
+        let (log, frames_s) = log(raw.clone(), vec![true; 400]);
+        assert!(!Samples::new(&log, 0, 1, 100.0, &frames_s).may_count_from_reference(0.6), "always on");
     }
 
     #[test]
