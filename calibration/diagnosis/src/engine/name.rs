@@ -309,8 +309,11 @@ fn fit_all<'c, D: Domain>(
             let loss = linear.loss_in(&fitted.changes);
             Tried::new(fitted.effect, &linear.model, evidence, &fitted.held_out_gains, loss)
         });
-        let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
+        let (gain, evidence) =
+            as_is.as_ref().map_or((0.0, 0.0), |tried| (tried.held_out_gain, tried.evidence));
         let better = beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain);
+        // What is founded beside the thresholds that are there is no less so beside its own.
+        let better = better.map(|tried| Tried { evidence, ..tried });
         Trial { is_absorbed: better.is_some(), tried: better.or(as_is) }
     });
     Ok(trials.collect())
