@@ -260,7 +260,7 @@ impl Steps {
 }
 
 /// What may be added to the gap by chance, over what it is.
-const CHANCE_IN_GAP: f64 = 0.02;
+const CHANCE_IN_GAP: f64 = 0.05;
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
 const LEAST_BESIDE: f64 = 0.2;
