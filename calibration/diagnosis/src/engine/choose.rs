@@ -136,8 +136,8 @@ fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usi
     contenders
 }
 
-/// Of what each adds one of `tried`: the one with the least loss, or one that is as
-/// good as that with fewer parameters, or with less [strain](Domain::strain). `before` is the loss without any.
+/// Of models that each add one of `tried`: the one with the least loss, or one that is as good as that with fewer
+/// parameters, or with less [strain](Domain::strain). `before` is the loss without any.
 fn simplest_of_best<D: Domain>(
     domain: &D,
     refitted: Vec<Chosen>,
@@ -159,4 +159,117 @@ fn simplest_of_best<D: Domain>(
             .then(chosen.loss.total_cmp(&other.loss))
     });
     Ok(simplest.map(|(_, chosen)| chosen))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::ops::Range;
+
+    use palpate_robot_model::Place;
+    use palpate_sim::effects::{Effect, Parameter};
+
+    use super::super::{BaseParameter, Series};
+    use super::*;
+
+    /// Three units, the last two of which share a number of the base. Effects reach the units that their place lists.
+    struct Units;
+
+    const REACHES: [&[usize]; 2] = [&[0], &[1, 2]];
+
+    fn effect(units: &[usize]) -> Effect {
+        Effect {
+            id: "size".to_owned(),
+            place: Place::Channels(units.iter().map(usize::to_string).collect()),
+            parameters: BTreeMap::from([("size".to_owned(), 1.0)]),
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        }
+    }
+
+    fn tried(units: &[usize], held_out_gain: f64) -> Tried {
+        let effect = effect(units);
+        Tried { effect, base: vec![0.0; 2], evidence: 50.0, held_out_gain, share: 0.1, takes_improved: 4 }
+    }
+
+    impl Domain for Units {
+        fn num_takes(&self) -> usize {
+            0
+        }
+
+        fn blocks(&self, _take: usize) -> &[Range<usize>] {
+            &[]
+        }
+
+        fn observed(&self, _take: usize, _signal: usize) -> &[f64] {
+            &[]
+        }
+
+        fn base(&self) -> &[BaseParameter] {
+            const LEVEL: BaseParameter =
+                BaseParameter { name: String::new(), lower: -1.0, upper: 1.0, dose: 0.1 };
+            const LEVELS: &[BaseParameter] = &[LEVEL, LEVEL];
+            LEVELS
+        }
+
+        fn base_support(&self, idx: usize) -> Vec<bool> {
+            (0..self.num_units()).map(|unit| REACHES[idx].contains(&unit)).collect()
+        }
+
+        fn candidates(&self) -> Vec<Effect> {
+            Vec::new()
+        }
+
+        fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
+            let name = "size".to_owned();
+            vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+        }
+
+        fn num_units(&self) -> usize {
+            3
+        }
+
+        fn support(&self, effect: &Effect, _parameter: &str) -> Vec<bool> {
+            let Place::Channels(ids) = &effect.place else { return vec![false; 3] };
+            (0..3_usize).map(|unit| ids.contains(&unit.to_string())).collect()
+        }
+
+        fn predict(&self, _take: usize, _model: &Model) -> Result<Vec<Series>, DiagnosisError> {
+            Ok(Vec::new())
+        }
+
+        fn weights(&self, _take: usize, _signal: usize, prediction: &[f64]) -> Vec<f64> {
+            prediction.to_vec()
+        }
+    }
+
+    /// Gains of what is apart from the first of `all`, in a model that has `named` besides.
+    fn gains_apart(named: &[usize], all: &[Tried]) -> Vec<f64> {
+        let effects = [effect(named), all[0].effect.clone()].to_vec();
+        let model = Model { base: vec![0.0; 2], effects };
+        apart(&Units, &model, all, 0).iter().map(|tried| tried.held_out_gain).collect()
+    }
+
+    #[test]
+    fn only_what_no_parameter_joins_is_apart() {
+        let all = [tried(&[1], 100.0), tried(&[2], 90.0), tried(&[0], 50.0), tried(&[0], 20.0)];
+        assert_eq!(gains_apart(&[], &all), [50.0, 20.0], "the last two units share a number");
+        assert!(gains_apart(&[0, 2], &all).is_empty(), "an effect of the model joins all");
+    }
+
+    #[test]
+    fn what_may_be_missing_in_both_is_waited_for() {
+        let all = |across: f64| [tried(&[1, 2], 100.0), tried(&[0], 50.0), tried(&[0, 1], across)];
+        assert!(gains_apart(&[], &all(45.0)).is_empty(), "a rival reaches both");
+        assert_eq!(gains_apart(&[], &all(30.0)), [50.0]);
+        let first = [tried(&[1, 2], 100.0), tried(&[0, 1], 60.0), tried(&[0], 50.0)];
+        assert!(gains_apart(&[], &first).is_empty(), "the best of the rest reaches both");
+    }
+
+    #[test]
+    fn numbers_that_were_fitted_elsewhere_stay() {
+        let model = Model { base: vec![0.5, 0.6], effects: Vec::new() };
+        let with = beside(&Units, &model, &tried(&[2], 1.0));
+        assert_eq!(with.base, [0.5, 0.0]);
+    }
 }
