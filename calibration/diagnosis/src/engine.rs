@@ -5,11 +5,9 @@
 //! - [`screen`]: every candidate by its dose response
 //! - [`fit`]: candidates and whole models, fitted for real
 //! - [`adequacy`]: whether names account for what is there
-//! - [`choose`]: what to name of what was tried
 //! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
 
 mod adequacy;
-mod choose;
 mod fit;
 mod linear;
 mod merge;

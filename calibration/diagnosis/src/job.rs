@@ -127,7 +127,11 @@ pub fn diagnose(
     let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
     let limits = bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
     let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
-    let accounts = account_where_they_act(&left_before, &left, &changed, &complete_by_signal(station))
+    // Where many are missing, or more than were asked for, what is left is a little of each.
+    let num_named = naming.model.effects.len() - start.effects.len();
+    let is_whole = num_named <= MOST_WHOLE && num_named < config.max_effects;
+    let complete = is_whole.then(|| complete_by_signal(station));
+    let accounts = account_where_they_act(&left_before, &left, &changed, complete.as_deref())
         .unwrap_or_else(|| adequacy.accounts_for(&before, &limits));
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     if domain.num_raw_takes() > 0 && !(accounts && steps.shrink_the_gap(station, &domain, &fitted)?) {
@@ -258,6 +262,9 @@ impl Steps {
         Ok(gap(last)? <= (1.0 + CHANCE_IN_GAP) * gap(first)?)
     }
 }
+
+/// Names up to this many must account for all that repeats where they act.
+const MOST_WHOLE: usize = 2;
 
 /// What may be added to the gap by chance, over what it is.
 const CHANCE_IN_GAP: f64 = 0.05;

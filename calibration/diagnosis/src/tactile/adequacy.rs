@@ -79,18 +79,18 @@ impl Left {
 /// Whether names account for what there was in the signals that they change, where that is clear; `None` where it is not.
 ///
 /// `before` and `after` are what is left without and with them, by signal, `complete` what repeats in each where nothing is
-/// missing. However much repeats elsewhere, right names leave little of it where they act, and what is named in place of
+/// missing; `None` where names cannot be held to that, because there are many or the search was cut short. However much repeats elsewhere, right names leave little of it where they act, and what is named in place of
 /// something else leaves most of it, or takes most of the loss away and leaves what repeats.
 pub(crate) fn account_where_they_act(
     before: &[Left],
     after: &[Left],
     changed: &[bool],
-    complete: &[f64],
+    complete: Option<&[f64]>,
 ) -> Option<bool> {
     let there = |left: &[Left]| {
         Left::sum(left.iter().zip(changed).filter(|(_, changed)| **changed).map(|(left, _)| left))
     };
-    let excess = |left: &[Left]| {
+    let excess = |left: &[Left], complete: &[f64]| {
         let of_changed = left.iter().zip(complete).zip(changed).filter(|(_, changed)| **changed);
         let [sum, count] = of_changed.fold([0.0, 0.0], |[sum, count], ((left, complete), _)| {
             [sum + left.products[0] - complete * left.products[1], count + left.products[1]]
@@ -104,7 +104,9 @@ pub(crate) fn account_where_they_act(
         return Some(true);
     }
     if loss <= LITTLE_LOSS {
-        return Some(excess(after) <= MOST_EXCESS * excess(before));
+        let leaves_little =
+            |complete: &[f64]| excess(after, complete) <= MOST_EXCESS * excess(before, complete);
+        return Some(complete.is_none_or(leaves_little));
     }
     (repeating > MOST_REPEATING && loss > MOST_LOSS).then_some(false)
 }
@@ -255,7 +257,7 @@ mod tests {
             let first = Left { products: [10.0 * repeating[idx], 10.0], losses: [100.0 * loss[idx], 100.0] };
             [first, elsewhere]
         };
-        account_where_they_act(&of(0), &of(1), &[true, false], &[0.3, 0.3])
+        account_where_they_act(&of(0), &of(1), &[true, false], Some(&[0.3, 0.3]))
     }
 
     #[test]
@@ -273,6 +275,6 @@ mod tests {
         assert_eq!(accounts([2.0, 0.9], [1.2, 0.9]), None);
         assert_eq!(accounts([0.0, 0.0], [1.2, 1.1]), None, "nothing repeated there");
         let left = [Left::default()];
-        assert_eq!(account_where_they_act(&left, &left, &[false], &[0.3]), None, "no names");
+        assert_eq!(account_where_they_act(&left, &left, &[false], Some(&[0.3])), None, "no names");
     }
 }
