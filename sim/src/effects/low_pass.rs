@@ -41,32 +41,49 @@ impl EffectKind for LowPass {
         if time_constant_s <= 0.0 {
             return;
         }
+        let lag = Lag::new(scene.frame_times_s, time_constant_s);
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
-            let lagging = lag(scene.frame_times_s, state.of_channel(channel), time_constant_s);
+            let lagging = lag.of(state.of_channel(channel));
             state.of_channel_mut(channel).copy_from_slice(&lagging);
         }
     }
 }
 
-/// The exact solution of `y' = (x - y) / tau` at `times_s`, from rest at the first value, for `x` linear in between:
+/// What follows its input with a time constant.
+///
+/// The exact solution of `y' = (x - y) / tau`, from rest at the first value, for `x` linear in between:
 /// `y1 = x1 - s tau + (y0 - x0 + s tau) exp(-dt / tau)` with the slope `s`. Frames may be further apart than `tau`.
-pub(super) fn lag(times_s: &[f64], input: &[f64], time_constant_s: f64) -> Vec<f64> {
-    let mut before: Option<(f64, f64, f64)> = None;
-    let follow = |(&time_s, &x): (&f64, &f64)| {
-        let (from_s, from_x, from_y) = before.unwrap_or((time_s, x, x));
-        let gap_s = time_s - from_s;
-        let y = if gap_s <= 0.0 {
-            from_y
-        } else if from_x == x && from_y == x {
+pub(super) struct Lag {
+    time_constant_s: f64,
+    /// Per frame, the time since the one before, s, and how much of the distance to the input is left after it.
+    steps: Vec<(f64, f64)>,
+}
+
+impl Lag {
+    /// For frames at `times_s`.
+    pub(super) fn new(times_s: &[f64], time_constant_s: f64) -> Self {
+        let before_s = times_s.first().into_iter().chain(times_s);
+        let gaps_s = times_s.iter().zip(before_s).map(|(time_s, before_s)| time_s - before_s);
+        Self {
+            time_constant_s,
+            steps: gaps_s.map(|gap_s| (gap_s, (-gap_s / time_constant_s).exp())).collect(),
+        }
+    }
+
+    /// What follows `input`, frame by frame.
+    pub(super) fn of(&self, input: &[f64]) -> Vec<f64> {
+        let Some(&first) = input.first() else { return Vec::new() };
+        let (mut from_x, mut y) = (first, first);
+        let follow = |(&(gap_s, decay), &x): (&(f64, f64), &f64)| {
             // Sensors rest most of the time.
-            x
-        } else {
-            let decay = (-gap_s / time_constant_s).exp();
-            let behind = (x - from_x) / gap_s * time_constant_s;
-            x - behind + (from_y - from_x + behind) * decay
+            let rests = from_x == x && y == x;
+            if gap_s > 0.0 && !rests {
+                let behind = (x - from_x) / gap_s * self.time_constant_s;
+                y = x - behind + (y - from_x + behind) * decay;
+            }
+            from_x = x;
+            y
         };
-        before = Some((time_s, x, y));
-        y
-    };
-    times_s.iter().zip(input).map(follow).collect()
+        self.steps.iter().zip(input).map(follow).collect()
+    }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{Place, Robot, Station, TactileLayout};
+use palpate_robot_model::{Place, Robot, SensorKind, Station, TactileLayout};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
 use crate::geometry::link_shape_distance_m;
@@ -77,10 +77,12 @@ impl EffectKind for SelfContact {
                 meeting.feel(robot, state.layout, &root_from_link, felt);
             }
         }
-        let trace = state.trace.to_mut();
         for (meeting, felt) in meetings.iter().zip(&felt) {
-            let stiffness_pa_per_m = state.layout.patches[meeting.patch].stiffness_pa_per_m;
-            felt.add_to(Arc::make_mut(&mut trace.patches[meeting.patch]), presence, stiffness_pa_per_m);
+            if felt.changes(&state.trace.patches[meeting.patch]) {
+                let stiffness_pa_per_m = state.layout.patches[meeting.patch].stiffness_pa_per_m;
+                let trace = Arc::make_mut(&mut state.trace.to_mut().patches[meeting.patch]);
+                felt.add_to(trace, presence, stiffness_pa_per_m);
+            }
         }
     }
 }
@@ -145,7 +147,9 @@ impl Meeting {
     ) {
         let patch = &layout.patches[self.patch];
         let first = felt.nodes.len();
-        let mut nearest_m = NEAR_M;
+        // A node that presses counts however deep others are; of those that do not, the nearest.
+        let is_pressed = layout.streams[patch.stream].kind == SensorKind::Pressure;
+        let mut nearest_m = if is_pressed { 0.0 } else { NEAR_M };
         for &link in &self.links {
             let other_from_patch = root_from_link[link].inverse() * root_from_link[patch.link];
             for body in &robot.links[link].collisions {
@@ -157,8 +161,9 @@ impl Meeting {
                 for (node, surface) in patch.nodes.iter().enumerate() {
                     let distance_m =
                         link_shape_distance_m(&body.shape, &(shape_from_patch * surface.pos_in_link));
-                    nearest_m = nearest_m.min(distance_m);
-                    if distance_m < 0.0 {
+                    if !is_pressed {
+                        nearest_m = nearest_m.min(distance_m);
+                    } else if distance_m < 0.0 {
                         felt.nodes.push((node as u32, -distance_m));
                     }
                 }
@@ -181,9 +186,9 @@ impl Meeting {
 
 /// What a patch feels of another finger, frame by frame.
 struct Touches {
-    /// Smallest distance of its nodes, m; [`NEAR_M`] beyond that.
+    /// Of a proximity patch, the smallest distance of its nodes, m; [`NEAR_M`] beyond that.
     nearest_m: Vec<f64>,
-    /// Nodes inside of the other and how deep, m, nodes ascending within a frame.
+    /// Of a pressure patch, nodes inside of the other and how deep, m, nodes ascending within a frame.
     nodes: Vec<(u32, f64)>,
     /// Where each frame's nodes end.
     ends: Vec<usize>,
@@ -192,6 +197,16 @@ struct Touches {
 impl Touches {
     fn new() -> Self {
         Self { nearest_m: Vec::new(), nodes: Vec::new(), ends: Vec::new() }
+    }
+
+    /// Whether [`Self::add_to`] does anything. Most fingers never meet.
+    fn changes(&self, trace: &PatchTrace) -> bool {
+        match trace {
+            PatchTrace::Proximity { min_distance_m, .. } => {
+                min_distance_m.iter().zip(&self.nearest_m).any(|(distance_m, other_m)| distance_m > other_m)
+            }
+            PatchTrace::Pressure { .. } => !self.nodes.is_empty(),
+        }
     }
 
     /// The nearer of the object and the other finger counts.

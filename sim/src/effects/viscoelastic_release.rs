@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, low_pass::lag, places};
+use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, low_pass::Lag, places};
 
 /// The standard linear solid in its creep form (a spring in series with a Kelvin-Voigt element; Findley, Lai, Onaran,
 /// "Creep and Relaxation of Nonlinear Viscoelastic Materials", 1976, section 5.4) under one-sided contact: while it is
@@ -51,8 +51,9 @@ impl EffectKind for ViscoelasticRelease {
         if fraction <= 0.0 || time_constant_s <= 0.0 {
             return;
         }
+        let lag = Lag::new(scene.frame_times_s, time_constant_s);
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
-            let strain = lag(scene.frame_times_s, state.of_channel(channel), time_constant_s);
+            let strain = lag.of(state.of_channel(channel));
             let loads = state.of_channel_mut(channel).iter_mut().zip(strain);
             loads.for_each(|(load, z)| *load = load.max(fraction * z));
         }
