@@ -5,13 +5,18 @@
 //! - [`screen`]: every candidate by its dose response
 //! - [`fit`]: candidates and whole models, fitted for real
 //! - [`adequacy`]: whether names account for what is there
+//! - [`choose`]: what to name of what was tried
+//! - [`merge`]: one name for what several explain in parts
+//! - [`reconsider`]: a second look at names that little tells apart
 //! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
 
 mod adequacy;
+mod choose;
 mod fit;
 mod linear;
 mod merge;
 mod name;
+mod reconsider;
 mod rows;
 mod screen;
 #[cfg(test)]

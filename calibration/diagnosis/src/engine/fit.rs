@@ -31,6 +31,8 @@ pub(crate) struct Profiled {
 
 /// Sizes at which a candidate is tried with the model's own parameters fitted anew, as multiples of its dose.
 const PROFILED_DOSES: [f64; 4] = [1.0, -1.0, 2.5, -2.5];
+/// Sizes between the doses at which a fit is tried when it has ended, as multiples.
+const BETWEEN_DOSES: [f64; 4] = [0.5, 0.7, 0.85, 1.25];
 /// Steps of such a fit.
 const PROFILE_STEPS: usize = 3;
 /// Sizes that the fit begins with, and of which it goes on after its first step: the best.
@@ -101,8 +103,29 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
     pub(crate) fn finish(mut self) -> Result<Option<Profiled>, DiagnosisError> {
         let begun = std::mem::take(&mut self.begun);
         let ended = begun.into_par_iter().map(|begun| self.stepped(begun, PROFILE_STEPS - 1));
-        let best = best_of(ended.collect::<Result<_, DiagnosisError>>()?, 1).pop();
-        Ok(best.map(|best| Profiled { gains: self.gains(&best.tried), model: best.tried.model }))
+        let Some(best) = best_of(ended.collect::<Result<_, DiagnosisError>>()?, 1).pop() else {
+            return Ok(None);
+        };
+        let best = self.resized(best)?;
+        Ok(Some(Profiled { gains: self.gains(&best.tried), model: best.tried.model }))
+    }
+
+    /// `ended`, or what it becomes at a size between the doses.
+    fn resized(&self, ended: Begun<'a, D>) -> Result<Begun<'a, D>, DiagnosisError> {
+        let model = &ended.tried.model;
+        let Some((effect, others)) = model.effects.split_last() else { return Ok(ended) };
+        let parameters = self.linear.domain.parameters(effect);
+        let resize = |scale: &f64| {
+            let mut effects = others.to_vec();
+            effects.push(scaled(effect, &parameters[..1], *scale));
+            let tried = self.linear.moved_to(Model { base: model.base.clone(), effects })?;
+            Ok(Begun { gained: self.gained(&tried), tried, is_done: false })
+        };
+        let resized = BETWEEN_DOSES.par_iter().map(resize).collect::<Result<_, DiagnosisError>>()?;
+        match best_of(resized, 1).pop() {
+            Some(better) if better.gained > ended.gained => self.stepped(better, 1),
+            _ => Ok(ended),
+        }
     }
 
     /// Loss that `tried` removes on each take.

@@ -6,9 +6,11 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
+use super::choose::{apart, choose};
 use super::fit::{Fitted, Profile, fit, refit};
 use super::linear::{Linear, predict};
 use super::merge::merge;
+use super::reconsider::reconsider;
 use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
@@ -120,22 +122,18 @@ impl Naming {
 
 /// Steps of a full fit after an addition.
 pub(super) const REFIT_STEPS: usize = 3;
-/// Rivals explain at least this share of what the best does.
-const RIVAL_SHARE: f64 = 0.8;
 /// What still promises more than this share of what it did once the other is named explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
-const PROMISING: usize = 160;
-/// Rivals that are fitted along with everything else before one is named.
-const MOST_CONTENDERS: usize = 3;
+const PROMISING: usize = 100;
 /// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
 const MOST_DROPPED: usize = 2;
 /// Numbers of parameters up to this many apart count as equally simple.
-const SIMILAR_COUNT: usize = 7;
+pub(super) const SIMILAR_COUNT: usize = 7;
 /// Steps of a fit without one effect, to see what it carries.
 pub(super) const WEIGHING_STEPS: usize = 2;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
-const FEW: usize = 2;
+pub(super) const FEW: usize = 2;
 /// Share of what removes most at a place that a trial beside thresholds of its own removes at least with its first step: no
 /// rival begins worse.
 const LEAST_BEGUN: f64 = 0.5;
@@ -145,13 +143,11 @@ const PROFILE_GAIN: f64 = 1.3;
 const LEAST_CARRIED: f64 = 0.004;
 /// Rounds in which effects are tried beside thresholds of their own: what thresholds absorb most of is large, and what is
 /// large is named first.
-const PROFILED_ROUNDS: usize = 3;
+const PROFILED_ROUNDS: usize = 2;
 /// Candidates that are fitted in a round for the share of the loss in what they change.
 const FITS_BY_SHARE: usize = 2;
 /// An effect of many parameters must remove this share of all that it removes in at least a third as many units.
 const NEARLY_ALL: f64 = 0.8;
-/// A fit that removes all but this share of what the best removes is as good.
-const AS_GOOD: f64 = 0.02;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -170,6 +166,8 @@ pub fn name<D: Domain>(
     // What every candidate promised when it was last screened.
     let mut known_gains: BTreeMap<(String, Place), f64> = BTreeMap::new();
     let mut hopeless = Hopeless::default();
+    // The first of the rounds whose rivals were not looked at again.
+    let mut unsettled = 0;
     loop {
         let round_idx = rounds.len();
         let stage = format!("round {}: trying every effect everywhere", round_idx + 1);
@@ -198,7 +196,7 @@ pub fn name<D: Domain>(
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
         let promises: BTreeMap<_, _> =
             screened.iter().map(|candidate| (key(&candidate.effect), candidate.promise)).collect();
-        if let Some(round) = rounds.last_mut() {
+        for round in &mut rounds[unsettled..] {
             keep_rivals(round, &known_gains, &promises);
         }
         known_gains.extend(promises);
@@ -221,41 +219,30 @@ pub fn name<D: Domain>(
         let mut tried: Vec<Tried> = fitted.into_iter().filter_map(|trial| trial.tried).collect();
         tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
-        let passes = |tried: &Tried| tried.evidence > config.bar && tried.share > config.least_share;
-        // The best that passes; a rival that explains nearly as much with fewer parameters is the better name.
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
-        let best = tried.iter().position(passes).filter(|_| more);
-        let contenders = if more { contenders(&tried, best, config.least_share) } else { Vec::new() };
-        let refitted: Vec<Option<(f64, usize, Model)>> = contenders
-            .into_par_iter()
-            .map(|contender| {
-                let mut with = Model { base: tried[contender].base.clone(), effects: model.effects.clone() };
-                with.effects.push(tried[contender].effect.clone());
-                let with = refit(domain, &with, takes, REFIT_STEPS)?;
-                let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
-                let holds = passes(&tried[contender]) || founded(domain, &with, takes, config.bar)?;
-                Ok(holds.then_some((loss, contender, with)))
-            })
-            .collect::<Result<_, DiagnosisError>>()?;
-        let refitted = refitted.into_iter().flatten().collect();
-        let named = simplest_of_best(domain, refitted, linear.loss, &tried)?
-            .map(|(_, contender, with)| (contender, with));
-        let (named, refitted) = named.unzip();
-        let class = named.map_or_else(Vec::new, |named| {
-            let least = RIVAL_SHARE * tried[0].held_out_gain;
-            (0..tried.len()).filter(|&idx| idx == named || tried[idx].held_out_gain > least).collect()
-        });
-        rounds.push(Round { before: model.clone(), tried: tried.clone(), named, class });
-        let Some(refitted) = refitted else {
+        let chosen = if more { choose(domain, &model, linear.loss, &tried, takes, config)? } else { None };
+        unsettled = rounds.len();
+        let Some(chosen) = chosen else {
+            rounds.push(Round { before: model.clone(), tried, named: None, class: Vec::new() });
             report(1.0, "putting names together")?;
             if more && merge(domain, &mut model, known, takes, config, &dropped)? {
                 continue;
             }
             break;
         };
-        model = refitted;
+        let apart = apart(domain, &chosen.model, &tried, chosen.named);
+        rounds.push(chosen.round(model, tried));
+        model = chosen.model;
+        if !apart.is_empty()
+            && model.effects.len() < config.max_effects
+            && let Some(chosen) = choose(domain, &model, chosen.loss, &apart, takes, config)?
+        {
+            rounds.push(chosen.round(model, apart));
+            model = chosen.model;
+        }
         drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
     }
+    reconsider(domain, &mut model, known, &mut rounds, takes)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
@@ -324,8 +311,11 @@ fn fit_all<'c, D: Domain>(
             let loss = linear.loss_in(&fitted.changes);
             Tried::new(fitted.effect, &linear.model, evidence, &fitted.held_out_gains, loss)
         });
-        let gain = as_is.as_ref().map_or(0.0, |tried| tried.held_out_gain);
+        let (gain, evidence) =
+            as_is.as_ref().map_or((0.0, 0.0), |tried| (tried.held_out_gain, tried.evidence));
         let better = beside.filter(|tried| tried.held_out_gain > PROFILE_GAIN * gain);
+        // What is founded beside the thresholds that are there is no less so beside its own.
+        let better = better.map(|tried| Tried { evidence, ..tried });
         Trial { is_absorbed: better.is_some(), tried: better.or(as_is) }
     });
     Ok(trials.collect())
@@ -497,53 +487,6 @@ fn finish<D: Domain>(
         break;
     }
     Ok(())
-}
-
-/// What may be named: what passes and explains the most, or nearly as much and is as simple as the simplest of those;
-/// and what would explain more if its size were beyond doubt. First order does not tell them apart; full fits may.
-fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usize> {
-    let Some(top) = tried.iter().position(|tried| tried.share > least_share) else { return Vec::new() };
-    let complexity = |idx: usize| tried[idx].effect.parameters.len().div_ceil(SIMILAR_COUNT);
-    let simplest_like = |first: usize| -> Vec<usize> {
-        let least = RIVAL_SHARE * tried[first].held_out_gain;
-        let as_good: Vec<usize> =
-            (first..tried.len()).filter(|&idx| tried[idx].held_out_gain >= least).collect();
-        let simplest = as_good.iter().map(|&idx| complexity(idx)).min();
-        as_good.into_iter().filter(|&idx| Some(complexity(idx)) == simplest).take(MOST_CONTENDERS).collect()
-    };
-    let mut contenders = simplest_like(top);
-    for idx in best.map_or_else(Vec::new, simplest_like) {
-        if !contenders.contains(&idx) {
-            contenders.push(idx);
-        }
-    }
-    contenders
-}
-
-/// Of models with their losses and the index in `tried` of what each adds: the one with the least loss, or one that is as
-/// good as that with fewer parameters, or with less [strain](Domain::strain). `before` is the loss without any.
-fn simplest_of_best<D: Domain>(
-    domain: &D,
-    refitted: Vec<(f64, usize, Model)>,
-    before: f64,
-    tried: &[Tried],
-) -> Result<Option<(f64, usize, Model)>, DiagnosisError> {
-    let least = refitted.iter().map(|(loss, ..)| *loss).fold(f64::INFINITY, f64::min);
-    let as_good = least + AS_GOOD * (before - least).max(0.0);
-    let as_good: Vec<(f64, (f64, usize, Model))> = refitted
-        .into_iter()
-        .filter(|(loss, ..)| *loss <= as_good)
-        .map(|refitted| Ok((domain.strain(&refitted.2)?, refitted)))
-        .collect::<Result<_, DiagnosisError>>()?;
-    let count = |idx: usize| tried[idx].effect.parameters.len();
-    let simplest =
-        as_good.into_iter().min_by(|(strain, (loss, idx, _)), (other_strain, (other, other_idx, _))| {
-            count(*idx)
-                .cmp(&count(*other_idx))
-                .then(strain.total_cmp(other_strain))
-                .then(loss.total_cmp(other))
-        });
-    Ok(simplest.map(|(_, refitted)| refitted))
 }
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.

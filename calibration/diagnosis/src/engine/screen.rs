@@ -173,7 +173,7 @@ fn dosed_largely<D: Domain>(
 }
 
 /// Large doses of what acts on a patch, an object or a joint, as multiples of the standard one.
-const PLACED_DOSES: [f64; 4] = [2.0, -2.0, 4.0, -4.0];
+const PLACED_DOSES: [f64; 2] = [2.0, -2.0];
 
 /// Replaces estimates for effects of patches, objects and joints by large doses of one parameter where those remove more
 /// than the estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of which a small

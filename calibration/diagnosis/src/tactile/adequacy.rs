@@ -1,6 +1,6 @@
 //! Whether what is left repeats: the ground for `unexplained`, which rests on this and not on a lack of power.
 
-use palpate_robot_model::{SensorKind, Station};
+use palpate_robot_model::{Place, SensorKind, Station};
 
 use super::judge::repeated;
 use super::{Observed, Signal, TactileDomain};
@@ -23,6 +23,12 @@ pub struct Adequacy {
 }
 
 impl Adequacy {
+    /// Whether more repeats than did `before`: a channel that is said to flicker, and is stuck, is off by the same in every
+    /// sample, and by less than before.
+    pub(crate) fn repeats_more(&self, before: &Self) -> bool {
+        self.repeating > MOST_RAISED * before.repeating
+    }
+
     /// Whether names that leave this account for what there was `before` them: whoever is named in place of an effect that
     /// is in no library explains a part of it and leaves the rest.
     pub(crate) fn accounts_for(&self, before: &Self, limits: &Self) -> bool {
@@ -39,6 +45,8 @@ impl Adequacy {
 
 /// What a model that misses nothing shows, tuned like the limits.
 const COMPLETE: Adequacy = Adequacy { repeating: 0.36, common_mode: 1.07, loss: 0.56, switching: 0.0 };
+/// What repeats with right names, over what did before: no more, but for chance.
+const MOST_RAISED: f64 = 1.2;
 /// Share of the excess that names may leave and still be the right ones.
 const MOST_LEFT: f64 = 0.35;
 
@@ -138,8 +146,8 @@ pub(crate) fn complete_by_signal(station: &Station) -> Vec<f64> {
     of_channel.flat_map(|complete| [complete; Signal::COUNT]).collect()
 }
 
-/// Which signals the effects of `model` beyond the first `known` change: those in which they do more than a small share of
-/// what they do in one.
+/// Which signals the effects of `model` beyond the first `known` are about: those in which they do more than a small share of
+/// what they do in one, and events and readings of channels that they name.
 pub(crate) fn changed_signals(
     domain: &TactileDomain<'_>,
     model: &Model,
@@ -159,7 +167,18 @@ pub(crate) fn changed_signals(
         }
     }
     let most = changes.iter().copied().fold(0.0, f64::max);
-    Ok(changes.iter().map(|change| *change > SMALL_CHANGE * most).collect())
+    let mut changed: Vec<bool> = changes.iter().map(|change| *change > SMALL_CHANGE * most).collect();
+    // Whoever says what is wrong with a channel says what becomes of its readings too, and be it nothing.
+    let of_channels = model.effects[known..]
+        .iter()
+        .filter(|effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_)));
+    for reach in of_channels.map(|effect| domain.reach(effect)) {
+        for channel in (0..reach.len()).filter(|&channel| reach[channel]) {
+            changed[Signal::Event.of(channel)] = true;
+            changed[Signal::Reading.of(channel)] = true;
+        }
+    }
+    Ok(changed)
 }
 
 /// Share of what names do in one signal below which they do nothing in another.
