@@ -133,7 +133,9 @@ pub fn diagnose(
     let complete = is_whole.then(|| complete_by_signal(station));
     let accounts = account_where_they_act(&left_before, &left, &changed, complete.as_deref())
         .unwrap_or_else(|| adequacy.accounts_for(&before, &limits));
-    let accounts = accounts && !(is_whole && adequacy.repeats_more(&before));
+    let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
+    let of_channels_only = naming.model.effects[start.effects.len()..].iter().all(is_of_channels);
+    let accounts = accounts && !(of_channels_only && adequacy.repeats_more(&before));
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     if domain.num_raw_takes() > 0 && !(accounts && steps.shrink_the_gap(station, &domain, &fitted)?) {
         naming.withhold(&start);

@@ -242,7 +242,7 @@ pub fn name<D: Domain>(
         }
         drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
     }
-    reconsider(domain, &mut model, known, &mut rounds, takes)?;
+    reconsider(domain, &mut model, known, &mut rounds, takes, config.bar)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
     let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
@@ -519,7 +519,7 @@ fn drop_one<D: Domain>(
 }
 
 /// Evidence for each effect of `model` beside all others, and the standard errors of their parameters.
-fn joint_evidence<D: Domain>(
+pub(super) fn joint_evidence<D: Domain>(
     domain: &D,
     model: &Model,
     takes: &[usize],

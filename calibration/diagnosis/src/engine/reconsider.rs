@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::choose::with_base_of;
 use super::fit::refit;
 use super::linear::Linear;
-use super::name::{FEW, REFIT_STEPS, Round, Tried};
+use super::name::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
 use super::{Domain, Model};
 use crate::DiagnosisError;
 
@@ -18,28 +18,31 @@ const RIVAL_SHARE: f64 = 0.5;
 const LEAST_BETTER: f64 = 0.005;
 
 /// Puts a rival that was tried in the same round in the place of every effect of a whole stream beyond the first `known`, if the
-/// whole model leaves less of the loss with it. The round then has the rival for its name.
+/// whole model leaves less of the loss with it and its evidence reaches the `bar`. The round then has the rival for its name.
 pub(super) fn reconsider<D: Domain>(
     domain: &D,
     model: &mut Model,
     known: usize,
     rounds: &mut [Round],
     takes: &[usize],
+    bar: f64,
 ) -> Result<(), DiagnosisError> {
     let mut loss = Linear::without_nuisances(domain, model, takes)?.loss;
     for idx in known..model.effects.len() {
         let Some((round, named)) = round_of(&model.effects[idx], rounds) else { continue };
-        let refitted: Vec<(f64, Model, usize)> = rivals(model, round, named)
+        let refitted: Vec<Option<(f64, Model, usize)>> = rivals(model, round, named)
             .into_par_iter()
             .map(|rival| {
                 let tried = &round.tried[rival];
                 let mut with = with_base_of(domain, model, tried);
                 with.effects[idx] = tried.effect.clone();
                 let with = refit(domain, &with, takes, REFIT_STEPS)?;
-                Ok((Linear::without_nuisances(domain, &with, takes)?.loss, with, rival))
+                let (evidence, _) = joint_evidence(domain, &with, takes)?;
+                let left = Linear::without_nuisances(domain, &with, takes)?.loss;
+                Ok((evidence[idx] > bar).then_some((left, with, rival)))
             })
             .collect::<Result<_, DiagnosisError>>()?;
-        let best = refitted.into_iter().min_by(|(one, ..), (other, ..)| one.total_cmp(other));
+        let best = refitted.into_iter().flatten().min_by(|(one, ..), (other, ..)| one.total_cmp(other));
         if let Some((less, better, rival)) = best.filter(|(less, ..)| *less < (1.0 - LEAST_BETTER) * loss) {
             (loss, *model) = (less, better);
             round.named = Some(rival);
@@ -159,7 +162,7 @@ mod tests {
 
     /// The name that is left of `named` where a long wave is hidden and both were tried, the other with this gain over that
     /// of the named one.
-    fn reconsidered(named: &str, share: f64) -> String {
+    fn reconsidered(named: &str, share: f64, bar: f64) -> String {
         let hidden = [effect("long", 1.0)];
         let observed = (0..ROWS).map(|row| 0.3 + wave(&hidden, row)).collect();
         let waves = Waves { observed, block: 0..ROWS };
@@ -181,7 +184,7 @@ mod tests {
         }];
         let with = Model { effects: vec![effect(named, 0.5)], ..before };
         let mut model = refit(&waves, &with, &[0], REFIT_STEPS).unwrap();
-        reconsider(&waves, &mut model, 0, &mut rounds, &[0]).unwrap();
+        reconsider(&waves, &mut model, 0, &mut rounds, &[0], bar).unwrap();
         let [round] = rounds;
         let of_round = &round.tried[round.named.unwrap()].effect.id;
         assert_eq!((of_round, round.class), (&model.effects[0].id, vec![round.named.unwrap()]));
@@ -190,8 +193,9 @@ mod tests {
 
     #[test]
     fn a_rival_that_leaves_less_takes_the_place_of_a_name() {
-        assert_eq!(reconsidered("short", 0.9), "long");
-        assert_eq!(reconsidered("long", 0.9), "long", "the right name stays");
-        assert_eq!(reconsidered("short", 0.1), "short", "what removed little is no rival");
+        assert_eq!(reconsidered("short", 0.9, 12.0), "long");
+        assert_eq!(reconsidered("long", 0.9, 12.0), "long", "the right name stays");
+        assert_eq!(reconsidered("short", 0.1, 12.0), "short", "what removed little is no rival");
+        assert_eq!(reconsidered("short", 0.9, f64::MAX), "short", "a rival must be founded");
     }
 }

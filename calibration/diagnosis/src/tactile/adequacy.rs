@@ -23,8 +23,8 @@ pub struct Adequacy {
 }
 
 impl Adequacy {
-    /// Whether more repeats than did `before`: a channel that is said to flicker, and is stuck, is off by the same in every
-    /// sample, and by less than before.
+    /// Whether more repeats than did `before`, as it does with a channel that is said to flicker, and is stuck: it then is off by
+    /// the same in every sample, if by less than before.
     pub(crate) fn repeats_more(&self, before: &Self) -> bool {
         self.repeating > MOST_RAISED * before.repeating
     }
@@ -111,10 +111,13 @@ pub(crate) fn account_where_they_act(
     if repeating <= LITTLE_REPEATING || loss <= LEAST_LOSS {
         return Some(true);
     }
+    let excess = complete.map(|complete| [excess(before, complete), excess(after, complete)]);
+    let leaves_little = excess.map(|[before, after]| after <= (MOST_EXCESS * before).max(LITTLE_EXCESS));
     if loss <= LITTLE_LOSS {
-        let leaves_little =
-            |complete: &[f64]| excess(after, complete) <= MOST_EXCESS * excess(before, complete);
-        return Some(complete.is_none_or(leaves_little));
+        return Some(leaves_little.unwrap_or(true));
+    }
+    if excess.is_some_and(|[before, after]| after <= MOST_EXCESS * before && before > LITTLE_EXCESS) {
+        return Some(true);
     }
     (repeating > MOST_REPEATING && loss > MOST_LOSS).then_some(false)
 }
@@ -128,6 +131,8 @@ const LITTLE_REPEATING: f64 = 0.25;
 const LEAST_LOSS: f64 = 0.03;
 const LITTLE_LOSS: f64 = 0.55;
 const MOST_EXCESS: f64 = 0.2;
+/// Excess of what repeats, in variances, that is no more than the model's own misfit.
+const LITTLE_EXCESS: f64 = 0.2;
 const MOST_REPEATING: f64 = 0.6;
 const MOST_LOSS: f64 = 0.7;
 
@@ -277,6 +282,20 @@ mod tests {
             [first, elsewhere]
         };
         account_where_they_act(&of(0), &of(1), &[true, false], Some(&[0.3, 0.3]))
+    }
+
+    #[test]
+    fn what_left_nothing_that_repeats_is_held_to_leave_little() {
+        assert_eq!(accounts([0.3, 0.45], [25.0, 0.8]), Some(true), "as much as the model's own misfit");
+        assert_eq!(accounts([0.3, 0.9], [25.0, 0.8]), Some(false));
+        assert_eq!(accounts([1.35, 0.45], [0.9, 0.84]), Some(true), "little of the loss, all that repeats");
+    }
+
+    #[test]
+    fn a_stuck_channel_that_is_said_to_flicker_repeats_more() {
+        let of = |repeating: f64| Adequacy { repeating, ..Adequacy::default() };
+        assert!(of(0.76).repeats_more(&of(0.54)));
+        assert!(!of(0.55).repeats_more(&of(0.54)), "by chance");
     }
 
     #[test]
