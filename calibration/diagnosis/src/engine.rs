@@ -23,7 +23,7 @@ mod screen;
 mod tests;
 
 pub(crate) use adequacy::{loss_by_unit, share_left};
-pub(crate) use fit::refit;
+pub(crate) use fit::{refit, refit_roughly};
 pub(crate) use linear::inverse;
 pub(crate) use name::strongest;
 pub use name::{Naming, NamingConfig, Round, Tried, name};

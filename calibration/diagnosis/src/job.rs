@@ -125,14 +125,10 @@ pub fn diagnose(
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
     let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
-    let limits = bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
     let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
-    // Where many are missing, or more than were asked for, what is left is a little of each.
-    let num_named = naming.model.effects.len() - start.effects.len();
-    let is_whole = num_named <= MOST_WHOLE && num_named < config.max_effects;
-    let complete = is_whole.then(|| complete_by_signal(station));
-    let accounts = account_where_they_act(&left_before, &left, &changed, complete.as_deref())
-        .unwrap_or_else(|| adequacy.accounts_for(&before, &limits));
+    let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
+    let complete = complete_by_signal(station);
+    let accounts = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short);
     let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
     let of_channels_only = naming.model.effects[start.effects.len()..].iter().all(is_of_channels);
     let accounts = accounts && !(of_channels_only && adequacy.repeats_more(&before));
@@ -228,7 +224,7 @@ impl Steps {
             let partial = if count == naming.model.effects.len() {
                 partial
             } else {
-                engine::refit(domain, &partial, fitted, 2)?
+                engine::refit_roughly(domain, &partial, fitted)?
             };
             let (theta, response) = domain.theta_and_response(&partial);
             let mut model = SensorModel {
@@ -266,11 +262,8 @@ impl Steps {
     }
 }
 
-/// Names up to this many must account for all that repeats where they act.
-const MOST_WHOLE: usize = 2;
-
 /// What may be added to the gap by chance, over what it is.
-const CHANCE_IN_GAP: f64 = 0.05;
+const CHANCE_IN_GAP: f64 = 0.1;
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
 const LEAST_BESIDE: f64 = 0.2;

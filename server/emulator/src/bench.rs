@@ -101,9 +101,6 @@ pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, Emulat
         rng: ChaCha8Rng::seed_from_u64(seed),
     };
     let mut cases = Vec::new();
-    for _ in 0..nulls {
-        cases.push(draw.case("nothing".into(), Vec::new(), None, Expected::Nothing));
-    }
     let strengths = [Strength::Weak, Strength::Medium, Strength::Strong];
     let singles = [(GRADED, Expected::Named), (PLAIN, Expected::Named), (OUTSIDE, Expected::Unexplained)];
     for (ids, expected) in singles {
@@ -120,6 +117,10 @@ pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, Emulat
     for pair in PAIRS {
         let hidden = pair.map(|id| draw.effect(id, Strength::Medium)).to_vec();
         cases.push(draw.case(pair.join(" and "), hidden, None, Expected::Named));
+    }
+    // Last, so that what is hidden elsewhere does not depend on how many there are.
+    for _ in 0..nulls {
+        cases.push(draw.case("nothing".into(), Vec::new(), None, Expected::Nothing));
     }
     Ok(cases)
 }

@@ -169,12 +169,12 @@ fn simplest_of_best<D: Domain>(
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::ops::Range;
 
     use palpate_robot_model::Place;
     use palpate_sim::effects::{Effect, Parameter};
 
+    use super::super::tests::{LEVELS, size, sized};
     use super::super::{BaseParameter, Series};
     use super::*;
 
@@ -184,13 +184,7 @@ mod tests {
     const REACHES: [&[usize]; 2] = [&[0], &[1, 2]];
 
     fn effect(units: &[usize]) -> Effect {
-        Effect {
-            id: "size".to_owned(),
-            place: Place::Channels(units.iter().map(usize::to_string).collect()),
-            parameters: BTreeMap::from([("size".to_owned(), 1.0)]),
-            interval: BTreeMap::new(),
-            takes: Vec::new(),
-        }
+        sized("some", Place::Channels(units.iter().map(usize::to_string).collect()), 1.0)
     }
 
     fn tried(units: &[usize], held_out_gain: f64) -> Tried {
@@ -212,10 +206,7 @@ mod tests {
         }
 
         fn base(&self) -> &[BaseParameter] {
-            const LEVEL: BaseParameter =
-                BaseParameter { name: String::new(), lower: -1.0, upper: 1.0, dose: 0.1 };
-            const LEVELS: &[BaseParameter] = &[LEVEL, LEVEL];
-            LEVELS
+            &LEVELS
         }
 
         fn base_support(&self, idx: usize) -> Vec<bool> {
@@ -227,8 +218,7 @@ mod tests {
         }
 
         fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
-            let name = "size".to_owned();
-            vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+            size()
         }
 
         fn num_units(&self) -> usize {

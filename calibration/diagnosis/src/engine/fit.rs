@@ -274,9 +274,35 @@ pub(crate) fn refit<D: Domain>(
     takes: &[usize],
     steps: usize,
 ) -> Result<Model, DiagnosisError> {
+    gauss_newton(domain, model, takes, steps, 1)
+}
+
+/// As [`refit`] with [`ROUGH_STEPS`] that go by the responses of the `model` it starts from, for half of the time: to see what
+/// becomes of a model that was fitted with an effect more, or less.
+pub(crate) fn refit_roughly<D: Domain>(
+    domain: &D,
+    model: &Model,
+    takes: &[usize],
+) -> Result<Model, DiagnosisError> {
+    gauss_newton(domain, model, takes, ROUGH_STEPS, ROUGH_STEPS)
+}
+
+const ROUGH_STEPS: usize = 2;
+
+/// Takes up to so many `steps`, with responses that serve `steps_each`.
+fn gauss_newton<D: Domain>(
+    domain: &D,
+    model: &Model,
+    takes: &[usize],
+    steps: usize,
+    steps_each: usize,
+) -> Result<Model, DiagnosisError> {
     let mut linear = Linear::without_nuisances(domain, model, takes)?;
-    for _ in 0..steps {
-        let columns = linear.nuisance_columns()?;
+    let mut columns = Vec::new();
+    for idx in 0..steps {
+        if idx % steps_each == 0 {
+            columns = linear.nuisance_columns()?;
+        }
         let step = linear.assess(&columns, &linear.residual).step;
         let Some(better) = descend(&linear, |scale| moved(domain, &linear.model, step.as_slice(), scale))?
         else {

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 
 use palpate_sim::effects::Effect;
 
-use super::fit::{fit, refit};
+use super::fit::{fit, refit, refit_roughly};
 use super::linear::Linear;
-use super::name::{REFIT_STEPS, WEIGHING_STEPS, founded, stands_in};
+use super::name::{REFIT_STEPS, founded, stands_in};
 use super::screen::{Hopeless, screen};
 use super::{Domain, Model, NamingConfig};
 use crate::DiagnosisError;
@@ -58,7 +58,7 @@ pub(super) fn merge<D: Domain>(
         let effects = model.effects.iter().enumerate().filter(|(idx, _)| !replaced.contains(idx));
         let without =
             Model { base: model.base.clone(), effects: effects.map(|(_, effect)| effect.clone()).collect() };
-        let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
+        let without = refit_roughly(domain, &without, takes)?;
         let linear = Linear::new(domain, &without, takes)?;
         let mut screened = screen(&linear, &candidates, &mut Hopeless::default(), &|_| Ok(()))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
@@ -88,10 +88,8 @@ mod tests {
 
     use palpate_robot_model::Place;
     use palpate_sim::effects::Parameter;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
-    use super::super::tests::config;
+    use super::super::tests::{LEVELS, config, deviates, size, sized};
     use super::super::{BaseParameter, Series};
     use super::*;
 
@@ -107,22 +105,12 @@ mod tests {
         blocks: Vec<Range<usize>>,
     }
 
-    fn effect(id: &str, place: Place, size: f64) -> Effect {
-        Effect {
-            id: id.to_owned(),
-            place,
-            parameters: BTreeMap::from([("size".to_owned(), size)]),
-            interval: BTreeMap::new(),
-            takes: Vec::new(),
-        }
-    }
-
     fn part(unit: usize, size: f64) -> Effect {
-        effect("part", Place::Channel(unit.to_string()), size)
+        sized("part", Place::Channel(unit.to_string()), size)
     }
 
     fn whole(size: f64) -> Effect {
-        effect("whole", Place::Stream("all".to_owned()), size)
+        sized("whole", Place::Stream("all".to_owned()), size)
     }
 
     fn size_in(effects: &[Effect], unit: usize) -> f64 {
@@ -135,8 +123,7 @@ mod tests {
 
     impl Parts {
         fn hiding(effects: &[Effect]) -> Self {
-            let mut rng = ChaCha8Rng::seed_from_u64(5);
-            let mut noise = || NOISE * ((0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0);
+            let mut noise = deviates(5, NOISE);
             let observed = (0..UNITS)
                 .map(|unit| {
                     (0..ROWS).map(|row| size_in(effects, unit) * (row as f64 * 0.1).sin() + noise()).collect()
@@ -167,9 +154,7 @@ mod tests {
         }
 
         fn base(&self) -> &[BaseParameter] {
-            const LEVEL: &[BaseParameter] =
-                &[BaseParameter { name: String::new(), lower: -5.0, upper: 5.0, dose: 0.1 }];
-            LEVEL
+            &LEVELS[..1]
         }
 
         fn candidates(&self) -> Vec<Effect> {
@@ -177,8 +162,7 @@ mod tests {
         }
 
         fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
-            let name = "size".to_owned();
-            vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+            size()
         }
 
         fn num_units(&self) -> usize {
@@ -203,7 +187,7 @@ mod tests {
     }
 
     fn effect_of_size(like: &Effect, size: f64) -> Effect {
-        effect(&like.id, like.place.clone(), size)
+        sized(&like.id, like.place.clone(), size)
     }
 
     #[test]

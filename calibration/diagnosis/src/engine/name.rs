@@ -7,7 +7,7 @@ use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use super::choose::{apart, choose};
-use super::fit::{Fitted, Profile, fit, refit};
+use super::fit::{Fitted, Profile, fit, refit, refit_roughly};
 use super::linear::{Linear, predict};
 use super::merge::merge;
 use super::reconsider::reconsider;
@@ -130,8 +130,6 @@ const PROMISING: usize = 100;
 const MOST_DROPPED: usize = 2;
 /// Numbers of parameters up to this many apart count as equally simple.
 pub(super) const SIMILAR_COUNT: usize = 7;
-/// Steps of a fit without one effect, to see what it carries.
-pub(super) const WEIGHING_STEPS: usize = 2;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
 pub(super) const FEW: usize = 2;
 /// Share of what removes most at a place that a trial beside thresholds of its own removes at least with its first step: no
@@ -435,7 +433,7 @@ fn carried_by<D: Domain>(after: &Linear<'_, D>, idx: usize) -> Result<Carried, D
     let mut without = after.model.clone();
     without.effects.remove(idx);
     let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
-    let without = refit(domain, &without, takes, WEIGHING_STEPS)?;
+    let without = refit_roughly(domain, &without, takes)?;
     let back = after.losses_of(&predict(domain, &without, takes)?);
     let sum = |losses: &[Vec<f64>], of: &[bool]| -> f64 {
         let of_take = |losses: &Vec<f64>| -> f64 {

@@ -12,8 +12,8 @@ use super::name::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
 use super::{Domain, Model};
 use crate::DiagnosisError;
 
-/// What removed less than this share of what the named effect did is no rival of it.
-const RIVAL_SHARE: f64 = 0.5;
+/// What removed less than this share of what the named effect did is not looked at again.
+const LEAST_REMOVED: f64 = 0.5;
 /// A rival must take away this share of the loss that is left.
 const LEAST_BETTER: f64 = 0.005;
 
@@ -73,7 +73,7 @@ fn rivals(model: &Model, round: &Round, named: usize) -> Vec<usize> {
         is_simple(effect)
             && is_simple(&tried.effect)
             && tried.effect.place == effect.place
-            && tried.held_out_gain >= RIVAL_SHARE * held_out_gain
+            && tried.held_out_gain >= LEAST_REMOVED * held_out_gain
             && !model.effects.iter().any(|other| is_same(other, &tried.effect))
     };
     (0..round.tried.len()).filter(is_rival).collect()
@@ -81,11 +81,11 @@ fn rivals(model: &Model, round: &Round, named: usize) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::ops::Range;
 
     use palpate_sim::effects::Parameter;
 
+    use super::super::tests::{LEVELS, size, sized};
     use super::super::{BaseParameter, Series};
     use super::*;
 
@@ -98,13 +98,7 @@ mod tests {
     }
 
     fn effect(id: &str, size: f64) -> Effect {
-        Effect {
-            id: id.to_owned(),
-            place: Place::Stream("all".to_owned()),
-            parameters: BTreeMap::from([("size".to_owned(), size)]),
-            interval: BTreeMap::new(),
-            takes: Vec::new(),
-        }
+        sized(id, Place::Stream("all".to_owned()), size)
     }
 
     fn wave(effects: &[Effect], row: usize) -> f64 {
@@ -129,9 +123,7 @@ mod tests {
         }
 
         fn base(&self) -> &[BaseParameter] {
-            const LEVEL: &[BaseParameter] =
-                &[BaseParameter { name: String::new(), lower: -5.0, upper: 5.0, dose: 0.1 }];
-            LEVEL
+            &LEVELS[..1]
         }
 
         fn candidates(&self) -> Vec<Effect> {
@@ -139,8 +131,7 @@ mod tests {
         }
 
         fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
-            let name = "size".to_owned();
-            vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+            size()
         }
 
         fn num_units(&self) -> usize {

@@ -46,19 +46,39 @@ fn shape(id: &str, row: usize) -> f64 {
 }
 
 fn effect(id: &str, size: f64) -> Effect {
+    sized(id, Place::Stream("all".to_owned()), size)
+}
+
+/// An effect of this `size`, which is its one parameter.
+pub(super) fn sized(id: &str, place: Place, size: f64) -> Effect {
     Effect {
         id: id.to_owned(),
-        place: Place::Stream("all".to_owned()),
+        place,
         parameters: BTreeMap::from([("size".to_owned(), size)]),
         interval: BTreeMap::new(),
         takes: Vec::new(),
     }
 }
 
+/// Parameters of what [`sized`] makes.
+pub(super) fn size() -> Vec<Parameter> {
+    let name = "size".to_owned();
+    vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+}
+
+/// Levels that models fit along.
+pub(super) static LEVELS: [BaseParameter; 2] =
+    [const { BaseParameter { name: String::new(), lower: -5.0, upper: 5.0, dose: 0.1 } }; 2];
+
+/// Nearly normal deviates with this standard `deviation`.
+pub(super) fn deviates(seed: u64, deviation: f64) -> impl FnMut() -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    move || deviation * ((0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0)
+}
+
 impl Sines {
     fn new(hidden: &[(&str, f64)], seed: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut noise = || NOISE * ((0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0);
+        let mut noise = deviates(seed, NOISE);
         let observed = (0..TAKES)
             .map(|_| {
                 let of_row = |row: usize| -> f64 {
@@ -70,7 +90,7 @@ impl Sines {
         Self {
             observed,
             blocks: (0..ROWS / 20).map(|block| block * 20..(block + 1) * 20).collect(),
-            base: vec![BaseParameter { name: "level".to_owned(), lower: -5.0, upper: 5.0, dose: 0.1 }],
+            base: LEVELS[..1].to_vec(),
             shapes: &SHAPES,
             level: None,
         }
@@ -119,8 +139,7 @@ impl Domain for Sines {
     }
 
     fn parameters(&self, _effect: &Effect) -> Vec<Parameter> {
-        let name = "size".to_owned();
-        vec![Parameter { name, lower: -3.0, upper: 3.0, neutral: 0.0, smallest: 0.02, dose: 0.1 }]
+        size()
     }
 
     fn num_units(&self) -> usize {
