@@ -132,11 +132,11 @@ impl<'a> TactileDomain<'a> {
         };
         if has(SensorKind::Proximity) {
             add(Base::LambdaCon, "lambda_con_m".into(), theta.lambda_con_m, [-0.02, 0.02], 1e-4);
+            let softness_m = start.response.pad_softness_m.max(SOFTNESS_M);
+            add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, MOST_SOFTNESS_M], 5e-5);
             if raw {
                 let band_m = start.response.proximity_band_m;
                 add(Base::Band, "proximity_band_m".into(), band_m, [1e-4, 5e-3], 1e-4);
-                let softness_m = start.response.pad_softness_m.max(SOFTNESS_M);
-                add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, MOST_SOFTNESS_M], 5e-5);
             }
         }
         if has(SensorKind::Pressure) {
@@ -148,8 +148,8 @@ impl<'a> TactileDomain<'a> {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
             if raw {
                 add(Base::Exponent(idx), format!("exponent.{}", stream.id), 1.0, [0.3, 3.0], 0.05);
-                add(Base::Lag(idx), format!("lag_s.{}", stream.id), 0.0, [0.0, LONGEST_LAG_S], 0.002);
             }
+            add(Base::Lag(idx), format!("lag_s.{}", stream.id), 0.0, [0.0, LONGEST_LAG_S], 0.002);
         }
         let alike = alike(station);
         for (set, patches) in alike.iter().enumerate() {
