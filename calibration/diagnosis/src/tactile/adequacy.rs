@@ -117,7 +117,7 @@ pub(crate) fn account_where_they_act(
 /// Loss of a row, in variances, of a model that misses nothing.
 const COMPLETE_LOSS: f64 = 0.56;
 /// Share of the excess of what repeats that right names leave at most: on the tuning stations 0.34, most of them nothing; and
-/// 0.5 where little of the loss is left, as of a latency of which some touches have more than others.
+/// 0.5 where little of the loss is left (a latency of the FSR).
 const MOST_REPEATING_LEFT: f64 = 0.36;
 const MOST_REPEATING_LEFT_WITH_LITTLE_LOSS: f64 = 0.52;
 const LITTLE_LOSS_LEFT: f64 = 0.3;
