@@ -3,6 +3,7 @@
 //! - [`rows`]: how the rows of takes are numbered
 //! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
 //! - [`screen`]: every candidate by its dose response
+//! - [`descend`]: steps of a fit
 //! - [`fit`]: candidates and whole models, fitted for real
 //! - [`adequacy`]: whether names account for what is there
 //! - [`choose`]: what to name of what was tried
@@ -12,6 +13,7 @@
 
 mod adequacy;
 mod choose;
+mod descend;
 mod fit;
 mod linear;
 mod merge;

@@ -16,7 +16,7 @@ use crate::null::NullBar;
 use crate::tactile::adequacy::{
     Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal,
 };
-use crate::tactile::judge::{Judged, judge, set_thresholds};
+use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
 use crate::{DiagnosisError, show};
 
@@ -245,8 +245,8 @@ impl Steps {
         Ok(Self { confirm, models })
     }
 
-    /// Whether the last model mistakes no more events than the first on the takes `fitted`. Names that do not shrink the
-    /// gap that they were made for are no use.
+    /// Whether the last model mistakes no more events than the first on the takes `fitted`, on channels that it does not say
+    /// flicker by chance. Names that do not shrink the gap that they were made for are no use.
     fn shrink_the_gap(
         &self,
         station: &Station,
@@ -255,10 +255,16 @@ impl Steps {
     ) -> Result<bool, DiagnosisError> {
         let [first, .., last] = &self.models[..] else { return Ok(true) };
         let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
-        let gap = |model: &SensorModel| -> Result<f64, DiagnosisError> {
-            Ok(judge(station, &observed, model)?.iter().flat_map(|judged| &judged.mismatch_s).sum())
+        let flickers = flickering(station, &observed, last);
+        let mistaken = |model: &SensorModel| -> Result<f64, DiagnosisError> {
+            let judged = judge(station, &observed, model)?;
+            let by_channel = judged.iter().flat_map(|judged| judged.sums.iter().zip(&flickers));
+            let frames = by_channel
+                .filter(|(_, flickers)| !**flickers)
+                .map(|(sum, _)| sum.false_positives + sum.false_negatives);
+            Ok(frames.sum::<u64>() as f64)
         };
-        Ok(gap(last)? <= (1.0 + CHANCE_IN_GAP) * gap(first)?)
+        Ok(mistaken(last)? <= (1.0 + CHANCE_IN_GAP) * mistaken(first)?)
     }
 }
 

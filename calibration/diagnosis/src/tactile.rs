@@ -42,6 +42,8 @@ pub(crate) use observe::Observed;
 enum Base {
     LambdaCon,
     Alpha,
+    /// Logarithm of the pressure threshold in Pa: it is fitted over orders of magnitude, as calibration of takes that lack
+    /// something may leave it far from where it belongs.
     LambdaPre,
     Band,
     Softness,
@@ -102,6 +104,8 @@ impl Signal {
 const WIDTH: f64 = 0.2;
 /// A delay that is no news: the input filter of a board and its transport.
 const LONGEST_LAG_S: f64 = 0.0075;
+/// Thresholds of pressure that are possible, Pa.
+const PRESSURES_PA: [f64; 2] = [1.0, 1e7];
 /// Softness of pads to begin with, m.
 const SOFTNESS_M: f64 = 2e-4;
 /// Readings without touch vary by at least this, in units of the switching threshold.
@@ -142,7 +146,7 @@ impl<'a> TactileDomain<'a> {
         if has(SensorKind::Pressure) {
             let (alpha, pre) = (theta.alpha_per_m.max(1.0), theta.lambda_pre_pa.max(1.0));
             add(Base::Alpha, "alpha_per_m".into(), alpha, [1.0, 10.0 * alpha + 1000.0], 0.05 * alpha);
-            add(Base::LambdaPre, "lambda_pre_pa".into(), pre, [0.02 * pre, 50.0 * pre], 0.05 * pre);
+            add(Base::LambdaPre, "ln_lambda_pre".into(), pre.ln(), PRESSURES_PA.map(f64::ln), 0.05);
         }
         for (idx, stream) in station.layout.streams.iter().enumerate() {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
@@ -207,7 +211,7 @@ impl<'a> TactileDomain<'a> {
             match kind {
                 Base::LambdaCon => theta.lambda_con_m = value,
                 Base::Alpha => theta.alpha_per_m = value,
-                Base::LambdaPre => theta.lambda_pre_pa = value,
+                Base::LambdaPre => theta.lambda_pre_pa = value.exp(),
                 Base::Band => response.proximity_band_m = value,
                 Base::Softness => response.pad_softness_m = value,
                 Base::Width(_) | Base::Exponent(_) | Base::Lag(_) | Base::Pattern(..) => {}

@@ -1,12 +1,12 @@
 //! A patch that is glued on beside its place.
 
-use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::{Patch, Place, Station};
 
 use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene, places};
 
-/// The patch sits elsewhere on its link: moved along its own surface and turned about its normal. A shift along the
-/// normal is not part of it, because to first order that is a preload.
+/// The patch sits elsewhere on its link: moved in the plane of its own frame, which touches its surface at the origin, and
+/// turned in it. A shift along the normal is not part of it, because to first order that is a preload.
 pub(super) struct SensorMountOffset;
 
 impl EffectKind for SensorMountOffset {
@@ -58,24 +58,15 @@ impl EffectKind for SensorMountOffset {
     }
 }
 
-/// Motion of the patch in its link: along the patch's x axis and across it, both in the plane of its mean normal, and
-/// about that normal through the middle of its taxels.
+/// Motion of the patch in its link: along the x and y axes of the patch's frame, which touch its surface at its origin, and
+/// about its z axis through the middle of its taxels.
 fn motion(patch: &Patch, x_m: f64, y_m: f64, turn_rad: f64) -> Isometry3<f64> {
-    let fallback = patch.link_from_patch * Vector3::z_axis();
-    let sum: Vector3<f64> = patch.taxel_normals_in_link.iter().map(|normal| normal.into_inner()).sum();
-    let normal = Unit::try_new(sum, 1e-9).unwrap_or(fallback);
-    let along = patch.link_from_patch * Vector3::x();
-    let along = along - normal.into_inner() * normal.dot(&along);
-    // A patch whose x axis is its normal has no direction of its own: any one does.
-    let x_axis = Unit::try_new(along, 1e-9).unwrap_or_else(|| {
-        let other = if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-        Unit::new_normalize(normal.cross(&other))
-    });
-    let y_axis = normal.cross(&x_axis);
+    let patch_from_link = patch.link_from_patch.inverse();
     let num_taxels = patch.taxels_in_link.len().max(1) as f64;
-    let middle = patch.taxels_in_link.iter().map(|taxel| taxel.coords).sum::<Vector3<f64>>() / num_taxels;
-    let turn = UnitQuaternion::from_axis_angle(&normal, turn_rad);
-    let shift = x_axis.into_inner() * x_m + y_axis * y_m;
-    let turned_middle = turn * Point3::from(middle);
-    Isometry3::from_parts(Translation3::from(middle - turned_middle.coords + shift), turn)
+    let taxels = patch.taxels_in_link.iter().map(|taxel| (patch_from_link * taxel).coords);
+    let middle = taxels.sum::<Vector3<f64>>() / num_taxels;
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad);
+    let shift = Vector3::new(x_m, y_m, 0.0);
+    let in_patch = Isometry3::from_parts(Translation3::from(middle - turn * middle + shift), turn);
+    patch.link_from_patch * in_patch * patch_from_link
 }

@@ -3,6 +3,7 @@
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
+use super::descend::{Free, descend};
 use super::linear::{Assessment, Linear, Residual, predict};
 use super::screen::{responses, stepped};
 use super::{Domain, Model};
@@ -32,7 +33,7 @@ pub(crate) struct Profiled {
 /// Sizes at which a candidate is tried with the model's own parameters fitted anew, as multiples of its dose.
 const PROFILED_DOSES: [f64; 4] = [1.0, -1.0, 2.5, -2.5];
 /// Sizes between the doses at which a fit is tried when it has ended, as multiples.
-const BETWEEN_DOSES: [f64; 4] = [0.5, 0.7, 0.85, 1.25];
+pub(super) const BETWEEN_DOSES: [f64; 4] = [0.5, 0.7, 0.85, 1.25];
 /// Steps of such a fit.
 const PROFILE_STEPS: usize = 3;
 /// Sizes that the fit begins with, and of which it goes on after its first step: the best.
@@ -147,18 +148,18 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
             if is_done {
                 break;
             }
-            let step = tried.assess(&tried.base_columns(&self.free)?, &tried.residual).step;
-            let better = descend(&tried, |scale| {
+            let free: Vec<Free> =
+                self.free.iter().map(|&idx| Free::of_base(self.linear.domain, &tried.model, idx)).collect();
+            let assessment = tried.assess(&tried.base_columns(&self.free)?, &tried.residual);
+            let lower = descend(&tried, &assessment, &free, |step| {
                 let mut model = tried.model.clone();
                 for (&idx, step) in self.free.iter().zip(step.iter()) {
-                    model.base[idx] =
-                        (model.base[idx] + scale * step).clamp(base[idx].lower, base[idx].upper);
+                    model.base[idx] = (model.base[idx] + step).clamp(base[idx].lower, base[idx].upper);
                 }
                 model
             })?;
-            is_done =
-                better.as_ref().is_none_or(|better| tried.loss - better.loss < LEAST_GAINED * better.loss);
-            tried = better.unwrap_or(tried);
+            is_done = lower.as_ref().is_none_or(|lower| lower.is_done);
+            tried = lower.map_or(tried, |lower| lower.linear);
         }
         Ok(Begun { gained: self.gained(&tried), tried, is_done })
     }
@@ -171,24 +172,6 @@ fn best_of<'a, D: Domain>(mut fits: Vec<Begun<'a, D>>, most: usize) -> Vec<Begun
     fits
 }
 
-/// The first of ever shorter steps from `from` that lowers the loss; `None` if none does. `stepped` takes the share of the
-/// step.
-fn descend<'a, D: Domain>(
-    from: &Linear<'a, D>,
-    stepped: impl Fn(f64) -> Model,
-) -> Result<Option<Linear<'a, D>>, DiagnosisError> {
-    for scale in [1.0, 0.5, 0.2, 0.05] {
-        let tried = from.moved_to(stepped(scale))?;
-        if tried.loss < from.loss {
-            return Ok(Some(tried));
-        }
-    }
-    Ok(None)
-}
-
-/// A fit ends where a step gains less than this share of the loss.
-const LEAST_GAINED: f64 = 1e-3;
-
 /// Steps of Gauss and Newton for a candidate.
 const STEPS: usize = 3;
 
@@ -196,7 +179,7 @@ const STEPS: usize = 3;
 const STARTS: [f64; 2] = [2.0, 4.0];
 
 /// `effect` at a multiple of its distance from its neutral parameters, as far as their bounds allow.
-fn scaled(effect: &Effect, parameters: &[Parameter], scale: f64) -> Effect {
+pub(super) fn scaled(effect: &Effect, parameters: &[Parameter], scale: f64) -> Effect {
     let steps: Vec<f64> = parameters
         .iter()
         .map(|parameter| (scale - 1.0) * (effect.parameter(&parameter.name) - parameter.neutral))
@@ -303,31 +286,29 @@ fn gauss_newton<D: Domain>(
         if idx % steps_each == 0 {
             columns = linear.nuisance_columns()?;
         }
-        let step = linear.assess(&columns, &linear.residual).step;
-        let Some(better) = descend(&linear, |scale| moved(domain, &linear.model, step.as_slice(), scale))?
-        else {
-            break;
-        };
-        let gained = linear.loss - better.loss;
-        linear = better;
-        if gained < LEAST_GAINED * linear.loss.max(1.0) {
+        let assessment = linear.assess(&columns, &linear.residual);
+        let free = Free::all(domain, &linear.model);
+        let lower =
+            descend(&linear, &assessment, &free, |step| moved(domain, &linear.model, step.as_slice()))?;
+        let Some(lower) = lower else { break };
+        linear = lower.linear;
+        if lower.is_done {
             break;
         }
     }
     Ok(linear.model)
 }
 
-fn moved<D: Domain>(domain: &D, model: &Model, step: &[f64], scale: f64) -> Model {
+fn moved<D: Domain>(domain: &D, model: &Model, step: &[f64]) -> Model {
     let mut moved = model.clone();
     let (of_base, mut of_effects) = step.split_at(model.base.len());
     for ((value, step), parameter) in moved.base.iter_mut().zip(of_base).zip(domain.base()) {
-        *value = (*value + scale * step).clamp(parameter.lower, parameter.upper);
+        *value = (*value + step).clamp(parameter.lower, parameter.upper);
     }
     for effect in &mut moved.effects {
         let parameters = domain.parameters(effect);
         let (own, rest) = of_effects.split_at(parameters.len());
-        let steps: Vec<f64> = own.iter().map(|step| step * scale).collect();
-        *effect = stepped(effect, &parameters, &steps);
+        *effect = stepped(effect, &parameters, own);
         of_effects = rest;
     }
     moved

@@ -128,8 +128,12 @@ impl Nuisances {
 /// What a candidate's responses say.
 #[derive(Clone, Debug)]
 pub(crate) struct Assessment {
-    /// Best step of its parameters, in their own units.
+    /// Best step of its parameters, in their own units: where [`Self::normal`] times it is [`Self::score`].
     pub(crate) step: DVector<f64>,
+    /// R~'R~.
+    pub(crate) normal: DMatrix<f64>,
+    /// R~'r.
+    pub(crate) score: DVector<f64>,
     /// Standard error of each, robust against dependence within blocks.
     pub(crate) standard_errors: Vec<f64>,
     /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them.
@@ -237,6 +241,15 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// Loss by take.
     pub(crate) fn loss_by_take(&self) -> Vec<f64> {
         self.losses.chunks_exact(self.rows.num_kinds).map(|of_take| of_take.iter().sum()).collect()
+    }
+
+    /// Loss by unit.
+    pub(crate) fn loss_by_unit(&self) -> Vec<f64> {
+        let mut losses = vec![0.0; self.domain.num_units()];
+        for (idx, segment) in self.segments.iter().enumerate() {
+            losses[self.rows.unit(idx)] += segment.loss;
+        }
+        losses
     }
 
     /// Loss in the rows of `kinds`.
@@ -590,6 +603,8 @@ impl<'a, D: Domain> Linear<'a, D> {
                 .map(|(robust, of_rows)| robust.max(LEAST_SPREAD * of_rows).max(0.0).sqrt())
                 .collect(),
             step,
+            normal: h,
+            score: s,
             held_out_gains,
         }
     }

@@ -6,7 +6,7 @@ use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use super::choose::with_base_of;
-use super::fit::refit;
+use super::fit::{BETWEEN_DOSES, refit, scaled};
 use super::linear::Linear;
 use super::name::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
 use super::{Domain, Model};
@@ -30,27 +30,46 @@ pub(super) fn reconsider<D: Domain>(
     let mut loss = Linear::without_nuisances(domain, model, takes)?.loss;
     for idx in known..model.effects.len() {
         let Some((round, named)) = round_of(&model.effects[idx], rounds) else { continue };
-        let refitted: Vec<Option<(f64, Model, usize)>> = rivals(model, round, named)
-            .into_par_iter()
-            .map(|rival| {
-                let tried = &round.tried[rival];
-                let mut with = with_base_of(domain, model, tried);
-                with.effects[idx] = tried.effect.clone();
-                let with = refit(domain, &with, takes, REFIT_STEPS)?;
-                let (evidence, _) = joint_evidence(domain, &with, takes)?;
-                let left = Linear::without_nuisances(domain, &with, takes)?.loss;
-                Ok((evidence[idx] > bar).then_some((left, with, rival)))
-            })
-            .collect::<Result<_, DiagnosisError>>()?;
-        let best = refitted.into_iter().flatten().min_by(|(one, ..), (other, ..)| one.total_cmp(other));
-        if let Some((less, better, rival)) = best.filter(|(less, ..)| *less < (1.0 - LEAST_BETTER) * loss) {
-            (loss, *model) = (less, better);
-            round.named = Some(rival);
-            round.class.retain(|member| ![named, rival].contains(member));
-            round.class.push(rival);
+        let refitted = |of_trial: usize, scale: f64| -> Result<Option<Rival>, DiagnosisError> {
+            let tried = &round.tried[of_trial];
+            let mut with = with_base_of(domain, model, tried);
+            with.effects[idx] = scaled(&tried.effect, &domain.parameters(&tried.effect)[..1], scale);
+            let with = refit(domain, &with, takes, REFIT_STEPS)?;
+            let (evidence, _) = joint_evidence(domain, &with, takes)?;
+            let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
+            Ok((evidence[idx] > bar).then_some(Rival { loss, model: with, of_trial }))
+        };
+        let rivals = rivals(model, round, named).into_par_iter().map(|rival| refitted(rival, 1.0));
+        let best = least(rivals.collect::<Result<_, DiagnosisError>>()?);
+        let Some(rival) = best.filter(|rival| rival.loss < (1.0 - LEAST_BETTER) * loss) else { continue };
+        // The named effect may have gone astray while others were missing: it gets as fresh a start, from several sizes.
+        let anew = [1.0].par_iter().chain(&BETWEEN_DOSES).map(|scale| refitted(named, *scale));
+        let better = match least(anew.collect::<Result<_, DiagnosisError>>()?) {
+            Some(named) if rival.loss >= (1.0 - LEAST_BETTER) * named.loss.min(loss) => named,
+            _ => rival,
+        };
+        if better.loss < loss {
+            (loss, *model) = (better.loss, better.model);
+            if better.of_trial != named {
+                round.named = Some(better.of_trial);
+                round.class.retain(|member| ![named, better.of_trial].contains(member));
+                round.class.push(better.of_trial);
+            }
         }
     }
     Ok(())
+}
+
+/// A model with what was tried in a round in the place of its name.
+struct Rival {
+    loss: f64,
+    model: Model,
+    /// Index of what was tried.
+    of_trial: usize,
+}
+
+fn least(rivals: Vec<Option<Rival>>) -> Option<Rival> {
+    rivals.into_iter().flatten().min_by(|one, other| one.loss.total_cmp(&other.loss))
 }
 
 fn is_same(one: &Effect, other: &Effect) -> bool {

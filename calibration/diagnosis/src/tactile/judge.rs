@@ -99,6 +99,17 @@ fn judge_at(
         .collect()
 }
 
+/// Which channels `model` says are on by chance at rest: nobody can say in which frames of `takes`.
+pub(crate) fn flickering(station: &Station, takes: &[&Observed<'_>], model: &SensorModel) -> Vec<bool> {
+    let mut flickering = vec![false; station.layout.num_channels()];
+    for observed in takes {
+        let idle = chain(model).switching(&observed.scene_at_frames(station)).idle_activation;
+        let is_chance = idle.iter().map(|share| *share > 0.0 && *share < 1.0);
+        flickering.iter_mut().zip(is_chance).for_each(|(flickers, by_chance)| *flickers |= by_chance);
+    }
+    flickering
+}
+
 /// How long each frame is in effect, s: until the next one.
 pub(crate) fn frame_lengths_s(times_s: &[f64]) -> Vec<f64> {
     let typical = match times_s {
@@ -199,4 +210,37 @@ pub(crate) fn set_thresholds(
         attempt(tried, model);
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use palpate_emulator::Stage;
+    use palpate_robot_model::Place;
+    use palpate_sim::effects::Effect;
+
+    use super::*;
+
+    #[test]
+    fn only_what_is_on_by_chance_flickers() {
+        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
+        let stage = Stage::read(truth).unwrap();
+        let station = stage.station();
+        let takes = stage.record(&[], 1).unwrap();
+        let observed = Observed::new(station, &takes[0]).unwrap();
+        let mut model = SensorModel::from_toml("nominal", &station.nominal_model_toml).unwrap();
+        let channels = &station.layout.channels;
+        for (id, channel) in [("integer_wrap", 0), ("stuck_channel", 1)] {
+            model.effects.push(Effect {
+                id: id.to_owned(),
+                place: Place::Channel(channels[channel].id.clone()),
+                parameters: [("presence".to_owned(), 1.0)].into(),
+                interval: [].into(),
+                takes: Vec::new(),
+            });
+        }
+        let flickers = flickering(station, &[&observed], &model);
+        assert_eq!((0..channels.len()).filter(|&channel| flickers[channel]).collect::<Vec<_>>(), [0]);
+    }
 }
