@@ -56,6 +56,12 @@ pub trait ActuatorEffect: Sync {
     /// Its parameters.
     fn parameters(&self) -> Vec<Parameter>;
 
+    /// Whether it is one constant torque, mass or angle, so that the right one leaves nothing behind. Others are models of
+    /// what gears and electronics do, and leave something where those are of another make.
+    fn is_constant(&self) -> bool {
+        false
+    }
+
     /// Adds it to `plant`.
     fn apply(&self, effect: &Effect, plant: &mut Plant);
 }

@@ -24,6 +24,10 @@ impl ActuatorEffect for ArmatureInertia {
         vec![parameter("inertia_kg_m2", [0.0, 0.05], 0.0002, 0.0006)]
     }
 
+    fn is_constant(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.armature_kg_m2 += effect.parameter("inertia_kg_m2");
     }

@@ -24,6 +24,10 @@ impl ActuatorEffect for CoulombFriction {
         vec![parameter("coulomb_nm", [0.0, 0.3], 0.003, 0.008)]
     }
 
+    fn is_constant(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.coulomb_nm += effect.parameter("coulomb_nm");
     }

@@ -24,6 +24,10 @@ impl ActuatorEffect for EncoderOffset {
         vec![parameter("offset_rad", [-0.5, 0.5], 0.01, 0.03)]
     }
 
+    fn is_constant(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.encoder_offset_rad += effect.parameter("offset_rad");
     }

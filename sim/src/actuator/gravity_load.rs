@@ -24,6 +24,10 @@ impl ActuatorEffect for GravityLoad {
         vec![parameter("gravity", [-0.8, 3.0], 0.04, 0.1)]
     }
 
+    fn is_constant(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.gravity_factor += effect.parameter("gravity");
     }

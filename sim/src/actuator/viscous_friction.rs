@@ -24,6 +24,10 @@ impl ActuatorEffect for ViscousFriction {
         vec![parameter("viscous_nm_s_per_rad", [0.0, 0.2], 0.001, 0.004)]
     }
 
+    fn is_constant(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.viscous_nm_s_per_rad += effect.parameter("viscous_nm_s_per_rad");
     }
