@@ -144,7 +144,8 @@ const LEAST_CARRIED: f64 = 0.004;
 const PROFILED_ROUNDS: usize = 2;
 /// Candidates that are fitted in a round for the share of the loss in what they change.
 const FITS_BY_SHARE: usize = 2;
-/// An effect of many parameters must remove this share of all that it removes in at least a third as many units.
+/// An effect of many parameters must remove this share of all that it removes in at least a third as many units as it has
+/// parameters that the data sees.
 const NEARLY_ALL: f64 = 0.8;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
@@ -416,7 +417,7 @@ pub(super) fn stands_in(fitted: &Fitted) -> bool {
         sum += **removed;
         before < nearly_all
     });
-    carriers.count() < fitted.parameters.len() / 3
+    carriers.count() < num_seen(&fitted.assessment.standard_errors) / 3
 }
 
 /// What a model loses without one of its effects.
@@ -536,9 +537,10 @@ pub(super) fn joint_evidence<D: Domain>(
     Ok((all, errors))
 }
 
-/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. An effect
-/// of many parameters must have a third of them out there: else it stands in for one that acts in fewer places. None for
-/// an effect that is driven to the end of its range: it stands in for one of another kind.
+/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. For an effect of
+/// many parameters it is the geometric mean over the strongest third of those that the data sees: where fewer are out there it
+/// stands in for one that acts in fewer places. None for an effect that is driven to the end of its range: it stands in for
+/// one of another kind.
 pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
     let at_end = |parameter: &Parameter| {
         let value = effect.parameter(&parameter.name);
@@ -553,11 +555,19 @@ pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_error
         .map(|(parameter, &error)| {
             let size = (effect.parameter(&parameter.name) - parameter.neutral).abs();
             let beyond = (size - parameter.smallest).max(0.0);
-            // An error of nothing is that of a direction that the data does not see.
             if error > 0.0 { (beyond / error).powi(2) } else { 0.0 }
         })
         .collect();
     strengths.sort_unstable_by(|a, b| b.total_cmp(a));
-    let needed = if strengths.len() > SIMILAR_COUNT { strengths.len() / 3 } else { 0 };
-    strengths.get(needed).copied().unwrap_or(0.0)
+    if strengths.len() <= SIMILAR_COUNT {
+        return strengths.first().copied().unwrap_or(0.0);
+    }
+    let third = (num_seen(standard_errors) / 3).max(1);
+    let logarithms = strengths[..third].iter().map(|strength| strength.ln());
+    (logarithms.sum::<f64>() / third as f64).exp()
+}
+
+/// How many parameters the data sees: an error of nothing is that of a direction that it does not see.
+fn num_seen(standard_errors: &[f64]) -> usize {
+    standard_errors.iter().filter(|error| **error > 0.0).count()
 }

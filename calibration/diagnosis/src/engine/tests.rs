@@ -181,6 +181,33 @@ fn two_hidden_shapes_are_named_with_their_sizes() {
 }
 
 #[test]
+fn an_effect_of_many_parameters_needs_a_third_of_those_that_the_data_sees() {
+    let parameters: Vec<Parameter> = (0..12)
+        .map(|idx| Parameter {
+            name: format!("size_{idx}"),
+            lower: -1.0,
+            upper: 1.0,
+            neutral: 0.0,
+            smallest: 0.02,
+            dose: 0.1,
+        })
+        .collect();
+    // `out` of twelve parameters are ten standard errors beyond what matters, and `unseen` of the others have no error.
+    let of = |out: usize, unseen: usize| {
+        let size = |idx: usize| if idx < out { 0.12 } else { 0.0 };
+        let sizes = parameters.iter().enumerate().map(|(idx, parameter)| (parameter.name.clone(), size(idx)));
+        let effect =
+            Effect { parameters: sizes.collect(), ..sized("many", Place::Stream("all".to_owned()), 0.0) };
+        let errors: Vec<f64> = (0..12).map(|idx| if idx < 12 - unseen { 0.01 } else { 0.0 }).collect();
+        super::name::evidence(&effect, &parameters, &errors)
+    };
+    assert!((of(4, 0) - 100.0).abs() < 1e-9 && (of(12, 0) - 100.0).abs() < 1e-9);
+    assert_eq!(of(3, 0), 0.0, "one of the strongest third is nothing");
+    assert!((of(3, 3) - 100.0).abs() < 1e-9, "three of nine");
+    assert_eq!(of(0, 12), 0.0, "the data sees none");
+}
+
+#[test]
 fn what_the_model_takes_up_is_no_news_as_far_as_its_range_goes() {
     let named = |hidden: f64| {
         let mut sines = Sines::new(&[("slow", hidden)], 5);
