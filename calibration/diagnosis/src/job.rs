@@ -18,6 +18,7 @@ use crate::tactile::adequacy::{
 };
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
+use crate::withhold::{withhold_crutches, withhold_remainders};
 use crate::{DiagnosisError, show};
 
 /// What to do.
@@ -121,6 +122,7 @@ pub fn diagnose(
     })?;
 
     withhold_remainders(&domain, start.effects.len(), &mut naming, &fitted)?;
+    withhold_crutches(&domain, &start, &mut naming, &fitted)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
@@ -270,39 +272,6 @@ impl Steps {
 
 /// What may be added to the gap by chance, over what it is.
 const CHANCE_IN_GAP: f64 = 0.1;
-
-/// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
-const LEAST_BESIDE: f64 = 0.2;
-
-/// Takes back names beyond the first `known` that reach all that a stronger name of another effect reaches, each at a patch, a
-/// joint or an object, with little evidence beside it: how skin and object meet is modelled roughly, and what a right name
-/// leaves of that looks like one more small fault of the same finger. A fault that is there is found again once the first is in
-/// the model.
-fn withhold_remainders(
-    domain: &TactileDomain<'_>,
-    known: usize,
-    naming: &mut Naming,
-    fitted: &[usize],
-) -> Result<(), DiagnosisError> {
-    let is_placed =
-        |effect: &Effect| matches!(effect.place, Place::Patch(_) | Place::Joint(_) | Place::Object(_));
-    loop {
-        let named = &naming.model.effects[known..];
-        let evidence = &naming.evidence[known..];
-        let is_remainder = |idx: usize| {
-            let reach = domain.reach(&named[idx]);
-            named.iter().zip(evidence).any(|(other, of_other)| {
-                other.id != named[idx].id
-                    && is_placed(other)
-                    && evidence[idx] < LEAST_BESIDE * of_other
-                    && domain.reach(other).iter().zip(&reach).all(|(other, own)| !other || *own)
-            })
-        };
-        let remainder = (0..named.len()).filter(|&idx| is_placed(&named[idx])).find(|&idx| is_remainder(idx));
-        let Some(remainder) = remainder else { return Ok(()) };
-        naming.withhold_one(domain, known + remainder, fitted)?;
-    }
-}
 
 /// `effects` with intervals and takes, as they go into a model file.
 fn described(

@@ -12,6 +12,7 @@ mod null;
 pub mod report;
 mod show;
 pub mod tactile;
+mod withhold;
 
 pub use job::{DiagnosisConfig, DiagnosisOutcome, diagnose};
 pub use null::{NullBar, null_bar};

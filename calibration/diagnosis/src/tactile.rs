@@ -20,7 +20,7 @@ pub(crate) mod next;
 mod observe;
 mod switched;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Mutex;
 
@@ -303,6 +303,12 @@ impl<'a> TactileDomain<'a> {
 
     pub(crate) fn take(&self, take: usize) -> &Observed<'a> {
         &self.takes[take]
+    }
+
+    /// Indices of the patches that `effect` can reach.
+    pub(crate) fn patches(&self, effect: &Effect) -> BTreeSet<usize> {
+        let channels = self.station.layout.channels.iter().zip(self.reach(effect));
+        channels.filter(|(_, reached)| *reached).map(|(channel, _)| channel.patch).collect()
     }
 }
 

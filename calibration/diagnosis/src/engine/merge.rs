@@ -1,5 +1,5 @@
 //! One name for what several names explain in parts: channel after channel is found too sensitive where it is the patch
-//! that sits elsewhere.
+//! that sits elsewhere, a joint is bent and its fingertip feels farther where it is the fingertip that has sunk in.
 
 use std::collections::BTreeMap;
 
@@ -15,9 +15,10 @@ use crate::DiagnosisError;
 /// Candidates that are fitted in the place of one set of names.
 const FITS: usize = 3;
 
-/// Puts one effect in the place of two or more effects beyond the first `known` that reach one unit each, if it reaches
-/// all of their units, is beyond doubt, and leaves less of the loss than they do. `dropped` effects are not tried. Says
-/// whether it did.
+/// Puts one effect in the place of two or more effects beyond the first `known`, if it is beyond doubt and leaves less of the
+/// loss than they do: of effects that reach one unit each, if it reaches all of their units; of all that are named, if one of
+/// them reaches as far as all, and it reaches as far as the others and no farther than that one. `dropped` effects are not
+/// tried. Says whether it did.
 pub(super) fn merge<D: Domain>(
     domain: &D,
     model: &mut Model,
@@ -26,28 +27,19 @@ pub(super) fn merge<D: Domain>(
     config: &NamingConfig,
     dropped: &[Effect],
 ) -> Result<bool, DiagnosisError> {
-    let reach = |effect: &Effect| -> Vec<usize> {
-        let reach = domain.reach(effect);
-        (0..reach.len()).filter(|&unit| reach[unit]).collect()
-    };
-    let parts: Vec<(usize, usize)> = (known..model.effects.len())
-        .filter_map(|idx| match reach(&model.effects[idx])[..] {
-            [unit] => Some((idx, unit)),
-            _ => None,
-        })
-        .collect();
-    if parts.len() < 2 {
+    let mut by_replaced: BTreeMap<Vec<usize>, Vec<Effect>> = BTreeMap::new();
+    let reaches: Vec<Vec<bool>> = model.effects[known..].iter().map(|effect| domain.reach(effect)).collect();
+    let named = Replaceable::of(&reaches);
+    if named.is_none() {
         return Ok(false);
     }
-    let mut by_replaced: BTreeMap<Vec<usize>, Vec<Effect>> = BTreeMap::new();
     for candidate in domain.candidates() {
         let same = |other: &Effect| other.id == candidate.id && other.place == candidate.place;
         if config.without.contains(&candidate.id) || model.effects.iter().chain(dropped).any(same) {
             continue;
         }
-        let reached = reach(&candidate);
-        let replaced: Vec<usize> =
-            parts.iter().filter(|(_, unit)| reached.contains(unit)).map(|(idx, _)| *idx).collect();
+        let mut replaced = named.replaced_by(&domain.reach(&candidate));
+        replaced.iter_mut().for_each(|idx| *idx += known);
         if replaced.len() > 1 {
             by_replaced.entry(replaced).or_default().push(candidate);
         }
@@ -80,6 +72,71 @@ pub(super) fn merge<D: Domain>(
     let Some(better) = best else { return Ok(false) };
     *model = better;
     Ok(true)
+}
+
+/// Names that one effect may stand for.
+struct Replaceable {
+    /// Those that reach one unit each: their indices, and the units.
+    single: Vec<(usize, usize)>,
+    /// Where one of at least two reaches as far as all.
+    nested: Option<Nested>,
+}
+
+/// Names of which one reaches as far as all.
+struct Nested {
+    count: usize,
+    /// What the widest reaches.
+    widest: Vec<bool>,
+    /// What the others reach.
+    others: Vec<bool>,
+}
+
+impl Replaceable {
+    /// Of names with these `reaches`.
+    fn of(reaches: &[Vec<bool>]) -> Self {
+        let only = |reach: &Vec<bool>| {
+            let mut units = (0..reach.len()).filter(|&unit| reach[unit]);
+            units.next().filter(|_| units.next().is_none())
+        };
+        let single =
+            reaches.iter().enumerate().filter_map(|(idx, reach)| only(reach).map(|unit| (idx, unit)));
+        Self { single: single.collect(), nested: Nested::of(reaches) }
+    }
+
+    fn is_none(&self) -> bool {
+        self.single.len() < 2 && self.nested.is_none()
+    }
+
+    /// Indices of the names that what reaches so far may stand for.
+    fn replaced_by(&self, reach: &[bool]) -> Vec<usize> {
+        match &self.nested {
+            Some(nested) if within(&nested.others, reach) && within(reach, &nested.widest) => {
+                (0..nested.count).collect()
+            }
+            _ => self.single.iter().filter(|(_, unit)| reach[*unit]).map(|(idx, _)| *idx).collect(),
+        }
+    }
+}
+
+impl Nested {
+    fn of(reaches: &[Vec<bool>]) -> Option<Self> {
+        if reaches.len() < 2 {
+            return None;
+        }
+        (0..reaches.len()).find_map(|widest| {
+            let mut others = vec![false; reaches[widest].len()];
+            for (_, reach) in reaches.iter().enumerate().filter(|(idx, _)| *idx != widest) {
+                others.iter_mut().zip(reach).for_each(|(reached, own)| *reached |= own);
+            }
+            let is_widest = within(&others, &reaches[widest]);
+            is_widest.then(|| Self { count: reaches.len(), widest: reaches[widest].clone(), others })
+        })
+    }
+}
+
+/// Whether all of `inner` is in `outer`.
+fn within(inner: &[bool], outer: &[bool]) -> bool {
+    inner.iter().zip(outer).all(|(inner, outer)| !inner || *outer)
 }
 
 #[cfg(test)]
@@ -202,5 +259,21 @@ mod tests {
         assert_eq!(parts.merged(vec![part(0, 0.0), part(1, 0.0)]), (false, vec!["part".to_owned(); 2]));
         let one = Parts::hiding(&[part(0, 0.4)]);
         assert_eq!(one.merged(vec![part(0, 0.0)]), (false, vec!["part".to_owned()]));
+    }
+
+    fn replaced(reaches: &[&[usize]], candidate: &[usize]) -> Vec<usize> {
+        let reach = |units: &[usize]| (0..4).map(|unit| units.contains(&unit)).collect::<Vec<bool>>();
+        let reaches: Vec<Vec<bool>> = reaches.iter().map(|units| reach(units)).collect();
+        Replaceable::of(&reaches).replaced_by(&reach(candidate))
+    }
+
+    #[test]
+    fn names_within_the_reach_of_one_have_one_place() {
+        let bent_and_blurred: [&[usize]; 2] = [&[0, 1, 2], &[1, 2]];
+        assert_eq!(replaced(&bent_and_blurred, &[1, 2]), [0, 1]);
+        assert!(replaced(&bent_and_blurred, &[1]).is_empty(), "less than either");
+        assert!(replaced(&bent_and_blurred, &[1, 2, 3]).is_empty(), "farther than both");
+        assert!(replaced(&[&[0, 1], &[1, 2]], &[1]).is_empty(), "neither is within the other");
+        assert_eq!(replaced(&[&[0], &[1], &[2, 3]], &[0, 1]), [0, 1], "those of one unit each");
     }
 }

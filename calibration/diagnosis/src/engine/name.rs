@@ -100,7 +100,7 @@ impl Naming {
     /// Takes all names back, to what was there at the `start`.
     pub fn withhold(&mut self, start: &Model) {
         let known = start.effects.len();
-        self.withheld = self.model.effects.split_off(known);
+        self.withheld.splice(..0, self.model.effects.split_off(known));
         self.model = start.clone();
         self.evidence.truncate(known);
         self.standard_errors.truncate(known);
