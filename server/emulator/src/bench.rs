@@ -1,5 +1,7 @@
 //! The blind bench's catalogue: what is hidden, how strongly and where, drawn from a seed.
 
+use std::ops::Range;
+
 use palpate_recording::Take;
 use palpate_robot_model::{ObjectShape, Place, SensorKind, Station};
 use rand::{RngExt, SeedableRng};
@@ -92,7 +94,8 @@ const PAIRS: &[[&str; 2]] = &[
 /// many sessions with nothing hidden as `nulls`. Places and noise are drawn from `seed`.
 ///
 /// What sits in one patch or channel is hidden where the session touches often enough for it to show
-/// ([`LEAST_TOUCHES`] in [`LEAST_TAKES`]), backlash in joints that the session turns by [`LEAST_TURN_RAD`].
+/// ([`LEAST_TOUCHES`] in [`LEAST_TAKES`]), a spread in streams of which it touches [`LEAST_FELT`] so, backlash in joints that it
+/// turns by [`LEAST_TURN_RAD`].
 pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, EmulationError> {
     let mut draw = Draw {
         stage,
@@ -129,6 +132,8 @@ pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, Emulat
 const LEAST_TOUCHES: usize = 4;
 /// Takes that must hold some of them: a diagnosis keeps some takes back.
 const LEAST_TAKES: usize = 3;
+/// Share of the channels of a stream that must be touched so for a spread over them to show.
+const LEAST_FELT: f64 = 0.5;
 /// Turn of a joint within the session that shows its backlash, rad.
 const LEAST_TURN_RAD: f64 = 0.1;
 
@@ -164,6 +169,15 @@ impl Exercised {
             most - least >= LEAST_TURN_RAD
         });
         Self { touched: touched.collect(), turned: turned.collect() }
+    }
+
+    /// Those of streams with these `channels` of which enough are touched.
+    fn felt(&self, channels: &[Range<usize>]) -> Vec<usize> {
+        let is_felt = |idx: &usize| {
+            let touched = &self.touched[channels[*idx].clone()];
+            touched.iter().filter(|touched| **touched).count() as f64 >= LEAST_FELT * touched.len() as f64
+        };
+        (0..channels.len()).filter(is_felt).collect()
     }
 }
 
@@ -215,7 +229,10 @@ impl Draw<'_> {
             }
             "sensitivity_spread" => {
                 let draw = f64::from(self.rng.random::<u32>());
-                (Place::Stream(stream), vec![("spread", of([0.1, 0.2, 0.4])), ("draw", draw)])
+                (
+                    Place::Stream(self.felt_stream(stream)),
+                    vec![("spread", of([0.1, 0.2, 0.4])), ("draw", draw)],
+                )
             }
             "elastic_crosstalk" => {
                 // In one patch: along all of a stream it is what calibration fits anyway.
@@ -289,6 +306,15 @@ impl Draw<'_> {
     fn stream(&mut self) -> (String, f64) {
         let idx = self.below(self.station.layout.streams.len());
         (self.station.layout.streams[idx].id.clone(), self.station.streams[idx].on_threshold)
+    }
+
+    /// The stream `drawn`, or another one of which the session touches enough to tell its channels apart.
+    fn felt_stream(&self, drawn: String) -> String {
+        let streams = &self.station.layout.streams;
+        let channels: Vec<Range<usize>> = streams.iter().map(|stream| stream.channels.clone()).collect();
+        let felt = self.exercised.felt(&channels);
+        let felt: Vec<&String> = felt.into_iter().map(|idx| &streams[idx].id).collect();
+        if felt.contains(&&drawn) { drawn } else { felt.first().map_or(drawn, |id| (*id).clone()) }
     }
 
     fn pressure_stream(&mut self) -> String {
@@ -386,5 +412,18 @@ impl Draw<'_> {
         let patch = &self.station.layout.patches[patch];
         let at = patch.link_from_patch.rotation * (nalgebra::Vector3::x() * (self.sign() * size_m));
         vec![("x_m", at.x), ("y_m", at.y), ("z_m", at.z)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stream_is_felt_where_half_of_its_channels_are_touched() {
+        let touched = vec![true, true, false, true, false, false, true, false];
+        let exercised = Exercised { touched, turned: Vec::new() };
+        assert_eq!(exercised.felt(&[0..3, 3..6, 6..8]), [0, 2]);
+        assert_eq!(exercised.felt(std::slice::from_ref(&(4..6))), [] as [usize; 0]);
     }
 }
