@@ -137,6 +137,11 @@ pub trait Domain: Sync {
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64>;
 }
 
+/// Whether all units of `inner` are in `outer`.
+pub(crate) fn within(inner: &[bool], outer: &[bool]) -> bool {
+    inner.iter().zip(outer).all(|(inner, outer)| !inner || *outer)
+}
+
 /// Hears which fraction of some work is done and what is being done now, and may stop it.
 pub type Watch<'w> = dyn Fn(f64, &str) -> Result<(), DiagnosisError> + Sync + 'w;
 

@@ -6,7 +6,7 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
-use crate::engine::{Domain, Model, Naming};
+use crate::engine::{Domain, Model, Naming, within};
 use crate::tactile::TactileDomain;
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
@@ -33,7 +33,7 @@ pub(crate) fn withhold_remainders(
                 other.id != named[idx].id
                     && is_placed(other)
                     && evidence[idx] < LEAST_BESIDE * of_other
-                    && domain.reach(other).iter().zip(&reach).all(|(other, own)| !other || *own)
+                    && within(&domain.reach(other), &reach)
             })
         };
         let remainder = (0..named.len()).filter(|&idx| is_placed(&named[idx])).find(|&idx| is_remainder(idx));

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::fit::refit;
 use super::linear::Linear;
 use super::name::{REFIT_STEPS, Round, SIMILAR_COUNT, Tried, founded};
-use super::{Domain, Model, NamingConfig};
+use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;
 
 /// Rivals explain at least this share of what the best does.
@@ -95,7 +95,7 @@ pub(super) fn apart<D: Domain>(domain: &D, model: &Model, tried: &[Tried], named
             apart.push(one.clone());
             continue;
         }
-        let is_within = reach.iter().zip(&joined).all(|(reached, joined)| !reached || *joined);
+        let is_within = within(&reach, &joined);
         let is_weaker =
             apart.first().is_some_and(|best| one.held_out_gain < RIVAL_SHARE * best.held_out_gain);
         if !is_within && !is_weaker {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::descend::{Free, descend};
 use super::linear::{Assessment, Linear, Residual, predict};
 use super::screen::{responses, stepped};
-use super::{Domain, Model};
+use super::{Domain, Model, within};
 use crate::DiagnosisError;
 
 /// A candidate, fitted.
@@ -72,9 +72,8 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         let Some(first) = parameters.first() else { return Ok(None) };
         let domain = linear.domain;
         let reach = domain.support(effect, &first.name);
-        let covers =
-            |support: &[bool]| reach.iter().zip(support).all(|(reached, covered)| !reached || *covered);
-        let free = (0..domain.base().len()).filter(|&idx| covers(&domain.base_support(idx))).collect();
+        let covers = |&idx: &usize| within(&reach, &domain.base_support(idx));
+        let free = (0..domain.base().len()).filter(covers).collect();
         let mut profile = Self { linear, free, begun: Vec::new() };
         let mut starts = vec![effect.clone()];
         for dose in PROFILED_DOSES {

@@ -1,5 +1,5 @@
 //! One name for what several names explain in parts: channel after channel is found too sensitive where it is the patch
-//! that sits elsewhere, a joint is bent and its fingertip feels farther where it is the fingertip that has sunk in.
+//! that sits elsewhere; a joint off and its fingertip's layer stiffer, where it is the fingertip that has sunk in.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use super::fit::{fit, refit, refit_roughly};
 use super::linear::Linear;
 use super::name::{REFIT_STEPS, founded, stands_in};
 use super::screen::{Hopeless, screen};
-use super::{Domain, Model, NamingConfig};
+use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;
 
 /// Candidates that are fitted in the place of one set of names.
@@ -132,11 +132,6 @@ impl Nested {
             is_widest.then(|| Self { count: reaches.len(), widest: reaches[widest].clone(), others })
         })
     }
-}
-
-/// Whether all of `inner` is in `outer`.
-fn within(inner: &[bool], outer: &[bool]) -> bool {
-    inner.iter().zip(outer).all(|(inner, outer)| !inner || *outer)
 }
 
 #[cfg(test)]
