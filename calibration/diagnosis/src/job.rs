@@ -18,7 +18,7 @@ use crate::tactile::adequacy::{
 };
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
-use crate::withhold::{withhold_crutches, withhold_remainders};
+use crate::withhold::{withhold_at_one_patch, withhold_remainders};
 use crate::{DiagnosisError, show};
 
 /// What to do.
@@ -122,7 +122,7 @@ pub fn diagnose(
     })?;
 
     withhold_remainders(&domain, start.effects.len(), &mut naming, &fitted)?;
-    withhold_crutches(&domain, &start, &mut naming, &fitted)?;
+    withhold_at_one_patch(&domain, &start, &mut naming, &fitted)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;

@@ -42,8 +42,8 @@ pub(crate) fn withhold_remainders(
     }
 }
 
-/// Takes back names beyond those of `start` that need others as crutches, see [`num_standing`].
-pub(crate) fn withhold_crutches(
+/// Takes back names beyond those of `start` that are about one patch and do not stand, see [`num_standing`].
+pub(crate) fn withhold_at_one_patch(
     domain: &TactileDomain<'_>,
     start: &Model,
     naming: &mut Naming,

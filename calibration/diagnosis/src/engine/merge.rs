@@ -30,7 +30,7 @@ pub(super) fn merge<D: Domain>(
     let mut by_replaced: BTreeMap<Vec<usize>, Vec<Effect>> = BTreeMap::new();
     let reaches: Vec<Vec<bool>> = model.effects[known..].iter().map(|effect| domain.reach(effect)).collect();
     let named = Replaceable::of(&reaches);
-    if named.is_none() {
+    if named.is_empty() {
         return Ok(false);
     }
     for candidate in domain.candidates() {
@@ -103,7 +103,7 @@ impl Replaceable {
         Self { single: single.collect(), nested: Nested::of(reaches) }
     }
 
-    fn is_none(&self) -> bool {
+    fn is_empty(&self) -> bool {
         self.single.len() < 2 && self.nested.is_none()
     }
 
