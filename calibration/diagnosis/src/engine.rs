@@ -2,9 +2,11 @@
 //!
 //! - [`rows`]: how the rows of takes are numbered
 //! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
+//! - [`normal`]: normal matrices
 //! - [`screen`]: every candidate by its dose response
 //! - [`descend`]: steps of a fit
 //! - [`fit`]: candidates and whole models, fitted for real
+//! - [`agreement`]: whether names are of one size in all takes, and of different things
 //! - [`adequacy`]: whether names account for what is there
 //! - [`choose`]: what to name of what was tried
 //! - [`merge`]: one name for what several explain in parts
@@ -12,12 +14,14 @@
 //! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
 
 mod adequacy;
+mod agreement;
 mod choose;
 mod descend;
 mod fit;
 mod linear;
 mod merge;
 mod name;
+mod normal;
 mod reconsider;
 mod rows;
 mod screen;
@@ -25,10 +29,11 @@ mod screen;
 mod tests;
 
 pub(crate) use adequacy::{loss_by_unit, share_left};
+pub(crate) use agreement::{Contributions, Disagreement};
 pub(crate) use fit::{refit, refit_roughly};
-pub(crate) use linear::inverse;
 pub(crate) use name::strongest;
 pub use name::{Naming, NamingConfig, Round, Tried, name};
+pub(crate) use normal::inverse;
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};

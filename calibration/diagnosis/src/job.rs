@@ -18,7 +18,7 @@ use crate::tactile::adequacy::{
 };
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
-use crate::withhold::{withhold_at_one_patch, withhold_remainders};
+use crate::withhold::withhold;
 use crate::{DiagnosisError, show};
 
 /// What to do.
@@ -120,9 +120,7 @@ pub fn diagnose(
     let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
-
-    withhold_remainders(&domain, start.effects.len(), &mut naming, &fitted)?;
-    withhold_at_one_patch(&domain, &start, &mut naming, &fitted)?;
+    withhold(&domain, &start, &mut naming, &fitted)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;

@@ -1,4 +1,4 @@
-//! Names that are taken back for the company they are in.
+//! Names that are taken back: for not being of one size, or for the company they are in.
 
 use std::collections::BTreeSet;
 
@@ -6,17 +6,67 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
-use crate::engine::{Domain, Model, Naming, within};
+use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
 use crate::tactile::TactileDomain;
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
 const LEAST_BESIDE: f64 = 0.2;
+/// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
+/// said to flicker, is off by as much as it should be.
+const MOST_BY_TAKE: f64 = 0.8;
+/// Loss, in variances, that sizes of its own for each channel in each take remove at most of a right name: on the tuning
+/// stations up to 26 (crosstalk along a layer); where a joint is named for an object that has moved, 40 to 150.
+const MOST_BY_PART: f64 = 32.0;
+/// Cosine between what two names add to the readings from which they do nearly the same: of right ones at most 0.11, of a bent
+/// joint and a stiffer layer in place of a preload 0.7.
+const ALIKE: f64 = 0.3;
+/// Faults of so many kinds at one patch are one of another kind.
+const MANY_KINDS: usize = 3;
+
+/// Takes back names of `naming`, beyond those of `start`, that cannot be the names of what is missing. Events alone, which are
+/// few, tell too little of sizes.
+pub(crate) fn withhold(
+    domain: &TactileDomain<'_>,
+    start: &Model,
+    naming: &mut Naming,
+    fitted: &[usize],
+) -> Result<(), DiagnosisError> {
+    let known = start.effects.len();
+    let has_readings = domain.num_raw_takes() > 0;
+    if has_readings {
+        withhold_disagreeing(domain, known, naming, fitted)?;
+    }
+    withhold_remainders(domain, known, naming, fitted)?;
+    if has_readings {
+        withhold_alike(domain, known, naming, fitted)?;
+    }
+    withhold_at_one_patch(domain, start, naming, fitted)
+}
+
+/// Takes back names beyond the first `known` on whose size the takes do not agree, the worst first.
+fn withhold_disagreeing(
+    domain: &TactileDomain<'_>,
+    known: usize,
+    naming: &mut Naming,
+    fitted: &[usize],
+) -> Result<(), DiagnosisError> {
+    // How many times as much as it may.
+    let excess = |of: Disagreement| (of.by_take / MOST_BY_TAKE).max(of.by_part / MOST_BY_PART);
+    while naming.model.effects.len() > known {
+        let disagreements = Contributions::of(domain, &naming.model, fitted)?.disagreements()?;
+        let of_names = disagreements.into_iter().enumerate().skip(known).map(|(idx, of)| (idx, excess(of)));
+        let worst = of_names.max_by(|(_, one), (_, other)| one.total_cmp(other));
+        let Some((worst, _)) = worst.filter(|(_, excess)| *excess > 1.0) else { break };
+        naming.withhold_one(domain, worst, fitted)?;
+    }
+    Ok(())
+}
 
 /// Takes back names beyond the first `known` that reach all that a stronger name of another effect reaches, each at a patch, a
 /// joint or an object, with little evidence beside it: how skin and object meet is modelled roughly, and what a right name
 /// leaves of that looks like one more small fault of the same finger. A fault that is there is found again once the first is in
 /// the model.
-pub(crate) fn withhold_remainders(
+fn withhold_remainders(
     domain: &TactileDomain<'_>,
     known: usize,
     naming: &mut Naming,
@@ -42,8 +92,30 @@ pub(crate) fn withhold_remainders(
     }
 }
 
+/// Takes back pairs of names beyond the first `known` that do nearly the same, neither of them a remainder of the other: what
+/// takes one effect with a part of another to explain it is a third one. Streams are often late and smoothed as well.
+fn withhold_alike(
+    domain: &TactileDomain<'_>,
+    known: usize,
+    naming: &mut Naming,
+    fitted: &[usize],
+) -> Result<(), DiagnosisError> {
+    loop {
+        let contributions = Contributions::of(domain, &naming.model, fitted)?;
+        let is_placed = |idx: &usize| !matches!(naming.model.effects[*idx].place, Place::Stream(_));
+        let placed: Vec<usize> = (known..naming.model.effects.len()).filter(is_placed).collect();
+        let pairs =
+            placed.iter().enumerate().flat_map(|(at, &two)| placed[..at].iter().map(move |&one| (one, two)));
+        let mut alike = pairs.filter(|&(one, two)| contributions.likeness(one, two).abs() > ALIKE);
+        let Some((one, two)) = alike.next() else { break };
+        naming.withhold_one(domain, two, fitted)?;
+        naming.withhold_one(domain, one, fitted)?;
+    }
+    Ok(())
+}
+
 /// Takes back names beyond those of `start` that are about one patch and do not stand, see [`num_standing`].
-pub(crate) fn withhold_at_one_patch(
+fn withhold_at_one_patch(
     domain: &TactileDomain<'_>,
     start: &Model,
     naming: &mut Naming,
@@ -63,21 +135,24 @@ pub(crate) fn withhold_at_one_patch(
     Ok(())
 }
 
-/// How many of the names stand, the weightiest first, of effects that reach these `patches`: all, unless they are two or more
-/// that are all about how one patch is moved and loaded. Then the weightiest stands if it is of the patch itself: the others are
-/// what the rough model of that patch leaves. A joint, or channels, that explain what is felt at one patch only with the help
-/// of others there stand in for something else.
+/// How many of the names stand, the weightiest first, of effects that reach these `patches`: all, unless they all act at one
+/// patch. If they are about how that patch is moved and loaded, the weightiest stands if it is of the patch itself: the others
+/// are what the rough model of that patch leaves. A joint, or channels, that explain what is felt at one patch only with the
+/// help of others there stand in for something else, and so do faults of many kinds.
 fn num_standing(named: &[Effect], patches: &[BTreeSet<usize>]) -> usize {
-    let is_of_skin = |effect: &Effect| {
-        effects::tactile(&effect.id).is_some_and(|kind| kind.stage() <= Stage::Contact)
-            && !matches!(effect.place, Place::Stream(_) | Place::Object(_))
-    };
+    let is_local = |effect: &Effect| !matches!(effect.place, Place::Stream(_) | Place::Object(_));
+    let is_of_skin =
+        |effect: &Effect| effects::tactile(&effect.id).is_some_and(|kind| kind.stage() <= Stage::Contact);
     let [weightiest, _, ..] = named else { return named.len() };
     let shared = patches.iter().cloned().reduce(|shared, patches| &shared & &patches).unwrap_or_default();
-    if shared.is_empty() || !named.iter().all(is_of_skin) {
+    if shared.is_empty() || !named.iter().all(is_local) {
         return named.len();
     }
-    usize::from(matches!(weightiest.place, Place::Patch(_)))
+    if named.iter().all(is_of_skin) {
+        return usize::from(matches!(weightiest.place, Place::Patch(_)));
+    }
+    let kinds: BTreeSet<&str> = named.iter().map(|effect| effect.id.as_str()).collect();
+    if kinds.len() < MANY_KINDS { named.len() } else { 0 }
 }
 
 #[cfg(test)]
@@ -123,6 +198,14 @@ mod tests {
     }
 
     #[test]
+    fn faults_of_three_kinds_at_one_patch_are_something_else() {
+        let dead = named("dead_channel", Place::Channel("thumb_tip.1".to_owned()));
+        let names = [joint(), patch("sensor_mount_offset"), dead];
+        assert_eq!(standing(&names, &[&[3, 4], &[4], &[4]]), 0);
+        assert_eq!(standing(&names, &[&[3], &[4], &[4]]), 3, "of another finger");
+    }
+
+    #[test]
     fn the_weightiest_name_of_the_patch_itself_stands() {
         let names = [patch("preload"), patch("elastic_crosstalk"), channel()];
         assert_eq!(standing(&names, &[&[4], &[4], &[4]]), 1);
@@ -134,6 +217,12 @@ mod tests {
         assert_eq!(standing(&[joint()], &[&[4]]), 1);
         assert_eq!(standing(&[joint(), latency()], &[&[3, 4], &[3, 4, 5]]), 2);
         let dead = named("dead_channel", Place::Channel("thumb_tip.1".to_owned()));
-        assert_eq!(standing(&[joint(), dead], &[&[3, 4], &[4]]), 2);
+        assert_eq!(standing(&[joint(), dead.clone()], &[&[3, 4], &[4]]), 2);
+        assert_eq!(standing(&[joint(), dead.clone(), dead.clone()], &[&[3, 4], &[4], &[4]]), 3);
+        assert_eq!(
+            standing(&[dead.clone(), dead.clone(), dead], &[&[4], &[4], &[4]]),
+            3,
+            "a cable that broke"
+        );
     }
 }

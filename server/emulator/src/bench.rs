@@ -95,7 +95,7 @@ const PAIRS: &[[&str; 2]] = &[
 ///
 /// What sits in one patch or channel is hidden where the session touches often enough for it to show
 /// ([`LEAST_TOUCHES`] in [`LEAST_TAKES`]), a spread in streams of which it touches [`LEAST_FELT`] so, backlash in joints that it
-/// turns by [`LEAST_TURN_RAD`].
+/// turns by [`LEAST_TURN_RAD`], a snag beyond an angle that a joint passes in [`LEAST_TAKES`].
 pub fn cases(stage: &Stage, nulls: usize, seed: u64) -> Result<Vec<Case>, EmulationError> {
     let mut draw = Draw {
         stage,
@@ -136,13 +136,15 @@ const LEAST_TAKES: usize = 3;
 const LEAST_FELT: f64 = 0.5;
 /// Turn of a joint within the session that shows its backlash, rad.
 const LEAST_TURN_RAD: f64 = 0.1;
+/// How far beyond its angle at rest a joint snags a cable, rad.
+const SNAG_BEYOND_REST_RAD: f64 = 0.1;
 
 /// What a session exercises.
 struct Exercised {
     /// Per channel.
     touched: Vec<bool>,
-    /// Per degree of freedom.
-    turned: Vec<bool>,
+    /// Least and highest angle in each take, rad, per degree of freedom.
+    angles_rad: Vec<Vec<[f64; 2]>>,
 }
 
 impl Exercised {
@@ -161,14 +163,25 @@ impl Exercised {
                 && onsets.iter().filter(|onsets| **onsets > 0).count() >= LEAST_TAKES
         });
         let num_dofs = station.robot.num_dofs();
-        let turned = (0..num_dofs).map(|dof| {
-            let angles =
-                takes.iter().flat_map(|take| take.joints.positions.iter().skip(dof).step_by(num_dofs));
-            let (least, most) =
-                angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(*x), b.max(*x)));
-            most - least >= LEAST_TURN_RAD
-        });
-        Self { touched: touched.collect(), turned: turned.collect() }
+        let in_take = |take: &Take, dof: usize| {
+            let angles = take.joints.positions.iter().skip(dof).step_by(num_dofs);
+            angles.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], x| [least.min(*x), most.max(*x)])
+        };
+        let angles_rad = (0..num_dofs).map(|dof| takes.iter().map(|take| in_take(take, dof)).collect());
+        Self { touched: touched.collect(), angles_rad: angles_rad.collect() }
+    }
+
+    /// Whether the degree of freedom turns far enough for backlash to show.
+    fn is_turned(&self, dof: usize) -> bool {
+        let angles = &self.angles_rad[dof];
+        let least = angles.iter().map(|[least, _]| *least).fold(f64::INFINITY, f64::min);
+        let most = angles.iter().map(|[_, most]| *most).fold(f64::NEG_INFINITY, f64::max);
+        most - least >= LEAST_TURN_RAD
+    }
+
+    /// Whether the degree of freedom passes an angle in enough takes for what happens there to show.
+    fn passes(&self, dof: usize, angle_rad: f64) -> bool {
+        self.angles_rad[dof].iter().filter(|[_, most]| *most > angle_rad).count() >= LEAST_TAKES
     }
 
     /// Those of streams with these `channels` of which enough are touched.
@@ -280,9 +293,8 @@ impl Draw<'_> {
             ),
             "mains_hum" => (Place::Stream(stream), one("amplitude_raw", of([0.1, 0.25, 0.5]) * on_threshold)),
             "snagged_cable" => {
-                let joint = self.joint();
-                let (beyond, offset) = (self.rest(&joint) + 0.1, of([0.3, 0.7, 1.5]) * on_threshold);
-                let sizes = [("beyond", beyond), ("offset_raw", offset)];
+                let (joint, beyond_rad) = self.snagging_joint();
+                let sizes = [("beyond", beyond_rad), ("offset_raw", of([0.3, 0.7, 1.5]) * on_threshold)];
                 return Hidden::new(id, Place::Stream(stream), &sizes).driven_by(&joint);
             }
             _ => {
@@ -365,18 +377,31 @@ impl Draw<'_> {
 
     /// A joint of a limb that has pressure sensors, and the group that it moves.
     fn bending(&mut self) -> (String, String) {
-        self.joint_of_limb(|_| true)
+        self.joint_of_limb(|_, _| true)
     }
 
     fn turned_joint(&mut self) -> String {
-        let turned = self.exercised.turned.clone();
-        self.joint_of_limb(|dof| turned[dof]).0
+        self.joint_of_limb(|draw, dof| draw.exercised.is_turned(dof)).0
     }
 
-    fn joint_of_limb(&mut self, fits: impl Fn(usize) -> bool) -> (String, String) {
+    /// A joint that snags a cable, and the angle beyond which it does, rad.
+    fn snagging_joint(&mut self) -> (String, f64) {
+        let joint = self.joint_of_limb(|draw, dof| draw.exercised.passes(dof, draw.snag_rad(dof))).0;
+        let beyond_rad = self.rest(&joint) + SNAG_BEYOND_REST_RAD;
+        (joint, beyond_rad)
+    }
+
+    fn snag_rad(&self, dof: usize) -> f64 {
+        let joint = self.station.robot.dofs().nth(dof);
+        joint.map_or(0.0, |joint| self.rest(&joint.name)) + SNAG_BEYOND_REST_RAD
+    }
+
+    /// A joint of a limb that has pressure sensors, of those that fit if any does, and the group that it moves.
+    fn joint_of_limb(&mut self, fits: impl Fn(&Self, usize) -> bool) -> (String, String) {
         let patch = self.patch(Some(SensorKind::Pressure));
-        let mut dofs = limb_dofs(self.station, &[patch]);
-        dofs.retain(|&dof| fits(dof));
+        let dofs = limb_dofs(self.station, &[patch]);
+        let fitting: Vec<usize> = dofs.iter().copied().filter(|&dof| fits(self, dof)).collect();
+        let dofs = if fitting.is_empty() { dofs } else { fitting };
         let joints: Vec<&str> = self.station.robot.dofs().map(|joint| joint.name.as_str()).collect();
         let dof = dofs.get(self.below(dofs.len())).copied().unwrap_or(0);
         (joints[dof].to_owned(), self.station.layout.patches[patch].group.clone())
@@ -422,8 +447,21 @@ mod tests {
     #[test]
     fn a_stream_is_felt_where_half_of_its_channels_are_touched() {
         let touched = vec![true, true, false, true, false, false, true, false];
-        let exercised = Exercised { touched, turned: Vec::new() };
+        let exercised = Exercised { touched, angles_rad: Vec::new() };
         assert_eq!(exercised.felt(&[0..3, 3..6, 6..8]), [0, 2]);
         assert_eq!(exercised.felt(std::slice::from_ref(&(4..6))), [] as [usize; 0]);
+    }
+
+    #[test]
+    fn a_joint_turns_over_all_takes_and_passes_an_angle_in_enough_of_them() {
+        let angles_rad = vec![
+            vec![[0.0, 0.02], [0.05, 0.12], [0.0, 0.05], [0.0, 0.01]],
+            vec![[-0.5, 0.3], [0.2, 0.5], [0.3, 0.45], [0.1, 0.42]],
+        ];
+        let exercised = Exercised { touched: Vec::new(), angles_rad };
+        assert_eq!([0, 1].map(|dof| exercised.is_turned(dof)), [true, true]);
+        assert_eq!([0, 1].map(|dof| exercised.passes(dof, 0.4)), [false, true]);
+        assert!(!exercised.passes(1, 0.43), "in two takes");
+        assert!(!Exercised { touched: Vec::new(), angles_rad: vec![vec![[0.0, 0.04]; 3]] }.is_turned(0));
     }
 }

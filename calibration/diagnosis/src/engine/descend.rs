@@ -5,7 +5,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linear::{Assessment, Linear, inverse};
+use super::linear::{Assessment, Linear};
+use super::normal::inverse;
 use super::{BaseParameter, Domain, Model};
 use crate::DiagnosisError;
 

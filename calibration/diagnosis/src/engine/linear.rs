@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
+use super::normal::inverse;
 use super::rows::{Column, Rows};
 use super::{Domain, HUBER, Model, Series, huber};
 use crate::DiagnosisError;
@@ -609,6 +610,36 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
     }
 
+    /// Calls `visit` with the take, the unit, the value of `column` and the residual of every row, both with the nuisances
+    /// projected out, where the former is not nothing.
+    pub(crate) fn each_left(&self, column: &Column, mut visit: impl FnMut(usize, usize, f64, f64)) {
+        let mut values = vec![0.0; self.rows.blocks.len()];
+        let mut along = DVector::zeros(self.nuisances.count);
+        for (&row, &value) in column.rows.iter().zip(&column.values) {
+            values[row as usize] = f64::from(value);
+            for (sum, nuisance) in
+                along.iter_mut().zip(self.nuisances.of_row(row as usize).unwrap_or_default())
+            {
+                *sum += nuisance * f64::from(value);
+            }
+        }
+        let of_column = &self.nuisances.inverse * along;
+        for (segment, residual) in self.residual.values.iter().enumerate() {
+            let (take, unit) = (self.rows.take(segment), self.rows.unit(segment));
+            for (row, residual) in (self.rows.starts[segment]..).zip(residual.iter()) {
+                let (mut value, mut left) = (values[row], *residual);
+                let nuisances = self.nuisances.of_row(row).unwrap_or_default();
+                for (idx, nuisance) in nuisances.iter().enumerate() {
+                    value -= nuisance * of_column[idx];
+                    left -= nuisance * self.residual.coefficients[idx];
+                }
+                if value != 0.0 {
+                    visit(take, unit, value, left);
+                }
+            }
+        }
+    }
+
     /// Which blocks are judged together by a fit to all others, and the number of such folds: those of a take; or, where
     /// so few takes see what is fitted that a fit without one of them would know nothing, every [`FEW_FOLDS`]-th block.
     fn folds(&self, normals: &[DMatrix<f64>]) -> (Vec<usize>, usize) {
@@ -653,26 +684,4 @@ pub(crate) fn inside(value: f64, step: f64, lower: f64, upper: f64) -> f64 {
 
 fn square(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum()
-}
-
-/// Directions of parameters that the data sees less than this, of what it sees of one alone, are left at rest: steps
-/// along them would be large and say nothing.
-const LEAST_SEEN: f64 = 1e-3;
-
-/// Inverse of a normal matrix, with directions that the data says nothing about left at rest.
-pub(crate) fn inverse(normal: &DMatrix<f64>) -> DMatrix<f64> {
-    let n = normal.nrows();
-    // Scaled to a unit diagonal first: parameters have units.
-    let scale: Vec<f64> =
-        (0..n).map(|i| if normal[(i, i)] > 0.0 { normal[(i, i)].sqrt().recip() } else { 0.0 }).collect();
-    let scaled = DMatrix::from_fn(n, n, |i, j| normal[(i, j)] * scale[i] * scale[j]);
-    let eigen = scaled.symmetric_eigen();
-    let mut inverse = DMatrix::zeros(n, n);
-    for (idx, &value) in eigen.eigenvalues.iter().enumerate() {
-        if value > LEAST_SEEN {
-            let vector = eigen.eigenvectors.column(idx);
-            inverse += vector * vector.transpose() / value;
-        }
-    }
-    DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] * scale[i] * scale[j])
 }

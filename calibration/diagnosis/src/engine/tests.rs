@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::linear::{Linear, predict};
-use super::{BaseParameter, Domain, Model, Naming, NamingConfig, Series, each, name};
+use super::{BaseParameter, Contributions, Domain, Model, Naming, NamingConfig, Series, each, name};
 use crate::DiagnosisError;
 
 const ROWS: usize = 400;
@@ -253,6 +253,42 @@ fn what_is_missing_as_well_is_no_rival() {
     let gains: Vec<f64> = first.tried.iter().map(|tried| tried.held_out_gain).collect();
     assert!(gains[1] > 0.8 * gains[0], "{gains:?}");
     assert_eq!(first.class.len(), 1);
+}
+
+/// Takes of which each has its own size of the slow shape.
+fn slow_by_take(sizes: [f64; TAKES]) -> Sines {
+    let mut sines = Sines::new(&[], 6);
+    for (observed, size) in sines.observed.iter_mut().zip(sizes) {
+        observed.iter_mut().enumerate().for_each(|(row, value)| *value += size * shape("slow", row));
+    }
+    sines
+}
+
+#[test]
+fn takes_agree_on_the_size_of_a_right_name_and_of_no_other() {
+    let disagreement = |sizes: [f64; TAKES]| {
+        let model = Model { base: vec![0.7], effects: vec![effect("slow", 0.3)] };
+        let sines = slow_by_take(sizes);
+        Contributions::of(&sines, &model, &[0, 1, 2, 3]).unwrap().disagreements().unwrap()[0]
+    };
+    let right = disagreement([0.3; TAKES]);
+    assert!(right.by_take < 0.05, "{right:?}");
+    // Noise alone removes one variance from each part, on average.
+    assert!(right.by_part < 5.0, "{right:?}");
+    // As large as the name on average, and as far from it in every take.
+    let wrong = disagreement([0.6, 0.0, 0.6, 0.0]);
+    assert!((wrong.by_take - 1.0).abs() < 0.05, "{wrong:?}");
+    // 400 rows of 0.3 sin in units of the noise.
+    assert!((wrong.by_part - 0.5 * 400.0 * 9.0).abs() < 100.0, "{wrong:?}");
+}
+
+#[test]
+fn names_that_do_the_same_are_alike() {
+    let effects = ["slow", "fast", "nearly_fast"].map(|id| effect(id, 0.3)).to_vec();
+    let sines = Sines::new(&[], 7);
+    let contributions = Contributions::of(&sines, &Model { base: vec![0.7], effects }, &[0, 1]).unwrap();
+    assert!(contributions.likeness(1, 2) > 0.99);
+    assert!(contributions.likeness(0, 1).abs() < 0.2);
 }
 
 #[test]

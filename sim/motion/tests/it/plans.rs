@@ -14,6 +14,7 @@ fn shipped_plans_fit_their_stations() {
     for (station_name, plans) in [
         ("xarm6_leap", &["nine_takes", "quick_check", "three_takes", "blind_tune"][..]),
         ("xarm6_leap_b", &["blind_report"]),
+        ("xarm6_leap_d", &["blind_report_d"]),
         ("probe_bench", &["probe_bench"]),
     ] {
         let station = station(station_name);
