@@ -66,6 +66,15 @@ fn the_hum_of_the_mains_is_unexplained_and_not_misnamed() {
 }
 
 #[test]
+fn a_stuck_channel_that_no_effect_explains_is_not_said_to_wrap() {
+    let config = BlindConfig { leave_out: true, ..config("stuck_channel strong", 3) };
+    let report = tactile(Path::new(TUNE), &config, &NoProgress, &Cancel::default()).unwrap();
+    assert_eq!(report.scores.named_correctly, 1);
+    let left_out = report.scores.left_out;
+    assert_eq!((left_out.cases, left_out.misnamed, left_out.flagged), (1, 0, 1), "{left_out:?}");
+}
+
+#[test]
 fn coulomb_friction_of_a_servo_is_named() {
     let report = actuator(&config("coulomb_friction, strong", 7), &NoProgress, &Cancel::default()).unwrap();
     assert_eq!((report.scores.cases, report.scores.named_correctly), (1, 1), "{report:?}");
