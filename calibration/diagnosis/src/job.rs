@@ -120,13 +120,13 @@ pub fn diagnose(
     let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
-    withhold(&domain, &start, &mut naming, &fitted)?;
+    let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
+    withhold(&domain, &start, &mut naming, &fitted, is_cut_short)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
     let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
     let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
-    let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
     let complete = complete_by_signal(station);
     let accounts = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short);
     let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));

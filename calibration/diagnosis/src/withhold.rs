@@ -23,17 +23,19 @@ const ALIKE: f64 = 0.3;
 /// Faults of so many kinds at one patch are one of another kind.
 const MANY_KINDS: usize = 3;
 
-/// Takes back names of `naming`, beyond those of `start`, that cannot be the names of what is missing. Events alone, which are
-/// few, tell too little of sizes.
+/// Takes back names of `naming`, beyond those of `start`, that cannot be the names of what is missing. Sizes tell nothing where
+/// the names are a part of what was found (`is_part`), since what is missing beside them differs from take to take, nor where
+/// there are events alone, which are few.
 pub(crate) fn withhold(
     domain: &TactileDomain<'_>,
     start: &Model,
     naming: &mut Naming,
     fitted: &[usize],
+    is_part: bool,
 ) -> Result<(), DiagnosisError> {
     let known = start.effects.len();
     let has_readings = domain.num_raw_takes() > 0;
-    if has_readings {
+    if has_readings && !is_part {
         withhold_disagreeing(domain, known, naming, fitted)?;
     }
     withhold_remainders(domain, known, naming, fitted)?;
