@@ -29,7 +29,7 @@ impl NullBar {
 
     /// Limits of the adequacy statistics, tuned likewise.
     pub const DEFAULT_ADEQUACY: Adequacy =
-        Adequacy { repeating: 0.5, common_mode: 1.5, loss: 0.61, switching: 0.03 };
+        Adequacy { repeating: 0.5, at_patch: 0.85, common_mode: 1.5, loss: 0.61, switching: 0.03 };
 
     fn default_adequacy() -> Adequacy {
         Self::DEFAULT_ADEQUACY

@@ -214,6 +214,7 @@ fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
     let limits = evidence.bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
     let of = &evidence.adequacy;
     let left = of.repeating > limits.repeating
+        || of.at_patch > limits.at_patch
         || of.common_mode > limits.common_mode
         || of.switching > limits.switching
         || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);

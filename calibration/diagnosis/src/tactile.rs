@@ -310,6 +310,23 @@ impl<'a> TactileDomain<'a> {
         let channels = self.station.layout.channels.iter().zip(self.reach(effect));
         channels.filter(|(_, reached)| *reached).map(|(channel, _)| channel.patch).collect()
     }
+
+    /// Per patch, the limb that it is on.
+    pub(crate) fn limbs(&self) -> Vec<usize> {
+        observe::limbs(&self.station.layout)
+    }
+
+    /// The patches of the one limb that `effects` are about; none if they are about several, or about objects or streams.
+    pub(crate) fn limb_of(&self, effects: &[Effect]) -> Vec<usize> {
+        let limbs = self.limbs();
+        let is_local = |effect: &Effect| !matches!(effect.place, Place::Stream(_) | Place::Object(_));
+        let reached: BTreeSet<usize> =
+            effects.iter().flat_map(|effect| self.patches(effect)).map(|patch| limbs[patch]).collect();
+        if reached.len() != 1 || !effects.iter().all(is_local) {
+            return Vec::new();
+        }
+        (0..limbs.len()).filter(|patch| reached.contains(&limbs[*patch])).collect()
+    }
 }
 
 fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {

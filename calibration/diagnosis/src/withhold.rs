@@ -42,7 +42,7 @@ pub(crate) fn withhold(
     if has_readings {
         withhold_alike(domain, known, naming, fitted)?;
     }
-    withhold_at_one_patch(domain, start, naming, fitted)
+    withhold_at_one_place(domain, start, naming, fitted)
 }
 
 /// Takes back names beyond the first `known` on whose size the takes do not agree, the worst first.
@@ -116,8 +116,8 @@ fn withhold_alike(
     Ok(())
 }
 
-/// Takes back names beyond those of `start` that are about one patch and do not stand, see [`num_standing`].
-fn withhold_at_one_patch(
+/// Takes back names beyond those of `start` that are about one patch or one finger and do not stand, see [`num_standing`].
+fn withhold_at_one_place(
     domain: &TactileDomain<'_>,
     start: &Model,
     naming: &mut Naming,
@@ -126,7 +126,7 @@ fn withhold_at_one_patch(
     let known = start.effects.len();
     let named = &naming.model.effects[known..];
     let patches: Vec<BTreeSet<usize>> = named.iter().map(|effect| domain.patches(effect)).collect();
-    match num_standing(named, &patches) {
+    match num_standing(named, &patches, &domain.limbs()) {
         0 => naming.withhold(start),
         standing => {
             while naming.model.effects.len() > known + standing {
@@ -137,20 +137,27 @@ fn withhold_at_one_patch(
     Ok(())
 }
 
-/// How many of the names stand, the weightiest first, of effects that reach these `patches`: all, unless they all act at one
-/// patch. If they are about how that patch is moved and loaded, the weightiest stands if it is of the patch itself: the others
-/// are what the rough model of that patch leaves. A joint, or channels, that explain what is felt at one patch only with the
-/// help of others there stand in for something else, and so do faults of many kinds.
-fn num_standing(named: &[Effect], patches: &[BTreeSet<usize>]) -> usize {
+/// How many of the names stand, the weightiest first, of effects that reach these `patches`, of which each is on one of the
+/// `limbs`: all, unless they all act at one patch or on one finger. If they are about how that patch is moved and loaded, the
+/// weightiest stands if it is of the patch itself: the others are what the rough model of that patch leaves. A joint, or
+/// channels, that explain what is felt at one patch only with the help of others there stand in for something else, and so do
+/// faults of many kinds, and pads of one finger that feel more or less than they should, each to its own degree.
+fn num_standing(named: &[Effect], patches: &[BTreeSet<usize>], limbs: &[usize]) -> usize {
     let is_local = |effect: &Effect| !matches!(effect.place, Place::Stream(_) | Place::Object(_));
     let is_of_skin =
         |effect: &Effect| effects::tactile(&effect.id).is_some_and(|kind| kind.stage() <= Stage::Contact);
     let [weightiest, _, ..] = named else { return named.len() };
-    let shared = patches.iter().cloned().reduce(|shared, patches| &shared & &patches).unwrap_or_default();
-    if shared.is_empty() || !named.iter().all(is_local) {
+    if !named.iter().all(is_local) {
         return named.len();
     }
-    if named.iter().all(is_of_skin) {
+    let all_of_skin = named.iter().all(is_of_skin);
+    let shared = patches.iter().cloned().reduce(|shared, patches| &shared & &patches).unwrap_or_default();
+    if shared.is_empty() {
+        let touched: BTreeSet<usize> = patches.iter().flatten().map(|&patch| limbs[patch]).collect();
+        let has_channel = named.iter().any(|effect| matches!(effect.place, Place::Channel(_)));
+        return if touched.len() == 1 && all_of_skin && has_channel { 0 } else { named.len() };
+    }
+    if all_of_skin {
         return usize::from(matches!(weightiest.place, Place::Patch(_)));
     }
     let kinds: BTreeSet<&str> = named.iter().map(|effect| effect.id.as_str()).collect();
@@ -187,7 +194,8 @@ mod tests {
     fn standing(named: &[Effect], patches: &[&[usize]]) -> usize {
         let patches: Vec<BTreeSet<usize>> =
             patches.iter().map(|patches| patches.iter().copied().collect()).collect();
-        num_standing(named, &patches)
+        // Fingers of two patches each.
+        num_standing(named, &patches, &[0, 0, 1, 2, 2, 3, 3])
     }
 
     #[test]
@@ -196,7 +204,7 @@ mod tests {
         assert_eq!(standing(&[joint(), crosstalk.clone()], &[&[3, 4], &[4]]), 0);
         assert_eq!(standing(&[joint(), crosstalk.clone(), channel()], &[&[3, 4], &[4], &[4]]), 0);
         assert_eq!(standing(&[channel(), channel()], &[&[4], &[4]]), 0);
-        assert_eq!(standing(&[joint(), crosstalk], &[&[3], &[4]]), 2, "of another finger");
+        assert_eq!(standing(&[joint(), crosstalk], &[&[1], &[4]]), 2, "of another finger");
     }
 
     #[test]
@@ -204,13 +212,22 @@ mod tests {
         let dead = named("dead_channel", Place::Channel("thumb_tip.1".to_owned()));
         let names = [joint(), patch("sensor_mount_offset"), dead];
         assert_eq!(standing(&names, &[&[3, 4], &[4], &[4]]), 0);
-        assert_eq!(standing(&names, &[&[3], &[4], &[4]]), 3, "of another finger");
+        assert_eq!(standing(&names, &[&[1], &[4], &[4]]), 3, "of another finger");
     }
 
     #[test]
     fn the_weightiest_name_of_the_patch_itself_stands() {
         let names = [patch("preload"), patch("elastic_crosstalk"), channel()];
         assert_eq!(standing(&names, &[&[4], &[4], &[4]]), 1);
+    }
+
+    #[test]
+    fn pads_of_one_finger_that_are_off_each_by_its_own_are_something_else() {
+        assert_eq!(standing(&[channel(), channel()], &[&[3], &[4]]), 0);
+        assert_eq!(standing(&[joint(), channel()], &[&[4], &[3]]), 0);
+        assert_eq!(standing(&[channel(), channel()], &[&[1], &[4]]), 2, "of two fingers");
+        assert_eq!(standing(&[joint(), patch("preload")], &[&[4], &[3]]), 2, "no pad is off");
+        assert_eq!(standing(&[channel(), channel(), latency()], &[&[3], &[4], &[4]]), 3, "beside a stream");
     }
 
     #[test]

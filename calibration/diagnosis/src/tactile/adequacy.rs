@@ -13,6 +13,9 @@ pub struct Adequacy {
     /// Mean square of what residuals of repeated motions have in common, in variances, over rows near contact; 0 if
     /// repetitions have nothing in common.
     pub repeating: f64,
+    /// The same of the readings of the patch of pressure sensors in which most repeats, with rows enough to tell: over
+    /// all patches together what is wrong with one of them is lost.
+    pub at_patch: f64,
     /// Variance of the mean over a stream's quiet channels, over what independent channels would show; about 1 if they
     /// are independent.
     pub common_mode: f64,
@@ -136,10 +139,10 @@ const LEAST_OVERALL: f64 = 0.35;
 /// Share of the excess of the loss over all signals that names remove if they need not.
 const MUCH_OVERALL: f64 = 0.5;
 
-/// What repeats where nothing is missing, of pressure and of proximity sensors: on the tuning station 0.22 to 0.30 and 1.36 to
-/// 1.54; with room for stations of which the model knows less.
+/// What repeats where nothing is missing, of pressure and of proximity sensors: on the tuning stations 0.19 to 0.42, and 0.86 to
+/// 2.18, single pads up to 2.8.
 const COMPLETE_PRESSURE: f64 = 0.45;
-const COMPLETE_PROXIMITY: f64 = 1.5;
+const COMPLETE_PROXIMITY: f64 = 2.2;
 
 /// What repeats in each signal of `station` where nothing is missing.
 pub(crate) fn complete_by_signal(station: &Station) -> Vec<f64> {
@@ -234,8 +237,40 @@ pub(crate) fn adequacy(
     };
     let (touch, switching) = (of(false), of(true).loss());
     let common_mode = quiet.iter().map(Quiet::ratio).fold(0.0, f64::max);
-    Ok((Adequacy { repeating: touch.repeating(), common_mode, loss: touch.loss(), switching }, left))
+    let at_patch = repeating_by_patch(station, &left).into_iter().fold(0.0, f64::max);
+    Ok((
+        Adequacy { repeating: touch.repeating(), at_patch, common_mode, loss: touch.loss(), switching },
+        left,
+    ))
 }
+
+/// What repeats in the readings of each patch of pressure sensors, as in [`Adequacy::at_patch`]; 0 for other patches and
+/// those with too few rows near contact to tell.
+pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
+    let layout = &station.layout;
+    let of_patch = layout.patches.iter().map(|patch| {
+        let readings = patch.channels.clone().map(|channel| &left[Signal::Reading.of(channel)]);
+        let left = Left::sum(readings);
+        let is_pressure = layout.streams[patch.stream].kind == SensorKind::Pressure;
+        if is_pressure && left.products[1] >= ENOUGH_ROWS { left.repeating() } else { 0.0 }
+    });
+    of_patch.collect()
+}
+
+/// Whether names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with that
+/// limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
+pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[usize]) -> bool {
+    patches.iter().any(|&patch| after[patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[patch]))
+}
+
+/// What repeats in a patch that is too much to be the model's own misfit: where nothing is missing it was at most 0.8 on the tuning
+/// stations.
+const MUCH_AT_PATCH: f64 = 1.3;
+/// Share of what repeats in a patch that right names of its limb leave at most.
+const MOST_LEFT_AT_PATCH: f64 = 0.7;
+
+/// Rows near contact from which what repeats by chance is a small part of a variance.
+const ENOUGH_ROWS: f64 = 300.0;
 
 #[derive(Clone, Copy, Default)]
 struct Quiet {
@@ -325,6 +360,17 @@ mod tests {
         let mut changed = [false; Signal::COUNT];
         changed[Signal::Switched as usize] = true;
         assert!(account_where_they_act(&left, &left, &changed, &[0.0; Signal::COUNT], false));
+    }
+
+    #[test]
+    fn names_of_a_limb_leave_little_in_its_worst_patch() {
+        let leaves =
+            |before: f64, after: f64| leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]);
+        assert!(leaves(2.4, 2.3), "another pad of that finger was named");
+        assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
+        assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
+        assert!(leaves(0.9, 1.4), "it is worse than before");
+        assert!(!leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[]), "names of several limbs");
     }
 
     #[test]
