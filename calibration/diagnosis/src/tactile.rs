@@ -319,7 +319,6 @@ impl<'a> TactileDomain<'a> {
     /// The patches of the one limb that `effects` are about; none if they are about several, or about objects or streams.
     pub(crate) fn limb_of(&self, effects: &[Effect]) -> Vec<usize> {
         let limbs = self.limbs();
-        let is_local = |effect: &Effect| !matches!(effect.place, Place::Stream(_) | Place::Object(_));
         let reached: BTreeSet<usize> =
             effects.iter().flat_map(|effect| self.patches(effect)).map(|patch| limbs[patch]).collect();
         if reached.len() != 1 || !effects.iter().all(is_local) {
@@ -327,6 +326,11 @@ impl<'a> TactileDomain<'a> {
         }
         (0..limbs.len()).filter(|patch| reached.contains(&limbs[*patch])).collect()
     }
+}
+
+/// Whether an effect is of a joint, a patch or channels, not of a whole stream or an object.
+pub(crate) fn is_local(effect: &Effect) -> bool {
+    !matches!(effect.place, Place::Stream(_) | Place::Object(_))
 }
 
 fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {

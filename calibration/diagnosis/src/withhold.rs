@@ -7,7 +7,7 @@ use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
 use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
-use crate::tactile::TactileDomain;
+use crate::tactile::{TactileDomain, is_local};
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
 const LEAST_BESIDE: f64 = 0.2;
@@ -137,13 +137,12 @@ fn withhold_at_one_place(
     Ok(())
 }
 
-/// How many of the names stand, the weightiest first, of effects that reach these `patches`, of which each is on one of the
-/// `limbs`: all, unless they all act at one patch or on one finger. If they are about how that patch is moved and loaded, the
+/// How many of the names stand, the weightiest first, of effects that reach these `patches`; `limbs` says of every patch on which
+/// finger it is. All, unless they all act at one patch or on one finger. If they are about how that patch is moved and loaded, the
 /// weightiest stands if it is of the patch itself: the others are what the rough model of that patch leaves. A joint, or
 /// channels, that explain what is felt at one patch only with the help of others there stand in for something else, and so do
 /// faults of many kinds, and pads of one finger that feel more or less than they should, each to its own degree.
 fn num_standing(named: &[Effect], patches: &[BTreeSet<usize>], limbs: &[usize]) -> usize {
-    let is_local = |effect: &Effect| !matches!(effect.place, Place::Stream(_) | Place::Object(_));
     let is_of_skin =
         |effect: &Effect| effects::tactile(&effect.id).is_some_and(|kind| kind.stage() <= Stage::Contact);
     let [weightiest, _, ..] = named else { return named.len() };

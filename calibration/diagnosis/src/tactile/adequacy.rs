@@ -263,8 +263,8 @@ pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[
     patches.iter().any(|&patch| after[patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[patch]))
 }
 
-/// What repeats in a patch that is too much to be the model's own misfit: where nothing is missing it was at most 0.8 on the tuning
-/// stations.
+/// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at most 0.8
+/// on the tuning stations.
 const MUCH_AT_PATCH: f64 = 1.3;
 /// Share of what repeats in a patch that right names of its limb leave at most.
 const MOST_LEFT_AT_PATCH: f64 = 0.7;
