@@ -8,10 +8,12 @@ use std::path::Path;
 use palpate_blind::{BlindConfig, BlindError, BlindReport, actuator, tactile};
 use palpate_diagnosis::{DiagnosisConfig, diagnose};
 use palpate_emulator::{Stage, cases};
+use palpate_recording::Take;
 use palpate_sim::{
     SensorModel,
     job::{Cancel, NoProgress},
 };
+use palpate_wire::api::Verdict;
 
 const TUNE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml");
 
@@ -31,6 +33,15 @@ fn touch(only: &str, seed: u64) -> BlindReport {
     tactile(Path::new(TUNE), &config(only, seed), &NoProgress, &Cancel::default()).unwrap()
 }
 
+/// The takes of the case with this label, and the nominal model of their station.
+fn session(label: &str, seed: u64) -> (Vec<Take>, SensorModel) {
+    let stage = Stage::read(Path::new(TUNE)).unwrap();
+    let cases = cases(&stage, 0, seed).unwrap();
+    let case = cases.iter().find(|case| case.label == label).unwrap();
+    let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+    (stage.record(&case.hidden, case.seed).unwrap(), nominal)
+}
+
 #[test]
 fn a_late_stream_is_named() {
     let scores = touch("latency strong", 3).scores;
@@ -39,11 +50,7 @@ fn a_late_stream_is_named() {
 
 #[test]
 fn a_diagnosis_has_the_same_bits_for_any_number_of_threads() {
-    let stage = Stage::read(Path::new(TUNE)).unwrap();
-    let cases = cases(&stage, 0, 1).unwrap();
-    let case = cases.iter().find(|case| case.label == "latency strong").unwrap();
-    let takes = stage.record(&case.hidden, case.seed).unwrap();
-    let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+    let (takes, nominal) = session("latency strong", 1);
     let config = DiagnosisConfig { max_effects: 1, bootstrap_resamples: 20, ..DiagnosisConfig::default() };
     let report = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -63,6 +70,17 @@ fn nothing_hidden_is_given_no_name() {
 fn the_hum_of_the_mains_is_unexplained_and_not_misnamed() {
     let scores = touch("mains_hum strong", 7).scores;
     assert_eq!((scores.unknown_cases, scores.unknown_flagged), (1, 1), "{scores:?}");
+}
+
+#[test]
+fn a_weak_gain_that_bends_with_a_joint_is_unexplained_and_the_joint_is_told() {
+    let (takes, nominal) = session("joint_dependent_gain weak", 5);
+    let config = DiagnosisConfig { bootstrap_resamples: 0, ..DiagnosisConfig::default() };
+    let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
+    let report = outcome.unwrap().report;
+    assert_eq!(report.verdict, Verdict::Unexplained);
+    let about = report.notes.iter().filter(|note| note.contains("a rad of index_mcp_forward"));
+    assert_eq!(about.count(), 1, "{:?}", report.notes);
 }
 
 #[test]

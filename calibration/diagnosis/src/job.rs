@@ -18,6 +18,7 @@ use crate::tactile::adequacy::{
     repeating_by_patch,
 };
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
+use crate::tactile::posture::with_posture;
 use crate::tactile::{Observed, TactileDomain};
 use crate::withhold::withhold;
 use crate::{DiagnosisError, show};
@@ -132,14 +133,20 @@ pub fn diagnose(
     let names = &naming.model.effects[start.effects.len()..];
     let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
     let of_channels_only = names.iter().all(is_of_channels);
+    let of_limb = domain.limb_of(names);
     let by_patch = [&left_before, &left].map(|left| repeating_by_patch(station, left));
+    let mut bent = with_posture(&domain, &naming.model, &fitted)?;
+    let evidence = naming.evidence[start.effects.len()..].iter().sum();
+    let is_of_something_else = leave_most_at_a_patch(&by_patch, &of_limb)
+        || bent.iter().any(|change| change.outweighs(evidence, &of_limb));
     let account = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short)
         && !(of_channels_only && adequacy.repeats_more(&before))
-        && (is_cut_short || !leave_most_at_a_patch(&by_patch, &domain.limb_of(names)));
+        && (is_cut_short || !is_of_something_else);
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     if domain.num_raw_takes() > 0 && !(account && steps.shrink_the_gap(station, &domain, &fitted)?) {
         naming.withhold(&start);
         adequacy = before;
+        bent = with_posture(&domain, &start, &fitted)?;
         steps.models.truncate(1);
     }
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
@@ -153,6 +160,7 @@ pub fn diagnose(
         nominal,
         fitted: &fitted,
         adequacy,
+        with_posture: &bent,
         bar,
         least_evidence,
         seconds: clock_s() - start_s,

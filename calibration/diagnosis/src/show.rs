@@ -19,6 +19,7 @@ use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
 use crate::tactile::judge::{Judged, gap, gap_interval, metrics, noise_floor};
 use crate::tactile::next::next_experiment;
+use crate::tactile::posture::WithPosture;
 use crate::tactile::{Observed, TactileDomain};
 
 /// Everything that a report is made of.
@@ -31,6 +32,8 @@ pub(crate) struct Evidence<'a> {
     pub(crate) nominal: &'a SensorModel,
     pub(crate) fitted: &'a [usize],
     pub(crate) adequacy: Adequacy,
+    /// What is left that changes with posture.
+    pub(crate) with_posture: &'a [WithPosture],
     pub(crate) bar: Option<&'a NullBar>,
     /// What a name needed.
     pub(crate) least_evidence: f64,
@@ -102,6 +105,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             effect_at(&effect.id, &effect.place)
         ));
     }
+    notes.extend(evidence.with_posture.iter().map(|change| change.sentence(station)));
     Ok(DiagnosisReport {
         verdict,
         sentence: sentence(verdict, &reported, &the_gap),
@@ -217,6 +221,7 @@ fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
         || of.at_patch > limits.at_patch
         || of.common_mode > limits.common_mode
         || of.switching > limits.switching
+        || !evidence.with_posture.is_empty()
         || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);
     match (named.is_empty(), left) {
         (true, true) => Verdict::Unexplained,

@@ -18,6 +18,7 @@ pub(crate) mod judge;
 mod moments;
 pub(crate) mod next;
 mod observe;
+pub(crate) mod posture;
 mod switched;
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -37,7 +37,7 @@ impl Adequacy {
 const MOST_RAISED: f64 = 1.2;
 
 /// Residuals count up to this many standard deviations.
-const CLIP: f64 = 4.0;
+pub(super) const CLIP: f64 = 4.0;
 
 /// What is left in one signal.
 #[derive(Clone, Copy, Debug, Default)]
@@ -192,7 +192,7 @@ pub(crate) fn changed_signals(
 /// Share of what names do in one signal below which they do nothing in another.
 const SMALL_CHANGE: f64 = 0.02;
 /// A channel is quiet where the model expects less than this, in units of the threshold.
-const QUIET: f64 = 0.02;
+pub(super) const QUIET: f64 = 0.02;
 
 /// Measures `model` on `takes`: over all signals, and what is left in each.
 pub(crate) fn adequacy(
