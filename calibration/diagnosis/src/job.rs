@@ -122,6 +122,9 @@ pub fn diagnose(
     let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
+    if naming.model.effects.len() > start.effects.len() {
+        naming.settle(&domain, &fitted)?;
+    }
     let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
     withhold(&domain, &start, &mut naming, &fitted, is_cut_short)?;
 

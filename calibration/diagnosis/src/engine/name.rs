@@ -106,6 +106,14 @@ impl Naming {
         self.standard_errors.truncate(known);
     }
 
+    /// Fits the model to the end, and assesses every effect anew: rounds take a few steps each, after the last of which a large
+    /// effect may be far from its size still.
+    pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {
+        self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
+        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
+        Ok(())
+    }
+
     /// Takes the name of the effect `idx` back, and fits and assesses the others without it.
     pub(crate) fn withhold_one<D: Domain>(
         &mut self,
@@ -122,6 +130,8 @@ impl Naming {
 
 /// Steps of a full fit after an addition.
 pub(super) const REFIT_STEPS: usize = 3;
+/// Steps of the last fit, which ends where one gains little.
+const SETTLE_STEPS: usize = 8;
 /// What still promises more than this share of what it did once the other is named explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
