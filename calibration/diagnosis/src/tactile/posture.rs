@@ -19,11 +19,11 @@ use crate::engine::{Domain, Model};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct WithPosture {
     /// Index of the patch.
-    pub(crate) patch: usize,
+    patch: usize,
     /// Degree of freedom of the joint.
-    pub(crate) dof: usize,
+    dof: usize,
     /// Change of the response per rad, as a share of it.
-    pub(crate) per_rad: f64,
+    per_rad: f64,
     /// Squares of residuals that it removes, in variances.
     evidence: f64,
 }
