@@ -41,6 +41,7 @@ pub use chain::{
     Transport,
 };
 use palpate_robot_model::{Place, Station};
+pub use self_contact::FingerTouches;
 use serde::{Deserialize, Serialize};
 
 /// Every effect of the tactile sensing chain, in the order of the chain. An effect is added by its module and its line
@@ -201,7 +202,7 @@ pub trait EffectKind: Sync {
     }
 
     /// Changes true joint positions, the object or the mounting of patches.
-    fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics) {}
+    fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics<'_>) {}
 
     /// Changes what the skin feels.
     fn contact(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Contact<'_>) {}

@@ -4,7 +4,7 @@ mod clearance;
 mod convex;
 mod mesh;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use palpate_robot_model::{LinkShape, ObjectShape};
 use parry3d_f64::math::{Pose, Rotation, Vector};
 use parry3d_f64::shape::{SharedShape, TriMesh};
@@ -164,21 +164,20 @@ impl SignedDistance {
     ) {
         let rotation = object_from_frame.rotation.to_rotation_matrix().into_inner();
         let translation = object_from_frame.translation.vector;
-        let to_object = |p: &Point3<f64>| Point3::from(rotation * p.coords + translation);
-        let points = points_in_frame.iter().map(to_object).enumerate();
+        let points = Posed { points: points_in_frame, rotation, translation };
         match &self.shape {
-            &Shape::Ball { radius } => points.for_each(|(i, p)| visit(i, ball_distance(&p, radius))),
+            &Shape::Ball { radius } => points.each(|p| ball_distance(&p, radius), visit),
             &Shape::Cylinder { radius, half_height } => {
-                points.for_each(|(i, p)| visit(i, cylinder_distance(&p, radius, half_height)));
+                points.each(|p| cylinder_distance(&p, radius, half_height), visit);
             }
             &Shape::Capsule { radius, half_length } => {
-                points.for_each(|(i, p)| visit(i, capsule_distance(&p, radius, half_length)));
+                points.each(|p| capsule_distance(&p, radius, half_length), visit);
             }
-            Shape::Cuboid { half_extents } => {
-                points.for_each(|(i, p)| visit(i, cuboid_distance(&p, half_extents)));
-            }
+            Shape::Cuboid { half_extents } => points.each(|p| cuboid_distance(&p, half_extents), visit),
             Shape::Convex(_) | Shape::Mesh(_) | Shape::Union(_) => {
-                points.for_each(|(i, p)| visit(i, self.distance_below_m(&p, limit_m)));
+                for (i, p) in points_in_frame.iter().enumerate() {
+                    visit(i, self.distance_below_m(&points.to_object(p), limit_m));
+                }
             }
         }
     }
@@ -233,6 +232,38 @@ impl SignedDistance {
         };
         let along_y = matches!(self.shape, Shape::Cylinder { .. } | Shape::Capsule { .. });
         parts.push((parry_pose(object_from_self, along_y), shape));
+    }
+}
+
+/// Points in a frame, and the frame's pose in an object.
+struct Posed<'a> {
+    points: &'a [Point3<f64>],
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+}
+
+impl Posed<'_> {
+    fn to_object(&self, p: &Point3<f64>) -> Point3<f64> {
+        Point3::from(self.rotation * p.coords + self.translation)
+    }
+
+    /// Calls `visit(i, distance)` for every point. Blocks of a fixed length let the compiler work on several points at once.
+    fn each(&self, distance: impl Fn(Point3<f64>) -> f64, mut visit: impl FnMut(usize, f64)) {
+        const BLOCK: usize = 16;
+        for (block, points) in self.points.chunks(BLOCK).enumerate() {
+            let mut in_object = [[0.0; BLOCK]; 3];
+            for (i, p) in points.iter().enumerate() {
+                in_object.iter_mut().zip(p.iter()).for_each(|(axis, value)| axis[i] = *value);
+            }
+            let [xs, ys, zs] = &in_object;
+            let mut distances = [0.0; BLOCK];
+            for (i, of_point) in distances.iter_mut().enumerate() {
+                *of_point = distance(self.to_object(&Point3::new(xs[i], ys[i], zs[i])));
+            }
+            for (i, of_point) in distances[..points.len()].iter().enumerate() {
+                visit(block * BLOCK + i, *of_point);
+            }
+        }
     }
 }
 

@@ -45,12 +45,12 @@ impl LiveScene {
         fixed: &[(Isometry3<f64>, ObjectShape)],
     ) -> Result<Self, ReplayError> {
         model.check_for(&station).map_err(|err| ReplayError::Model(err.to_string()))?;
-        let at_zero = vec![0.0; station.robot.num_dofs()];
+        let (at_zero, origin) = (vec![0.0; station.robot.num_dofs()], Isometry3::identity());
         // What these effects do to sizes and mountings depends on nothing that changes.
         let kinematics = model.chain().kinematics(&TakeScene {
             station: &station,
             object,
-            base_from_object: &Isometry3::identity(),
+            base_from_object: &origin,
             frame_times_s: &[0.0],
             positions: &at_zero,
             arrival_times_s: &[],
@@ -60,7 +60,8 @@ impl LiveScene {
         let object_distance = prepare(&object.shape.scaled(kinematics.object_scale))?;
         let fixed =
             fixed.iter().map(|(pose, shape)| Ok((prepare(shape)?, *pose))).collect::<Result<_, _>>()?;
-        let layout = moved(&station.layout, &kinematics.patch_offsets);
+        let layout =
+            moved(&station.layout, &kinematics.patch_offsets).unwrap_or_else(|| station.layout.clone());
         let plain = model.is_plain().then(|| {
             let propagation = tactile::propagation(&layout, model.theta.alpha_per_m);
             (propagation, tactile::thresholds(&layout, &model.theta))
@@ -117,8 +118,8 @@ impl LiveTouch {
     pub fn new(scene: Arc<LiveScene>) -> Self {
         let geometry = Geometry {
             trace: ContactTrace::empty(&scene.layout, 0),
-            layout: scene.layout.clone(),
-            positions: Vec::new(),
+            moved: Some(scene.layout.clone()),
+            joints: Some(Vec::new()),
             made: None,
         };
         Self { scene, times_s: Vec::new(), positions: Vec::new(), geometry }
@@ -128,7 +129,7 @@ impl LiveTouch {
     pub fn restart(&mut self) {
         self.times_s.clear();
         self.positions.clear();
-        self.geometry.positions.clear();
+        self.geometry.joints = Some(Vec::new());
         self.geometry.trace = ContactTrace::empty(&self.scene.layout, 0);
     }
 
@@ -175,7 +176,7 @@ impl LiveTouch {
         let object = (&scene.object_distance, kinematics.base_from_object);
         let bodies = std::iter::once(object).chain(scene.fixed.iter().map(|(shape, pose)| (shape, *pose)));
         replay::feel_frame(robot, &scene.probes, bodies, newest, &mut self.geometry.trace);
-        self.geometry.positions.extend_from_slice(newest);
+        self.geometry.joints.get_or_insert_default().extend_from_slice(newest);
         if let Some((propagation, thresholds)) = &scene.plain {
             return Ok(scene.plain_readings(&self.geometry.trace, propagation, thresholds));
         }

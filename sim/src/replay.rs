@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{Patch, Robot, SensorKind, TactileLayout};
+use palpate_robot_model::{KnownPoses, LinkTracker, Patch, Robot, SensorKind, TactileLayout};
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
@@ -147,11 +147,13 @@ pub fn contact_trace(
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
     let everywhere = vec![true; layout.patches.len()];
-    trace_of(robot, layout, f64::NEG_INFINITY, object, base_from_object, positions, &everywhere)
+    trace_of(robot, layout, f64::NEG_INFINITY, object, base_from_object, positions, None, &everywhere)
 }
 
 /// [`contact_trace`] of the patches in `wanted`, with the gaps of proximity patches whose nearest node is nearer than
-/// `gaps_below_m` ([`crate::Response::pad_softness_m`] asks for them); those of all others hold no frame.
+/// `gaps_below_m` ([`crate::Response::pad_softness_m`] asks for them); those of all others hold no frame. Poses of links that
+/// are `known` are not computed.
+#[expect(clippy::too_many_arguments, reason = "what touches what, and where")]
 pub(crate) fn trace_of(
     robot: &Robot,
     layout: &TactileLayout,
@@ -159,6 +161,7 @@ pub(crate) fn trace_of(
     object: &SignedDistance,
     base_from_object: &Isometry3<f64>,
     positions: &[f64],
+    known: Option<&KnownPoses<'_>>,
     wanted: &[bool],
 ) -> Result<ContactTrace, ReplayError> {
     let num_frames = check(robot, base_from_object, positions)?;
@@ -168,16 +171,16 @@ pub(crate) fn trace_of(
         .map(|idx| (idx, Probe::new(layout, &layout.patches[idx], gaps_below_m)))
         .collect();
     let object_from_base = base_from_object.inverse();
-    let needed = robot.leading_to(probes.iter().map(|(_, probe)| probe.link));
+    let tracker = LinkTracker::new(robot, probes.iter().map(|(_, probe)| probe.link), known);
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
         let mut felt: Vec<ChunkTrace> =
             probes.iter().map(|(_, probe)| probe.empty_chunk(frames.len())).collect();
-        let mut root_from_link = Vec::new();
+        let mut tracker = tracker.clone();
         // Where nobody wants to know, nothing need be anywhere.
         for frame in frames.filter(|_| !probes.is_empty()) {
             let of_frame = &positions[frame * num_dofs..(frame + 1) * num_dofs];
-            robot.forward_kinematics_of(of_frame, &needed, &mut root_from_link);
+            let root_from_link = tracker.at(frame, of_frame);
             for ((_, probe), felt) in probes.iter().zip(&mut felt) {
                 probe.feel(object, &(object_from_base * root_from_link[probe.link]), felt);
             }

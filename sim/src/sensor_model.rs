@@ -223,7 +223,7 @@ impl SensorModel {
 
     /// Its sensing chain, switching hard.
     pub(crate) fn chain(&self) -> Chain<'_> {
-        Chain { theta: self.theta, response: &self.response, effects: &self.effects, soft_widths: &[] }
+        Chain::new(self.theta, &self.response, &self.effects, &[])
     }
 }
 

@@ -1,5 +1,7 @@
 //! The paper's tactile model: from a contact trace and theta to raw and binary readings of every channel.
 
+use std::sync::Arc;
+
 use palpate_robot_model::{Patch, SensorKind, TactileLayout};
 
 use crate::parallel::for_each_chunk;
@@ -83,17 +85,20 @@ pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f6
     raw
 }
 
-/// [`raw_signals`] of a pressure patch over `num_frames` frames, `[taxel * num_frames + frame]`.
+/// [`raw_signals`] of the taxels of a pressure patch over `num_frames` frames, each; `None` where nothing presses in any.
 pub(crate) fn propagate_patch(
     layout: &TactileLayout,
     patch: &Patch,
     trace: &PatchTrace,
     alpha_per_m: f64,
     num_frames: usize,
-) -> Vec<f64> {
+) -> Vec<Option<Arc<[f64]>>> {
     let num_taxels = patch.channels.len();
+    let PatchTrace::Pressure { offsets, entries } = trace else { return vec![None; num_taxels] };
+    if entries.is_empty() {
+        return vec![None; num_taxels];
+    }
     let mut raw = vec![0.0; num_taxels * num_frames];
-    let PatchTrace::Pressure { offsets, entries } = trace else { return raw };
     let weights = patch_propagation(layout, patch, alpha_per_m).weights;
     let mut taxels = vec![0.0; num_taxels];
     for frame in 0..num_frames {
@@ -107,7 +112,9 @@ pub(crate) fn propagate_patch(
             raw[taxel * num_frames + frame] = *pressure_pa;
         }
     }
-    raw
+    let pressed = |of_taxel: &[f64]| of_taxel.iter().any(|pressure_pa| *pressure_pa != 0.0);
+    let of_taxels = raw.chunks_exact(num_frames.max(1));
+    of_taxels.map(|of_taxel| pressed(of_taxel).then(|| of_taxel.into())).collect()
 }
 
 /// Frames per unit of parallel work.

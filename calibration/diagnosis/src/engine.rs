@@ -132,6 +132,11 @@ pub trait Domain: Sync {
     /// What `model` predicts for the signals of `take`.
     fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError>;
 
+    /// [`Self::predict`] of each of `takes`, side by side.
+    fn predict_takes(&self, takes: &[usize], model: &Model) -> Result<Vec<Vec<Series>>, DiagnosisError> {
+        takes.par_iter().map(|&take| self.predict(take, model)).collect()
+    }
+
     /// How far `model` is from what is known of it before anything is measured, as a datasheet or a scale has it: squares
     /// of standard deviations, summed. 0 where nothing is known.
     fn strain(&self, _model: &Model) -> Result<f64, DiagnosisError> {

@@ -230,17 +230,14 @@ impl Steps {
         }
         let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
         let ids: Vec<String> = fitted.iter().map(|&take| takes[take].id.clone()).collect();
-        let mut models = vec![calibrated.clone()];
         let first = naming.rounds.first().map_or(0, |round| round.before.effects.len());
-        for count in first + 1..=naming.model.effects.len() {
+        let all = naming.model.effects.len();
+        let step = |count: usize| -> Result<SensorModel, DiagnosisError> {
             // The effects in the order of the final model, each step with the parameters of a fit of its own.
             let partial =
                 Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
-            let partial = if count == naming.model.effects.len() {
-                partial
-            } else {
-                engine::refit_roughly(domain, &partial, fitted)?
-            };
+            let partial =
+                if count == all { partial } else { engine::refit_roughly(domain, &partial, fitted)? };
             let (theta, response) = domain.theta_and_response(&partial);
             let mut model = SensorModel {
                 name: format!("{}, diagnosed", calibrated.name),
@@ -255,8 +252,10 @@ impl Steps {
                 ids.join(", ")
             ));
             set_thresholds(station, &observed, &mut model)?;
-            models.push(model);
-        }
+            Ok(model)
+        };
+        let mut models = vec![calibrated.clone()];
+        models.extend((first + 1..=all).into_par_iter().map(step).collect::<Result<Vec<_>, _>>()?);
         Ok(Self { confirm, models })
     }
 

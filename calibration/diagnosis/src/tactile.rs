@@ -32,6 +32,7 @@ use palpate_sim::effects::{self, Effect, Parameter};
 use palpate_sim::{MOST_SOFTNESS_M, Response, SensorModel, Theta};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 use crate::DiagnosisError;
 use crate::engine::{BaseParameter, Domain, Model, Series};
@@ -251,8 +252,10 @@ impl<'a> TactileDomain<'a> {
             let Base::Pattern(set, taxel) = *kind else { continue };
             for &patch in &self.alike[set] {
                 let patch = &layout.patches[patch];
-                let channel = &layout.channels[patch.channels.start + taxel];
-                by_stream.entry(patch.stream).or_default().insert(format!("gain_{}", channel.id), value);
+                by_stream
+                    .entry(patch.stream)
+                    .or_default()
+                    .insert(self.gain_names[patch.channels.start + taxel].clone(), value);
             }
         }
         by_stream
@@ -501,7 +504,12 @@ impl Domain for TactileDomain<'_> {
     }
 
     fn predict(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
-        self.forward(take, model)
+        self.forward(take, &self.prepared(model))
+    }
+
+    fn predict_takes(&self, takes: &[usize], model: &Model) -> Result<Vec<Vec<Series>>, DiagnosisError> {
+        let prepared = self.prepared(model);
+        takes.par_iter().map(|&take| self.forward(take, &prepared)).collect()
     }
 
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64> {

@@ -25,5 +25,8 @@ pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout}
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
 pub use place::Place;
 pub use pose::PoseConfig;
-pub use robot::{Inertial, Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
+pub use robot::{
+    Inertial, Joint, JointKind, JointLimits, KnownPoses, Link, LinkGeometry, LinkPoses, LinkShape,
+    LinkTracker, Robot,
+};
 pub use station::{Station, StationFiles, StreamConfig};

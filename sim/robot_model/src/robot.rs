@@ -1,10 +1,12 @@
 //! A tree of links and joints read from URDF, and its forward kinematics.
 
+mod path;
 mod urdf;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::ModelError;
+pub use path::{KnownPoses, LinkPoses, LinkTracker};
 
 /// A kinematic tree. Links are stored parents before children; link 0 is the root.
 #[derive(Clone, Debug)]
@@ -211,55 +213,25 @@ impl Robot {
     /// # Ok::<(), palpate_robot_model::ModelError>(())
     /// ```
     pub fn forward_kinematics(&self, positions: &[f64], root_from_link: &mut Vec<Isometry3<f64>>) {
-        self.forward_kinematics_where(positions, |_| true, root_from_link);
-    }
-
-    /// [`Self::forward_kinematics`] of the links in `needed`, one flag a link, as [`Self::leading_to`] has them; the poses of
-    /// all others mean nothing.
-    pub fn forward_kinematics_of(
-        &self,
-        positions: &[f64],
-        needed: &[bool],
-        root_from_link: &mut Vec<Isometry3<f64>>,
-    ) {
-        self.forward_kinematics_where(positions, |link| needed[link], root_from_link);
-    }
-
-    fn forward_kinematics_where(
-        &self,
-        positions: &[f64],
-        is_needed: impl Fn(usize) -> bool,
-        root_from_link: &mut Vec<Isometry3<f64>>,
-    ) {
         assert_eq!(positions.len(), self.num_dofs(), "one position per degree of freedom");
         root_from_link.clear();
         root_from_link.push(Isometry3::identity());
         for joint in &self.joints {
-            if !is_needed(joint.child_link) {
-                root_from_link.push(Isometry3::identity());
-                continue;
-            }
-            let root_from_joint = root_from_link[joint.parent_link] * joint.parent_from_joint;
-            root_from_link.push(match joint.dof {
-                Some(dof) => joint.moved(&root_from_joint, positions[dof]),
-                None => root_from_joint,
-            });
+            root_from_link.push(joint.child_pose(root_from_link, positions));
         }
-    }
-
-    /// Per link, whether the pose of one of `links` depends on its own.
-    pub fn leading_to(&self, links: impl IntoIterator<Item = usize>) -> Vec<bool> {
-        let mut leading = vec![false; self.links.len()];
-        links.into_iter().for_each(|link| leading[link] = true);
-        // Parents come before their children.
-        for joint in self.joints.iter().rev() {
-            leading[joint.parent_link] |= leading[joint.child_link];
-        }
-        leading
     }
 }
 
 impl Joint {
+    /// Pose of the child link in the root frame, given those of all links before it and one position per degree of freedom.
+    fn child_pose(&self, root_from_link: &[Isometry3<f64>], positions: &[f64]) -> Isometry3<f64> {
+        let root_from_joint = root_from_link[self.parent_link] * self.parent_from_joint;
+        match self.dof {
+            Some(dof) => self.moved(&root_from_joint, positions[dof]),
+            None => root_from_joint,
+        }
+    }
+
     /// Pose of the child link after moving by `position` from the joint frame: `root_from_joint * motion`, without
     /// the multiplications by one and zero.
     fn moved(&self, root_from_joint: &Isometry3<f64>, position: f64) -> Isometry3<f64> {
@@ -346,21 +318,6 @@ mod tests {
     }
 
     proptest! {
-        #[test]
-        fn links_that_are_needed_stand_where_all_links_put_them(
-            chain in prop::collection::vec(chain_joint(), 1..9),
-            wanted in 0_usize..10,
-        ) {
-            let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).unwrap();
-            let wanted = wanted.min(robot.links.len() - 1);
-            let needed = robot.leading_to([wanted]);
-            prop_assert_eq!(needed.iter().filter(|needed| **needed).count(), wanted + 1);
-            let (mut all, mut some) = (Vec::new(), Vec::new());
-            robot.forward_kinematics(&positions(&chain), &mut all);
-            robot.forward_kinematics_of(&positions(&chain), &needed, &mut some);
-            prop_assert_eq!(all[wanted], some[wanted]);
-        }
-
         #[test]
         fn chain_is_the_product_of_its_transforms(chain in prop::collection::vec(chain_joint(), 1..9)) {
             let robot = Robot::from_urdf("chain.urdf", &chain_urdf(&chain), &[]).expect("valid chain");

@@ -1,21 +1,23 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
+mod load;
+mod made;
 mod moments;
 mod switching;
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, Patch, Place, SensorKind, Station, Stream, TactileLayout};
+use palpate_robot_model::{KnownPoses, LinkPoses, ObjectModel, SensorKind, Station, Stream, TactileLayout};
 
-use super::{Effect, EffectKind, TACTILE, places};
+use super::{Effect, EffectKind, FingerTouches, TACTILE, places};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
 use crate::replay::{ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
-use crate::tactile::propagate_patch;
 use crate::{Response, Theta};
+pub use load::Load;
+use made::Made;
 use moments::Moments;
 pub use switching::Switching;
 
@@ -41,9 +43,9 @@ pub struct TakeScene<'a> {
 
 /// Where joints, object and patches really are.
 #[derive(Clone, Debug)]
-pub struct Kinematics {
+pub struct Kinematics<'a> {
     /// True joint positions, as in [`TakeScene::positions`].
-    pub positions: Vec<f64>,
+    pub positions: Cow<'a, [f64]>,
     /// True pose of the object.
     pub base_from_object: Isometry3<f64>,
     /// True size of the object over its nominal size.
@@ -65,18 +67,8 @@ pub struct Contact<'a> {
     pub alpha_per_m: Vec<f64>,
     /// True joint positions, as in [`Kinematics::positions`].
     pub positions: &'a [f64],
-}
-
-/// Load of every channel over time, as its sensor reports it.
-#[derive(Clone, Debug)]
-pub struct Load {
-    /// Per channel, frame by frame: pressure in Pa, or for proximity channels how far the patch has come into the
-    /// sensor's reach ([`Response::reach_m`]) in m. Zero without touch. A channel that nobody needs may have no frames.
-    pub values: Vec<Vec<f64>>,
-    /// Per channel, whether anybody needs its load: what is made of others is lost.
-    pub needed: Vec<bool>,
-    /// Per channel, the load at which it switches on. Effects size additive errors by it.
-    pub on_loads: Vec<f64>,
+    /// What fingers feel of each other at these positions, as far as it is known.
+    pub touches: Option<&'a FingerTouches>,
 }
 
 /// Which moment each reading shows.
@@ -109,10 +101,12 @@ pub struct Hold {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arrived {
     /// As one of [`Load::values`], at the moments that the host sees.
-    pub present: Vec<f64>,
+    pub present: Arc<[f64]>,
     /// The same at the moments that a frozen stream may show instead, equally likely; none unless it freezes and the
     /// chain is soft.
-    pub past: Vec<Vec<f64>>,
+    pub past: Vec<Arc<[f64]>>,
+    /// Whether nothing ever presses, as [`Load::is_silent`] has it: all of it is zero then.
+    pub is_silent: bool,
     /// Share of the past, see [`Hold::fraction`].
     pub past_share: f64,
 }
@@ -135,16 +129,32 @@ pub struct Sensed {
 #[derive(Clone, Debug)]
 pub struct Chain<'a> {
     /// The paper's parameters.
-    pub theta: Theta,
+    theta: Theta,
     /// What the model knows of sensors beyond theta.
-    pub response: &'a Response,
-    /// Effects, in any order: they act in the order of [`TACTILE`], the same kind in the order given.
-    pub effects: &'a [Effect],
+    response: &'a Response,
+    /// Effects in the order in which they act, each with its index in [`TACTILE`].
+    effects: Vec<(usize, &'a Effect)>,
     /// Per stream, width of the switching curve in units of the load at which it switches; empty switches hard.
-    pub soft_widths: &'a [f64],
+    soft_widths: &'a [f64],
 }
 
-impl Chain<'_> {
+impl<'a> Chain<'a> {
+    /// A chain with `effects` in any order: they act in the order of [`TACTILE`], the same kind in the order given.
+    ///
+    /// `soft_widths`: per stream, width of the switching curve in units of the load at which it switches; empty switches hard.
+    pub fn new(
+        theta: Theta,
+        response: &'a Response,
+        effects: impl IntoIterator<Item = &'a Effect>,
+        soft_widths: &'a [f64],
+    ) -> Self {
+        let index = |effect: &Effect| TACTILE.iter().position(|kind| kind.id() == effect.id);
+        let mut effects: Vec<(usize, &Effect)> =
+            effects.into_iter().filter_map(|effect| Some((index(effect)?, effect))).collect();
+        effects.sort_by_key(|(kind, _)| *kind);
+        Self { theta, response, effects, soft_widths }
+    }
+
     /// Runs `scene` through the whole chain.
     pub fn sense(&self, scene: &TakeScene<'_>) -> Result<Sensed, ReplayError> {
         Ok(self.sense_contact(scene, &self.geometry(scene)?))
@@ -152,25 +162,40 @@ impl Chain<'_> {
 
     /// The costly first part: where everything is, and what touches. It depends on the kinematic effects only.
     pub fn geometry(&self, scene: &TakeScene<'_>) -> Result<Geometry, ReplayError> {
-        self.geometry_of(scene, &vec![true; scene.station.layout.patches.len()])
+        self.geometry_of(scene, None, &vec![true; scene.station.layout.patches.len()])
     }
 
-    /// [`Self::geometry`] of the patches in `wanted`; all others feel nothing, for no frame.
-    pub fn geometry_of(&self, scene: &TakeScene<'_>, wanted: &[bool]) -> Result<Geometry, ReplayError> {
+    /// [`Self::geometry`] of the patches in `wanted`; all others feel nothing, for no frame. `measured` may have poses of links
+    /// along [`TakeScene::positions`], which then need not be computed for joints that are where they were measured.
+    pub fn geometry_of(
+        &self,
+        scene: &TakeScene<'_>,
+        measured: Option<&LinkPoses>,
+        wanted: &[bool],
+    ) -> Result<Geometry, ReplayError> {
+        let robot = &scene.station.robot;
         let kinematics = self.kinematics(scene);
-        let layout = moved(&scene.station.layout, &kinematics.patch_offsets);
+        let moved = moved(&scene.station.layout, &kinematics.patch_offsets);
+        let layout = moved.as_ref().unwrap_or(&scene.station.layout);
         let shape = scene.object.shape.scaled(kinematics.object_scale);
         let distance = SignedDistance::new(&shape).map_err(ReplayError::Object)?;
+        let known =
+            measured.map(|poses| KnownPoses::new(robot, poses, scene.positions, &kinematics.positions));
         let trace = trace_of(
-            &scene.station.robot,
-            &layout,
-            self.gaps_below_m(&layout),
+            robot,
+            layout,
+            self.gaps_below_m(layout),
             &distance,
             &kinematics.base_from_object,
             &kinematics.positions,
+            known.as_ref(),
             wanted,
         )?;
-        Ok(Geometry { trace, layout, positions: kinematics.positions, made: Some(Made::default()) })
+        let joints = match kinematics.positions {
+            Cow::Borrowed(_) => None,
+            Cow::Owned(positions) => Some(positions),
+        };
+        Ok(Geometry { trace, moved, joints, made: Some(Made::default()) })
     }
 
     /// The nearest nodes of a soft pad that are below this, m, matter together with their neighbours
@@ -187,9 +212,9 @@ impl Chain<'_> {
     }
 
     /// Where joints, object and patches really are.
-    pub(crate) fn kinematics(&self, scene: &TakeScene<'_>) -> Kinematics {
+    pub(crate) fn kinematics<'s>(&self, scene: &TakeScene<'s>) -> Kinematics<'s> {
         let mut kinematics = Kinematics {
-            positions: scene.positions.to_vec(),
+            positions: Cow::Borrowed(scene.positions),
             base_from_object: *scene.base_from_object,
             object_scale: 1.0,
             patch_offsets: vec![Isometry3::identity(); scene.station.layout.patches.len()],
@@ -206,7 +231,8 @@ impl Chain<'_> {
         // Channels are independent: each is a unit of work.
         let by_channel = map_chunks(num_channels, |channel| {
             let arrived = arrived[channel].as_ref()?;
-            Some((arrived.load().into_owned(), switching.activation(channel, arrived, scene.frame_times_s)))
+            let activation = switching.activation(channel, arrived, scene.frame_times_s, None);
+            Some((arrived.load().into_owned(), activation))
         });
         let mut sensed = Sensed {
             num_frames,
@@ -257,32 +283,23 @@ impl Chain<'_> {
         let mut contact = Contact {
             trace: self.softened(geometry, &needed_patches),
             needed: &needed_patches,
-            layout: &geometry.layout,
+            layout: geometry.moved.as_ref().unwrap_or(nominal),
             alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
-            positions: &geometry.positions,
+            positions: geometry.joints.as_deref().unwrap_or(scene.positions),
+            touches: geometry.made.as_ref().map(|made| &made.touches),
         };
-        let reaching = |effect: &Effect| reaches(effect, scene.station, &needed);
-        self.each(|kind, effect| {
-            if reaching(effect) {
-                kind.contact(effect, scene, &mut contact);
-            }
-        });
-        let mut load = Load {
-            values: loads(
-                &contact,
-                geometry,
-                self.response.reach_m(&self.theta),
-                &needed_patches,
-                scene.frame_times_s.len(),
-            ),
-            on_loads: self.on_loads(nominal),
-            needed: needed.clone(),
-        };
-        self.each(|kind, effect| {
-            if reaching(effect) {
-                kind.load(effect, scene, &mut load);
-            }
-        });
+        let reaching: Vec<bool> =
+            self.effects.iter().map(|(_, effect)| reaches(effect, scene.station, &needed)).collect();
+        self.each_of(|idx| reaching[idx], |kind, effect| kind.contact(effect, scene, &mut contact));
+        let mut load = Load::new(
+            &contact,
+            geometry,
+            self.response.reach_m(&self.theta),
+            needed.clone(),
+            self.on_loads(nominal),
+            scene.frame_times_s.len(),
+        );
+        self.each_of(|idx| reaching[idx], |kind, effect| kind.load(effect, scene, &mut load));
 
         let device_times_s = |(idx, stream): (usize, &Stream)| {
             if !wanted[stream.channels.clone()].contains(&true) {
@@ -310,9 +327,14 @@ impl Chain<'_> {
             let stream = nominal.channels[channel].stream;
             wanted[channel].then(|| {
                 let (present, past) = &moments[stream];
+                let is_silent = load.is_silent(channel);
+                let load = load.of_channel(channel);
+                // Nothing is nothing at any moment.
+                let at = |moments: &Moments| if is_silent { Arc::clone(load) } else { moments.of(load) };
                 Arrived {
-                    present: present.of(load.of_channel(channel)),
-                    past: past.iter().map(|past| past.of(load.of_channel(channel))).collect(),
+                    present: at(present),
+                    past: past.iter().map(at).collect(),
+                    is_silent,
                     past_share: transport.holds[stream].as_ref().map_or(0.0, |hold| hold.fraction),
                 }
             })
@@ -381,13 +403,15 @@ impl Chain<'_> {
             .collect()
     }
 
-    fn each(&self, mut visit: impl FnMut(&dyn EffectKind, &Effect)) {
-        if self.effects.is_empty() {
-            return;
-        }
-        for kind in TACTILE {
-            for effect in self.effects.iter().filter(|effect| effect.id == kind.id()) {
-                visit(*kind, effect);
+    fn each(&self, visit: impl FnMut(&dyn EffectKind, &Effect)) {
+        self.each_of(|_| true, visit);
+    }
+
+    /// Calls `visit` with each effect, numbered in the order in which they act, that `acts`.
+    fn each_of(&self, acts: impl Fn(usize) -> bool, mut visit: impl FnMut(&dyn EffectKind, &Effect)) {
+        for (idx, (kind, effect)) in self.effects.iter().enumerate() {
+            if acts(idx) {
+                visit(TACTILE[*kind], effect);
             }
         }
     }
@@ -402,42 +426,46 @@ fn reaches(effect: &Effect, station: &Station, channels: &[bool]) -> bool {
 #[derive(Clone, Debug)]
 pub struct Geometry {
     pub(crate) trace: ContactTrace,
-    pub(crate) layout: TactileLayout,
-    pub(crate) positions: Vec<f64>,
+    /// The layout, where any of its patches are moved.
+    pub(crate) moved: Option<TactileLayout>,
+    /// True joint positions, where they are not those that were measured.
+    pub(crate) joints: Option<Vec<f64>>,
     /// What has been made of the trace; `None` for one that grows.
     pub(crate) made: Option<Made>,
 }
 
 /// What touches one patch.
 #[derive(Clone, Debug)]
-pub struct PatchGeometry {
-    trace: Arc<PatchTrace>,
-    patch: Patch,
-}
+pub struct PatchGeometry(Arc<PatchTrace>);
 
 impl Geometry {
     /// Its patch `idx`.
     pub fn patch(&self, idx: usize) -> PatchGeometry {
-        PatchGeometry { trace: Arc::clone(&self.trace.patches[idx]), patch: self.layout.patches[idx].clone() }
+        PatchGeometry(Arc::clone(&self.trace.patches[idx]))
     }
 
-    /// Takes over `patches`, by index, from other geometries.
+    /// Takes over `patches`, by index, from geometries of models that move them, and what they touch, in the same way.
     pub fn adopt<'p>(&mut self, patches: impl Iterator<Item = (usize, &'p PatchGeometry)>) {
-        for (idx, patch) in patches {
-            self.trace.patches[idx] = Arc::clone(&patch.trace);
-            self.layout.patches[idx] = patch.patch.clone();
+        for (idx, PatchGeometry(trace)) in patches {
+            self.trace.patches[idx] = Arc::clone(trace);
         }
         self.made = Some(Made::default());
     }
+
+    /// Remembers what fingers feel of each other in `touches`, from geometries in which joints and patches are as they are here.
+    pub fn share(&mut self, touches: &FingerTouches) {
+        self.made.get_or_insert_default().touches = touches.clone();
+    }
 }
 
-/// `layout` with the nodes and taxels of its patches moved.
-pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> TactileLayout {
+/// `layout` with the nodes and taxels of its patches moved; `None` where all stay.
+pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Option<TactileLayout> {
+    let is_moved = |offset: &Isometry3<f64>| *offset != Isometry3::identity();
+    if !offsets.iter().any(is_moved) {
+        return None;
+    }
     let mut layout = layout.clone();
-    for (patch, offset) in layout.patches.iter_mut().zip(offsets) {
-        if *offset == Isometry3::identity() {
-            continue;
-        }
+    for (patch, offset) in layout.patches.iter_mut().zip(offsets).filter(|(_, offset)| is_moved(offset)) {
         for node in &mut patch.nodes {
             node.pos_in_link = offset * node.pos_in_link;
             node.normal_in_link = offset * node.normal_in_link;
@@ -446,90 +474,11 @@ pub(crate) fn moved(layout: &TactileLayout, offsets: &[Isometry3<f64>]) -> Tacti
             *taxel = offset * *taxel;
         }
     }
-    layout
-}
-
-/// As [`Load::values`]; no frames for channels of patches that are not `needed`. `geometry` remembers the pressures of
-/// patches that no effect has changed.
-fn loads(
-    contact: &Contact<'_>,
-    geometry: &Geometry,
-    reach_m: f64,
-    needed: &[bool],
-    num_frames: usize,
-) -> Vec<Vec<f64>> {
-    let patches = &contact.layout.patches;
-    // Patches are independent: each is a unit of work.
-    let by_patch = map_chunks(patches.len(), |idx| {
-        let (patch, trace) = (&patches[idx], &contact.trace.patches[idx]);
-        if !needed[idx] {
-            return vec![Vec::new(); patch.channels.len()];
-        }
-        match &**trace {
-            PatchTrace::Proximity { min_distance_m, .. } => {
-                let load = min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0)).collect();
-                vec![load; patch.channels.len()]
-            }
-            PatchTrace::Pressure { .. } => {
-                let alpha_per_m = contact.alpha_per_m[idx];
-                let propagated = || -> Arc<[f64]> {
-                    propagate_patch(contact.layout, patch, trace, alpha_per_m, num_frames).into()
-                };
-                let unchanged = Arc::ptr_eq(trace, &geometry.trace.patches[idx]);
-                let of_patch = match geometry.made.as_ref().filter(|_| unchanged) {
-                    Some(made) => made.spread.of(idx, alpha_per_m, propagated),
-                    None => propagated(),
-                };
-                let taxels = 0..patch.channels.len();
-                taxels.map(|taxel| of_patch[taxel * num_frames..(taxel + 1) * num_frames].to_vec()).collect()
-            }
-        }
-    });
-    by_patch.into_iter().flatten().collect()
+    Some(layout)
 }
 
 /// Steps of [`Chain::gaps_below_m`], m.
 const GAPS_STEP_M: f64 = 4e-3;
-
-/// What has been made of the patches of a geometry lately.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Made {
-    /// Pressures at the taxels, by decay.
-    spread: ByPatch<Arc<[f64]>>,
-    /// What soft pads feel, by softness.
-    softened: ByPatch<Arc<PatchTrace>>,
-}
-
-/// Values by patch and the bits of a number.
-#[derive(Clone, Debug)]
-struct ByPatch<T>(Arc<Mutex<BTreeMap<(usize, u64), T>>>);
-
-impl<T> Default for ByPatch<T> {
-    fn default() -> Self {
-        Self(Arc::default())
-    }
-}
-
-/// Numbers for which something is remembered of a patch before they are forgotten.
-const NUMBERS_KEPT: usize = 3;
-
-impl<T: Clone> ByPatch<T> {
-    fn of(&self, patch: usize, number: f64, make: impl FnOnce() -> T) -> T {
-        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (patch, number.to_bits());
-        if let Some(known) = lock().get(&key) {
-            return known.clone();
-        }
-        let new = make();
-        let mut kept = lock();
-        let of_patch = kept.range((patch, 0)..=(patch, u64::MAX)).map(|(key, _)| *key).collect::<Vec<_>>();
-        if of_patch.len() >= NUMBERS_KEPT {
-            of_patch.iter().for_each(|key| drop(kept.remove(key)));
-        }
-        kept.insert(key, new.clone());
-        new
-    }
-}
 
 /// Moments over the span of a [`Hold`] at which a soft chain looks.
 const NUM_MOMENTS: usize = 6;
@@ -574,34 +523,16 @@ impl Arrived {
     pub fn load(&self) -> Cow<'_, [f64]> {
         let mut load = Cow::Borrowed(&self.present[..]);
         if !self.past.is_empty() {
-            self.blend(load.to_mut(), &self.past);
+            let past: Vec<&[f64]> = self.past.iter().map(|past| &**past).collect();
+            self.blend(load.to_mut(), &past);
         }
         load
     }
 
-    fn blend(&self, present: &mut [f64], past: &[Vec<f64>]) {
+    fn blend(&self, present: &mut [f64], past: &[&[f64]]) {
         for (frame, value) in present.iter_mut().enumerate() {
             let sum: f64 = past.iter().map(|values| values[frame]).sum();
             *value = (1.0 - self.past_share) * *value + self.past_share / past.len() as f64 * sum;
         }
-    }
-}
-
-impl Load {
-    /// The channels at `place` that are needed.
-    pub(super) fn needed_at(&self, place: &Place, layout: &TactileLayout) -> Vec<usize> {
-        let mut channels = places::channels_of(place, layout);
-        channels.retain(|&channel| self.needed[channel]);
-        channels
-    }
-
-    /// Loads of `channel`, frame by frame.
-    pub fn of_channel(&self, channel: usize) -> &[f64] {
-        &self.values[channel]
-    }
-
-    /// As [`Self::of_channel`], to change them.
-    pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
-        &mut self.values[channel]
     }
 }

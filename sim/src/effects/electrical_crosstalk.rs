@@ -53,8 +53,9 @@ impl EffectKind for ElectricalCrosstalk {
             })
             .collect();
         let own = state.values.clone();
-        for (channel, other) in pairs {
-            let loads = state.of_channel_mut(channel).iter_mut().zip(&own[other]);
+        let silent: Vec<bool> = (0..own.len()).map(|channel| state.is_silent(channel)).collect();
+        for (channel, other) in pairs.into_iter().filter(|(_, other)| !silent[*other]) {
+            let loads = state.of_channel_mut(channel).iter_mut().zip(own[other].iter());
             loads.for_each(|(load, other)| *load += leak * other);
         }
     }

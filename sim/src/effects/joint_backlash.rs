@@ -38,7 +38,7 @@ impl EffectKind for JointBacklash {
         places::revolute_joints(station)
     }
 
-    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics<'_>) {
         let Some(dof) = places::dof_of(&effect.place, scene.station) else { return };
         let half_width_rad = 0.5 * effect.parameter("width_rad");
         if half_width_rad <= 0.0 {
@@ -46,7 +46,7 @@ impl EffectKind for JointBacklash {
         }
         let num_dofs = scene.station.robot.num_dofs();
         let mut link_rad = state.positions.get(dof).copied().unwrap_or(0.0);
-        for frame in state.positions.chunks_exact_mut(num_dofs) {
+        for frame in state.positions.to_mut().chunks_exact_mut(num_dofs) {
             link_rad = link_rad.clamp(frame[dof] - half_width_rad, frame[dof] + half_width_rad);
             frame[dof] = link_rad;
         }

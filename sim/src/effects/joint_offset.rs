@@ -36,11 +36,11 @@ impl EffectKind for JointOffset {
         places::revolute_joints(station)
     }
 
-    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics<'_>) {
         let Some(dof) = places::dof_of(&effect.place, scene.station) else { return };
-        let num_dofs = scene.station.robot.num_dofs();
-        for frame in state.positions.chunks_exact_mut(num_dofs) {
-            frame[dof] += effect.parameter("offset_rad");
+        let (num_dofs, offset_rad) = (scene.station.robot.num_dofs(), effect.parameter("offset_rad"));
+        for frame in state.positions.to_mut().chunks_exact_mut(num_dofs) {
+            frame[dof] += offset_rad;
         }
     }
 }

@@ -34,9 +34,10 @@ impl EffectKind for Latency {
     }
 
     fn transport(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Transport) {
+        let delay_s = effect.parameter("delay_s");
         for stream in places::streams_of(&effect.place, &scene.station.layout) {
             for time_s in &mut state.device_times_s[stream] {
-                *time_s -= effect.parameter("delay_s");
+                *time_s -= delay_s;
             }
         }
     }

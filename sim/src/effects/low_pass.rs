@@ -1,5 +1,7 @@
 //! A sensor that follows its load with a lag of first order.
 
+use std::sync::Arc;
+
 use palpate_robot_model::{Place, Station};
 
 use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
@@ -42,9 +44,8 @@ impl EffectKind for LowPass {
             return;
         }
         let lag = Lag::new(scene.frame_times_s, time_constant_s);
-        for channel in state.needed_at(&effect.place, &scene.station.layout) {
-            let lagging = lag.of(state.of_channel(channel));
-            state.of_channel_mut(channel).copy_from_slice(&lagging);
+        for channel in state.pressed_at(&effect.place, &scene.station.layout) {
+            state.values[channel] = lag.of(state.of_channel(channel));
         }
     }
 }
@@ -71,8 +72,8 @@ impl Lag {
     }
 
     /// What follows `input`, frame by frame.
-    pub(super) fn of(&self, input: &[f64]) -> Vec<f64> {
-        let Some(&first) = input.first() else { return Vec::new() };
+    pub(super) fn of(&self, input: &[f64]) -> Arc<[f64]> {
+        let Some(&first) = input.first() else { return Arc::new([]) };
         let (mut from_x, mut y) = (first, first);
         let follow = |(&(gap_s, decay), &x): (&(f64, f64), &f64)| {
             // Sensors rest most of the time.

@@ -54,7 +54,7 @@ impl EffectKind for ObjectPoseOffset {
         places::all_objects(station)
     }
 
-    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics<'_>) {
         if !matches!(&effect.place, Place::Object(id) if *id == scene.object.id) {
             return;
         }

@@ -36,7 +36,7 @@ impl EffectKind for ObjectScale {
         places::all_objects(station)
     }
 
-    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics<'_>) {
         if matches!(&effect.place, Place::Object(id) if *id == scene.object.id) {
             state.object_scale *= effect.parameter("factor");
         }

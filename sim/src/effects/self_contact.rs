@@ -1,9 +1,10 @@
 //! Fingers that touch each other.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{Place, Robot, SensorKind, Station, TactileLayout};
+use palpate_robot_model::{LinkTracker, Place, Robot, SensorKind, Station, TactileLayout};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
 use crate::geometry::link_shape_distance_m;
@@ -63,27 +64,60 @@ impl EffectKind for SelfContact {
         if presence == 0.0 {
             return;
         }
-        let robot = &scene.station.robot;
-        let mut meetings = meetings(robot, state.layout, one, other);
+        let mut meetings = meetings(&scene.station.robot, state.layout, one, other);
         meetings.retain(|meeting| state.needed[meeting.patch]);
-        let mut felt: Vec<Touches> = meetings.iter().map(|_| Touches::new()).collect();
-        let met = meetings.iter().flat_map(|meeting| &meeting.links).copied();
-        let felt_by = meetings.iter().map(|meeting| state.layout.patches[meeting.patch].link);
-        let needed = robot.leading_to(met.chain(felt_by));
-        let mut root_from_link = Vec::new();
-        for positions in state.positions.chunks_exact(robot.num_dofs().max(1)) {
-            robot.forward_kinematics_of(positions, &needed, &mut root_from_link);
-            for (meeting, felt) in meetings.iter().zip(&mut felt) {
-                meeting.feel(robot, state.layout, &root_from_link, felt);
-            }
-        }
-        for (meeting, felt) in meetings.iter().zip(&felt) {
+        for (meeting, felt) in meetings.iter().zip(touches(&meetings, groups, scene, state)) {
             if felt.changes(&state.trace.patches[meeting.patch]) {
                 let stiffness_pa_per_m = state.layout.patches[meeting.patch].stiffness_pa_per_m;
                 let trace = Arc::make_mut(&mut state.trace.to_mut().patches[meeting.patch]);
                 felt.add_to(trace, presence, stiffness_pa_per_m);
             }
         }
+    }
+}
+
+/// What is felt at each of `meetings` between two `groups`.
+fn touches(
+    meetings: &[Meeting],
+    groups: &[String],
+    scene: &TakeScene<'_>,
+    state: &Contact<'_>,
+) -> Vec<Arc<Touches>> {
+    let known = |meeting: &Meeting| state.touches.and_then(|touches| touches.get(groups, meeting.patch));
+    if let Some(known) = meetings.iter().map(known).collect::<Option<Vec<_>>>() {
+        return known;
+    }
+    let robot = &scene.station.robot;
+    let mut felt: Vec<Touches> = meetings.iter().map(|_| Touches::new()).collect();
+    let met = meetings.iter().flat_map(|meeting| &meeting.links).copied();
+    let felt_by = meetings.iter().map(|meeting| state.layout.patches[meeting.patch].link);
+    let mut tracker = LinkTracker::new(robot, met.chain(felt_by), None);
+    for (frame, positions) in state.positions.chunks_exact(robot.num_dofs().max(1)).enumerate() {
+        let root_from_link = tracker.at(frame, positions);
+        for (meeting, felt) in meetings.iter().zip(&mut felt) {
+            meeting.feel(robot, state.layout, root_from_link, felt);
+        }
+    }
+    let felt: Vec<Arc<Touches>> = felt.into_iter().map(Arc::new).collect();
+    if let Some(touches) = state.touches {
+        meetings.iter().zip(&felt).for_each(|(meeting, felt)| touches.put(groups, meeting.patch, felt));
+    }
+    felt
+}
+
+/// What fingers feel of each other while joints and patches stay where they are, remembered.
+#[derive(Clone, Debug, Default)]
+pub struct FingerTouches(Arc<Mutex<BTreeMap<(Vec<String>, usize), Arc<Touches>>>>);
+
+impl FingerTouches {
+    fn get(&self, groups: &[String], patch: usize) -> Option<Arc<Touches>> {
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        known.get(&(groups.to_vec(), patch)).cloned()
+    }
+
+    fn put(&self, groups: &[String], patch: usize, felt: &Arc<Touches>) {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        known.insert((groups.to_vec(), patch), Arc::clone(felt));
     }
 }
 
@@ -185,6 +219,7 @@ impl Meeting {
 }
 
 /// What a patch feels of another finger, frame by frame.
+#[derive(Debug)]
 struct Touches {
     /// Of a proximity patch, the smallest distance of its nodes, m; [`NEAR_M`] beyond that.
     nearest_m: Vec<f64>,

@@ -48,7 +48,7 @@ impl EffectKind for SensitivitySpread {
 
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
         let layout = &scene.station.layout;
-        for channel in state.needed_at(&effect.place, layout) {
+        for channel in state.pressed_at(&effect.place, layout) {
             let gain = match &effect.place {
                 Place::Channel(_) => effect.parameter(GAIN),
                 _ => effect.parameter(&gain_of(&layout.channels[channel].id)),

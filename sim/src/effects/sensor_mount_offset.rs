@@ -45,7 +45,7 @@ impl EffectKind for SensorMountOffset {
         places::all_patches(station)
     }
 
-    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics) {
+    fn kinematics(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Kinematics<'_>) {
         let of = |name: &str| effect.parameter(name);
         let (x_m, y_m, turn_rad) = (of("translation_x_m"), of("translation_y_m"), of("rotation_rad"));
         if (x_m, y_m, turn_rad) == (0.0, 0.0, 0.0) {

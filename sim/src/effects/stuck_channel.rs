@@ -39,7 +39,7 @@ impl EffectKind for StuckChannel {
         if presence == 0.0 {
             return;
         }
-        for channel in state.needed_at(&effect.place, &scene.station.layout) {
+        for channel in state.pressed_at(&effect.place, &scene.station.layout) {
             state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= 1.0 - presence);
         }
     }

@@ -1,5 +1,7 @@
 //! Two channels that are plugged in the wrong way round.
 
+use std::sync::Arc;
+
 use palpate_robot_model::{Place, Station, TactileLayout};
 
 use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
@@ -46,15 +48,16 @@ impl EffectKind for SwappedChannels {
         let presence = effect.parameter("presence");
         let channels = places::channels_of(&effect.place, &scene.station.layout);
         let [first, second] = channels[..] else { return };
-        if presence == 0.0 {
+        if presence == 0.0 || (state.is_silent(first) && state.is_silent(second)) {
             return;
         }
-        let (ones, others) = (state.of_channel(first).to_vec(), state.of_channel(second).to_vec());
+        let (ones, others) = (Arc::clone(state.of_channel(first)), Arc::clone(state.of_channel(second)));
         let share = |own: f64, other: f64| (1.0 - presence) * own + presence * other;
-        for (frame, (&one, &other)) in ones.iter().zip(&others).enumerate() {
-            state.of_channel_mut(first)[frame] = share(one, other);
-            state.of_channel_mut(second)[frame] = share(other, one);
-        }
+        let swapped = |own: &[f64], other: &[f64]| -> Arc<[f64]> {
+            own.iter().zip(other).map(|(&own, &other)| share(own, other)).collect()
+        };
+        state.values[first] = swapped(&ones, &others);
+        state.values[second] = swapped(&others, &ones);
     }
 }
 

@@ -52,9 +52,9 @@ impl EffectKind for ViscoelasticRelease {
             return;
         }
         let lag = Lag::new(scene.frame_times_s, time_constant_s);
-        for channel in state.needed_at(&effect.place, &scene.station.layout) {
+        for channel in state.pressed_at(&effect.place, &scene.station.layout) {
             let strain = lag.of(state.of_channel(channel));
-            let loads = state.of_channel_mut(channel).iter_mut().zip(strain);
+            let loads = state.of_channel_mut(channel).iter_mut().zip(strain.iter());
             loads.for_each(|(load, z)| *load = load.max(fraction * z));
         }
     }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::descend::{Free, descend};
 use super::linear::{Assessment, Linear, Residual, predict};
 use super::screen::{responses, stepped};
-use super::{Domain, Model, within};
+use super::{Domain, Model, Series, within};
 use crate::DiagnosisError;
 
 /// A candidate, fitted.
@@ -186,51 +186,59 @@ pub(super) fn scaled(effect: &Effect, parameters: &[Parameter], scale: f64) -> E
     stepped(effect, parameters, &steps)
 }
 
+/// A candidate at some size.
+struct Attempt {
+    effect: Effect,
+    predicted: Vec<Vec<Series>>,
+    /// What it leaves.
+    left: Residual,
+}
+
 /// Fits `start` with the parameters of `linear`'s model projected out.
 pub(crate) fn fit<D: Domain>(
     linear: &Linear<'_, D>,
     start: &Effect,
     parameters: &[Parameter],
 ) -> Result<Fitted, DiagnosisError> {
-    let left_by = |effect: &Effect| -> Result<Residual, DiagnosisError> {
+    let tried = |effect: Effect| -> Result<Attempt, DiagnosisError> {
         let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
-        Ok(linear.residual_of(&predicted))
+        Ok(Attempt { left: linear.residual_of(&predicted), predicted, effect })
+    };
+    let assessed = |tried: &Attempt| -> Result<Assessment, DiagnosisError> {
+        Ok(linear.assess(&responses(linear, &tried.effect, parameters, &tried.predicted)?, &tried.left))
     };
     // A dose response flattens out: where an effect is large, its estimate from a small dose falls short.
-    let mut effect = start.clone();
-    let mut residual = left_by(&effect)?;
+    let mut best = tried(start.clone())?;
     for scale in STARTS {
-        let farther = scaled(start, parameters, scale);
-        let left = left_by(&farther)?;
-        if left.square() < residual.square() {
-            (effect, residual) = (farther, left);
+        let farther = tried(scaled(start, parameters, scale))?;
+        if farther.left.square() < best.left.square() {
+            best = farther;
         }
     }
-    let mut assessment = linear.assess(&responses(linear, &effect, parameters)?, &residual);
+    let mut assessment = assessed(&best)?;
     for _ in 0..STEPS {
         let mut better = None;
         for scale in [1.0, 0.4, 0.1] {
             let steps: Vec<f64> = assessment.step.iter().map(|step| step * scale).collect();
-            let tried = stepped(&effect, parameters, &steps);
-            let left = left_by(&tried)?;
-            if left.square() < residual.square() {
-                better = Some((tried, left));
+            let shorter = tried(stepped(&best.effect, parameters, &steps))?;
+            if shorter.left.square() < best.left.square() {
+                better = Some(shorter);
                 break;
             }
         }
-        let Some((tried, left)) = better else { break };
-        let gained = residual.square() - left.square();
-        (effect, residual) = (tried, left);
-        assessment = linear.assess(&responses(linear, &effect, parameters)?, &residual);
+        let Some(better) = better else { break };
+        let gained = best.left.square() - better.left.square();
+        best = better;
+        assessment = assessed(&best)?;
         if gained < 0.5 {
             break;
         }
     }
-    let held_out_gains = (linear.residual.squares.iter().zip(&residual.squares))
+    let Attempt { effect, predicted, left } = best;
+    let held_out_gains = (linear.residual.squares.iter().zip(&left.squares))
         .zip(&assessment.held_out_gains)
         .map(|((before, after), of_step)| before - after + of_step)
         .collect();
-    let predicted = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
     Ok(Fitted {
         effect,
         parameters: parameters.to_vec(),

@@ -1,6 +1,6 @@
 //! The surroundings of a model to first order.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{DMatrix, DVector};
 use palpate_sim::effects::Effect;
@@ -16,10 +16,14 @@ struct Segment {
     predicted: Series,
     /// Weight of each row: one over its standard deviation, less for outliers; 0 where nothing was measured.
     weights: Vec<f64>,
+    /// The same without regard to outliers; made when somebody asks.
+    allowed: OnceLock<Vec<f64>>,
     /// Weighted residuals.
     residual: Arc<[f64]>,
     /// Huber's loss of the residuals.
     loss: f64,
+    /// Their squares.
+    square: f64,
 }
 
 impl Segment {
@@ -27,7 +31,7 @@ impl Segment {
         let observed = domain.observed(take, signal);
         let mut weights = domain.weights(take, signal, predicted);
         let mut loss = 0.0;
-        let residual = weights
+        let residual: Arc<[f64]> = weights
             .iter_mut()
             .zip(predicted.iter().zip(observed))
             .map(|(weight, (predicted, observed))| {
@@ -45,7 +49,8 @@ impl Segment {
                 (observed - predicted) * *weight
             })
             .collect();
-        Self { predicted: Arc::clone(predicted), weights, residual, loss }
+        let square = square(&residual);
+        Self { predicted: Arc::clone(predicted), weights, allowed: OnceLock::new(), residual, loss, square }
     }
 }
 
@@ -207,7 +212,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         let mut squares = vec![0.0; takes.len()];
         for (idx, segment) in segments.iter().enumerate() {
             losses[rows.take(idx) * rows.num_kinds + rows.kind(idx)] += segment.loss;
-            squares[rows.take(idx)] += square(&segment.residual);
+            squares[rows.take(idx)] += segment.square;
         }
         let residual = Residual {
             values: segments.iter().map(|segment| Arc::clone(&segment.residual)).collect(),
@@ -272,7 +277,8 @@ impl<'a, D: Domain> Linear<'a, D> {
             losses[take][self.rows.kind(idx)] += if Arc::ptr_eq(&segment.predicted, after) {
                 segment.loss
             } else {
-                let weights = self.domain.weights(self.takes[take], signal, &segment.predicted);
+                let allowed = || self.domain.weights(self.takes[take], signal, &segment.predicted);
+                let weights = segment.allowed.get_or_init(allowed);
                 let observed = self.domain.observed(self.takes[take], signal);
                 let rows = observed.iter().zip(after.iter()).zip(weights);
                 let measured = rows.filter(|((observed, _), _)| !observed.is_nan());
@@ -386,51 +392,66 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// Makes `columns` the nuisances and projects them out of the residual.
     pub(crate) fn project(&mut self, columns: &[Column]) {
         let count = columns.len();
-        let mut index = vec![u32::MAX; self.rows.blocks.len()];
-        let mut values: Vec<f64> = Vec::new();
-        for (idx, column) in columns.iter().enumerate() {
-            for (&row, &value) in column.rows.iter().zip(&column.values) {
-                let slot = &mut index[row as usize];
-                if *slot == u32::MAX {
-                    *slot = values.len() as u32;
-                    values.resize(values.len() + count, 0.0);
-                }
-                values[*slot as usize + idx] = f64::from(value);
-            }
-        }
-        let num_blocks = self.rows.takes.len();
+        let (index, values) = self.by_row(columns);
         let mut nuisances = Nuisances {
             count,
             index,
             values,
-            by_block: vec![DMatrix::zeros(count, count); num_blocks],
             by_take: vec![DMatrix::zeros(count, count); self.takes.len()],
-            along: vec![DVector::zeros(count); num_blocks],
             ..Nuisances::none(0, std::mem::take(&mut self.nuisances.squares))
         };
-        let (mut by_block, mut along) =
-            (std::mem::take(&mut nuisances.by_block), std::mem::take(&mut nuisances.along));
-        for (segment, &start) in self.segments.iter().zip(&self.rows.starts) {
-            for (row, residual) in (start..).zip(segment.residual.iter()) {
-                let Some(values) = nuisances.of_row(row) else { continue };
-                let block = self.rows.blocks[row] as usize;
-                for (i, a) in values.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-                    along[block][i] += a * residual;
-                    let column = by_block[block].column_mut(i);
-                    column.into_iter().zip(values).for_each(|(sum, b)| *sum += a * b);
-                }
-            }
-        }
+        let of_takes: Vec<Vec<(DMatrix<f64>, DVector<f64>)>> =
+            (0..self.takes.len()).into_par_iter().map(|take| self.normals_of(&nuisances, take)).collect();
+        (nuisances.by_block, nuisances.along) = of_takes.into_iter().flatten().unzip();
         let mut normal = DMatrix::zeros(count, count);
-        for (of_block, &take) in by_block.iter().zip(&self.rows.takes) {
+        for (of_block, &take) in nuisances.by_block.iter().zip(&self.rows.takes) {
             normal += of_block;
             nuisances.by_take[take] += of_block;
         }
         nuisances.inverse = inverse(&normal);
-        (nuisances.by_block, nuisances.along) = (by_block, along);
         self.nuisances = nuisances;
         let values = std::mem::take(&mut self.residual.values);
         self.residual = self.projected(values, self.nuisances.along.clone(), self.nuisances.squares.clone());
+    }
+
+    /// The values of `columns` row by row: where those of each row start (`u32::MAX` if all are zero), and the values.
+    fn by_row(&self, columns: &[Column]) -> (Vec<u32>, Vec<f64>) {
+        let mut index = vec![u32::MAX; self.rows.blocks.len()];
+        columns.iter().flat_map(|column| &column.rows).for_each(|&row| index[row as usize] = 0);
+        let mut end = 0;
+        for start in index.iter_mut().filter(|start| **start == 0) {
+            *start = end;
+            end += columns.len() as u32;
+        }
+        let mut values = vec![0.0; end as usize];
+        for (idx, column) in columns.iter().enumerate() {
+            for (&row, &value) in column.rows.iter().zip(&column.values) {
+                values[index[row as usize] as usize + idx] = f64::from(value);
+            }
+        }
+        (index, values)
+    }
+
+    /// Of each block of the take with this index, the normal matrix of `nuisances` and `N'r`.
+    fn normals_of(&self, nuisances: &Nuisances, take: usize) -> Vec<(DMatrix<f64>, DVector<f64>)> {
+        let count = nuisances.count;
+        let first = self.rows.takes.partition_point(|other| *other < take);
+        let num_blocks = self.rows.takes.iter().filter(|other| **other == take).count();
+        let mut of_blocks = vec![(DMatrix::zeros(count, count), DVector::zeros(count)); num_blocks];
+        let segments = take * self.rows.num_signals..(take + 1) * self.rows.num_signals;
+        for (segment, &start) in self.segments[segments.clone()].iter().zip(&self.rows.starts[segments]) {
+            for (row, residual) in (start..).zip(segment.residual.iter()) {
+                let Some(values) = nuisances.of_row(row) else { continue };
+                let (normal, along) = &mut of_blocks[self.rows.blocks[row] as usize - first];
+                for (i, a) in values.iter().enumerate().filter(|(_, a)| **a != 0.0) {
+                    along[i] += a * residual;
+                    let mut below = normal.view_mut((i, i), (count - i, 1));
+                    below.iter_mut().zip(&values[i..]).for_each(|(sum, b)| *sum += a * b);
+                }
+            }
+        }
+        of_blocks.iter_mut().for_each(|(normal, _)| normal.fill_upper_triangle_with_lower_triangle());
+        of_blocks
     }
 
     /// By take and unit, how much smaller the squares of the residuals are with `predicted` (by take) in place of this
@@ -456,7 +477,7 @@ impl<'a, D: Domain> Linear<'a, D> {
     pub(crate) fn squares_by_unit(&self) -> Vec<f64> {
         let mut squares = vec![0.0; self.domain.num_units()];
         for (idx, segment) in self.segments.iter().enumerate() {
-            squares[self.rows.unit(idx)] += square(&segment.residual);
+            squares[self.rows.unit(idx)] += segment.square;
         }
         squares
     }
@@ -478,7 +499,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                     },
                 )
                 .collect();
-            squares[take] += square(&residual) - square(&segment.residual);
+            squares[take] += square(&residual) - segment.square;
             if self.nuisances.count > 0 {
                 let pairs = residual.iter().zip(segment.residual.iter());
                 for (row, (after, before)) in (self.rows.starts[idx]..).zip(pairs) {
@@ -530,9 +551,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         let Nuisances { count: m, inverse: p, by_block, .. } = &self.nuisances;
         let num_blocks = self.rows.takes.len();
         let blocks = &self.rows.blocks;
-        // Per block: R'r, R'N, R'R.
+        // Per block: R'r, N'R, R'R.
         let mut scores = vec![DVector::<f64>::zeros(k); num_blocks];
-        let mut with_nuisances = vec![DMatrix::<f64>::zeros(k, *m); num_blocks];
+        let mut nuisances_with = vec![DMatrix::<f64>::zeros(*m, k); num_blocks];
         let mut normals = vec![DMatrix::<f64>::zeros(k, k); num_blocks];
         for (i, column) in columns.iter().enumerate() {
             for (segment, part) in &column.parts {
@@ -543,11 +564,12 @@ impl<'a, D: Domain> Linear<'a, D> {
                     let mut left = residual[row - start];
                     normals[block][(i, i)] += value * value;
                     if let Some(values) = self.nuisances.of_row(row) {
-                        let with = &mut with_nuisances[block];
-                        for (j, (nuisance, coefficient)) in values.iter().zip(coefficients.iter()).enumerate()
+                        let mut with = nuisances_with[block].column_mut(i);
+                        for ((nuisance, coefficient), with) in
+                            values.iter().zip(coefficients.iter()).zip(with.iter_mut())
                         {
                             left -= nuisance * coefficient;
-                            with[(i, j)] += value * nuisance;
+                            *with += value * nuisance;
                         }
                     }
                     scores[block][i] += value * left;
@@ -560,6 +582,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         for normal in &mut normals {
             normal.fill_upper_triangle_with_lower_triangle();
         }
+        let with_nuisances: Vec<DMatrix<f64>> = nuisances_with.iter().map(DMatrix::transpose).collect();
         let a: DMatrix<f64> = with_nuisances.iter().fold(DMatrix::zeros(k, *m), |sum, part| sum + part);
         let c = &a * p;
         let mut projected_scores = Vec::with_capacity(num_blocks);
@@ -674,7 +697,7 @@ pub(crate) fn predict<D: Domain>(
     model: &Model,
     takes: &[usize],
 ) -> Result<Vec<Vec<Series>>, DiagnosisError> {
-    takes.par_iter().map(|&take| domain.predict(take, model)).collect()
+    domain.predict_takes(takes, model)
 }
 
 /// `step`, or its opposite where that would leave the bounds.

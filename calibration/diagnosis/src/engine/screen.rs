@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::linear::{Linear, inside, predict};
 use super::rows::Column;
-use super::{Domain, each, neutral};
+use super::{Domain, Series, each, neutral};
 use crate::DiagnosisError;
 
 /// A candidate, to first order.
@@ -249,13 +249,13 @@ fn dose_places_largely<D: Domain>(
     Ok(())
 }
 
-/// Responses to each parameter of `effect` around its present values.
+/// Responses to each parameter of `effect` around its present values, at which the predictions are those of `before`.
 pub(crate) fn responses<D: Domain>(
     linear: &Linear<'_, D>,
     effect: &Effect,
     parameters: &[Parameter],
+    before: &[Vec<Series>],
 ) -> Result<Vec<Column>, DiagnosisError> {
-    let before = predict(linear.domain, &linear.with(effect.clone()), &linear.takes)?;
     let mut columns = vec![Column::default(); parameters.len()];
     // Parameters that reach different units are stepped together.
     type Pass = (Effect, Vec<bool>, Vec<(usize, f64, Vec<bool>)>);
@@ -280,7 +280,7 @@ pub(crate) fn responses<D: Domain>(
         let after = predict(linear.domain, &linear.with(stepped), &linear.takes)?;
         let owner = owners(parts.iter().map(|(_, _, reach)| reach.as_slice()), linear.domain.num_units());
         let steps: Vec<f64> = parts.iter().map(|(_, step, _)| *step).collect();
-        for (column, (idx, ..)) in linear.columns(&before, &after, &owner, &steps).into_iter().zip(parts) {
+        for (column, (idx, ..)) in linear.columns(before, &after, &owner, &steps).into_iter().zip(parts) {
             columns[idx] = column;
         }
     }

@@ -7,7 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use palpate_robot_model::{Place, SensorKind};
 use palpate_sim::effects::{
-    self, Arrived, Chain, Effect, EffectKind, Geometry, PatchGeometry, Stage, Switching, TakeScene,
+    self, Arrived, Chain, Effect, EffectKind, FingerTouches, Geometry, PatchGeometry, Stage, Switching,
+    TakeScene,
 };
 use palpate_sim::{Response, Theta};
 
@@ -46,6 +47,15 @@ impl<T> Kept<T> {
         self.entries.last_mut().map(|(_, value)| value)
     }
 
+    /// The value of `key`; what `make` makes where there is none.
+    fn get_or_put(&mut self, key: Key, make: impl FnOnce() -> T) -> &T {
+        match self.entries.iter().rposition(|(known, _)| *known == key) {
+            Some(at) => self.entries[at..].rotate_left(1),
+            None => self.put(key, make()),
+        }
+        &self.entries[self.entries.len() - 1].1
+    }
+
     /// Keeps `value` in place of what was there for its key.
     fn put(&mut self, key: Key, value: T) {
         if let Some(known) = self.get(&key) {
@@ -73,20 +83,21 @@ struct ChannelLoad {
 impl ChannelLoad {
     fn new(arrived: Arrived) -> Self {
         let (activations, readings) = (Recent(Vec::new()), Recent(Vec::new()));
-        let checksum = checksum(&arrived.present);
+        let checksum = if arrived.is_silent { 0 } else { checksum(&arrived.present) };
         Self { arrived: Arc::new(arrived), checksum, activations, readings }
     }
 
     /// Whether its load has the bits of that of `other`.
     fn is(&self, other: &Self) -> bool {
         let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
-        let (Arrived { present, past, past_share }, other_checksum) = (&*self.arrived, other.checksum);
+        let (Arrived { present, past, is_silent, past_share }, other_checksum) =
+            (&*self.arrived, other.checksum);
         let other = &*other.arrived;
         self.checksum == other_checksum
             && past_share.to_bits() == other.past_share.to_bits()
             && past.len() == other.past.len()
-            && same(present, &other.present)
-            && past.iter().zip(&other.past).all(|(a, b)| same(a, b))
+            && (*is_silent && other.is_silent
+                || same(present, &other.present) && past.iter().zip(&other.past).all(|(a, b)| same(a, b)))
     }
 }
 
@@ -123,10 +134,12 @@ pub(super) struct Memory {
     switched: Vec<Recent<2>>,
     /// Geometries that were put together, with the patches that each has.
     geometries: Kept<(Vec<bool>, Arc<Geometry>)>,
+    /// What fingers feel of each other, by where joints and patches are.
+    touches: Kept<FingerTouches>,
 }
 
-/// Loads of a channel that are remembered: that of the model that is being fitted, and its surroundings.
-const LOADS_KEPT: usize = 6;
+/// Loads of a channel that are remembered: those of the models that are being fitted, and their surroundings.
+const LOADS_KEPT: usize = 12;
 /// Series of each kind that are remembered for a load.
 const RECENT_KEPT: usize = 4;
 /// Whole geometries that are remembered.
@@ -141,6 +154,7 @@ impl Memory {
             switched: vec![Recent(Vec::new()); num_channels],
             patches: (0..num_patches).map(|_| Kept::new(MOTIONS_KEPT)).collect(),
             geometries: Kept::new(GEOMETRIES_KEPT),
+            touches: Kept::new(GEOMETRIES_KEPT),
         })
     }
 }
@@ -180,8 +194,8 @@ impl Reaching<'_> {
     }
 }
 
-/// A model, as far as it concerns a take.
-struct Concerning<'m> {
+/// A model, ready to predict takes.
+pub(super) struct Prepared<'m> {
     model: &'m Model,
     theta: Theta,
     response: Response,
@@ -189,16 +203,33 @@ struct Concerning<'m> {
     widths: Vec<f64>,
     /// Per channel, the load that reads as one, and the exponent of its readings.
     read_by: Vec<[f64; 2]>,
-    /// Those of the model, and what its own parameters amount to.
-    effects: Vec<Effect>,
-    /// Those of the model.
+    /// What the model's own parameters amount to.
+    own: Vec<Effect>,
+    /// Effects of the model.
     reaching: Vec<Reaching<'m>>,
+}
+
+/// A model, as far as it concerns a take.
+struct Concerning<'p> {
+    prepared: &'p Prepared<'p>,
+    chain: Chain<'p>,
+    /// Effects of the model.
+    reaching: Vec<&'p Reaching<'p>>,
 }
 
 impl TactileDomain<'_> {
     /// [`Domain::predict`].
-    pub(super) fn forward(&self, take: usize, model: &Model) -> Result<Vec<Series>, DiagnosisError> {
-        let concerning = self.concerning(take, model);
+    pub(super) fn forward(
+        &self,
+        take: usize,
+        prepared: &Prepared<'_>,
+    ) -> Result<Vec<Series>, DiagnosisError> {
+        let Prepared { theta, response, widths, own, reaching, .. } = prepared;
+        let reaching: Vec<&Reaching<'_>> =
+            reaching.iter().filter(|one| self.reaches_take(one.effect, take)).collect();
+        let effects = own.iter().chain(reaching.iter().map(|one| one.effect));
+        let chain = Chain::new(*theta, response, effects, widths);
+        let concerning = Concerning { prepared, chain, reaching };
         let mut signals: Vec<Option<Series>> = vec![None; self.num_signals()];
         for limb in 0..self.memories[take].len() {
             for (channel, of_channel) in self.forward_limb(take, limb, &concerning)? {
@@ -211,7 +242,8 @@ impl TactileDomain<'_> {
         Ok(every.unwrap_or_else(|| unreachable!("every channel is on a limb")))
     }
 
-    fn concerning<'m>(&self, take: usize, model: &'m Model) -> Concerning<'m> {
+    /// What predictions for all takes have in common.
+    pub(super) fn prepared<'m>(&self, model: &'m Model) -> Prepared<'m> {
         let layout = &self.station.layout;
         let mut widths = vec![WIDTH; layout.streams.len()];
         let mut exponents = vec![1.0; layout.streams.len()];
@@ -222,17 +254,15 @@ impl TactileDomain<'_> {
                 _ => {}
             }
         }
-        let reaching = self.reaching(take, model);
         let (theta, response) = self.theta_and_response(model);
-        let mut effects = self.own_effects(model);
-        effects.extend(reaching.iter().map(|one| one.effect.clone()));
         let on_load = |stream: usize| match layout.streams[stream].kind {
             SensorKind::Proximity => response.proximity_band_m,
             SensorKind::Pressure => theta.lambda_pre_pa,
         };
         let channels = layout.channels.iter();
         let read_by = channels.map(|channel| [on_load(channel.stream), exponents[channel.stream]]).collect();
-        Concerning { model, theta, response, widths, read_by, effects, reaching }
+        let (own, reaching) = (self.own_effects(model), self.reaching(model));
+        Prepared { model, theta, response, widths, read_by, own, reaching }
     }
 
     /// The signals of each channel of `limb`.
@@ -242,10 +272,9 @@ impl TactileDomain<'_> {
         limb: usize,
         concerning: &Concerning<'_>,
     ) -> Result<Vec<(usize, [Series; Signal::COUNT])>, DiagnosisError> {
-        let Concerning { model, theta, response, widths, read_by, effects, reaching } = concerning;
+        let Concerning { prepared: Prepared { model, read_by, .. }, chain, reaching } = concerning;
         let observed = &self.takes[take];
         let scene = observed.scene(self.station, limb);
-        let chain = Chain { theta: *theta, response, effects, soft_widths: widths };
         let switching = chain.switching(&scene);
         let keys: Vec<(usize, Keys)> = (0..self.limb_of.len())
             .filter(|&channel| self.limb_of[channel] == limb)
@@ -270,7 +299,7 @@ impl TactileDomain<'_> {
         };
         let mut arrived = if wanted.contains(&true) {
             let inputs = chain.inputs(self.station, &wanted);
-            let geometry = self.geometry(take, limb, &chain, &scene, reaching, &inputs)?;
+            let geometry = self.geometry(take, limb, chain, &scene, reaching, &inputs)?;
             chain.arrive(&scene, &geometry, &wanted)
         } else {
             vec![None; wanted.len()]
@@ -280,13 +309,15 @@ impl TactileDomain<'_> {
             let (scale, ceiling) = (1.0 / on_load, observed.ceilings[channel]);
             // Quiet channels stay where they are, and are most of the work.
             let mut last = (f64::NAN, f64::NAN);
-            let mut of_load = |&load: &f64| {
+            let loads = arrived.load();
+            let at = |&frame: &usize| {
+                let load = loads[frame];
                 if load != last.0 {
                     last = (load, super::reading(load * scale, exponent).min(ceiling));
                 }
                 last.1
             };
-            observed.at_frames(limb, &arrived.load()).iter().map(&mut of_load).collect()
+            observed.frames(limb).iter().map(at).collect()
         };
         let mut signals = Vec::with_capacity(keys.len());
         for ((channel, keys), known) in keys.into_iter().zip(known) {
@@ -302,8 +333,8 @@ impl TactileDomain<'_> {
                 (Some(activation), Some(reading)) if known.is_some() => (activation, reading),
                 (activation, known_reading) => {
                     let activation = activation.unwrap_or_else(|| {
-                        let at_moments = switching.activation(channel, &load.arrived, scene.frame_times_s);
-                        observed.at_frames(limb, &at_moments)
+                        let frames = Some(observed.frames(limb));
+                        switching.activation(channel, &load.arrived, scene.frame_times_s, frames).into()
                     });
                     let reading = known_reading.unwrap_or_else(|| reading(channel, &load.arrived));
                     let made = Arc::make_mut(&mut load);
@@ -336,25 +367,23 @@ impl TactileDomain<'_> {
         self.memories[take][limb].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The effects of `model` that concern `take`.
-    fn reaching<'e>(&self, take: usize, model: &'e Model) -> Vec<Reaching<'e>> {
-        let of_take = model.effects.iter().filter(|effect| self.reaches_take(effect, take));
-        of_take
-            .filter_map(|effect| {
-                let order = effects::TACTILE.iter().position(|kind| kind.id() == effect.id)?;
-                Some(Reaching {
-                    effect,
-                    kind: effects::TACTILE[order],
-                    order: order as u64,
-                    // A parameter of no single channel: of all that the effect reaches.
-                    channels: self.support(effect, ""),
-                })
+    /// The effects of `model`, with whom they concern.
+    fn reaching<'e>(&self, model: &'e Model) -> Vec<Reaching<'e>> {
+        let reaching = model.effects.iter().filter_map(|effect| {
+            let order = effects::TACTILE.iter().position(|kind| kind.id() == effect.id)?;
+            Some(Reaching {
+                effect,
+                kind: effects::TACTILE[order],
+                order: order as u64,
+                // A parameter of no single channel: of all that the effect reaches.
+                channels: self.support(effect, ""),
             })
-            .collect()
+        });
+        reaching.collect()
     }
 
     /// What the load of `channel` depends on.
-    fn load_key(&self, channel: usize, model: &Model, reaching: &[Reaching<'_>]) -> Key {
+    fn load_key(&self, channel: usize, model: &Model, reaching: &[&Reaching<'_>]) -> Key {
         let layout = &self.station.layout;
         let (stream, patch) = (layout.channels[channel].stream, layout.channels[channel].patch);
         let own_taxel = channel - layout.patches[patch].channels.start;
@@ -394,7 +423,7 @@ impl TactileDomain<'_> {
         limb: usize,
         chain: &Chain<'_>,
         scene: &TakeScene<'_>,
-        reaching: &[Reaching<'_>],
+        reaching: &[&Reaching<'_>],
         channels: &[bool],
     ) -> Result<Arc<Geometry>, DiagnosisError> {
         let layout = &self.station.layout;
@@ -433,15 +462,19 @@ impl TactileDomain<'_> {
         };
         let unknown: Vec<bool> =
             wanted.iter().zip(&known).map(|(wanted, known)| *wanted && known.is_none()).collect();
-        let mut geometry = chain.geometry_of(scene, &unknown).map_err(|error| {
+        let poses = Some(self.takes[take].poses(limb));
+        let mut geometry = chain.geometry_of(scene, poses, &unknown).map_err(|error| {
             DiagnosisError::Input(format!("take {:?}: {error}", self.takes[take].take.id))
         })?;
         let new = unknown.iter().enumerate().filter(|(_, unknown)| **unknown);
         let new: Vec<(usize, Arc<PatchGeometry>)> =
             new.map(|(idx, _)| (idx, Arc::new(geometry.patch(idx)))).collect();
         geometry.adopt(known.iter().enumerate().filter_map(|(idx, known)| Some((idx, &**known.as_ref()?))));
-        let geometry = Arc::new(geometry);
         let mut memory = self.memory(take, limb);
+        // What fingers feel of each other has nothing to do with objects.
+        let key_of_touches = key_of(&|one| !matches!(one.effect.place, Place::Object(_)));
+        geometry.share(memory.touches.get_or_put(key_of_touches, FingerTouches::default));
+        let geometry = Arc::new(geometry);
         for (idx, patch) in new {
             memory.patches[idx].put(keys[idx].clone(), patch);
         }

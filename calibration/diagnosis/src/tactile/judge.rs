@@ -35,7 +35,7 @@ pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
 }
 
 fn chain(model: &SensorModel) -> Chain<'_> {
-    Chain { theta: model.theta, response: &model.response, effects: &model.effects, soft_widths: &[] }
+    Chain::new(model.theta, &model.response, &model.effects, &[])
 }
 
 /// Where everything is in `takes` under `model`.

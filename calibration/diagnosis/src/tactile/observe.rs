@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use palpate_recording::{SpanKind, StreamLog, Take};
-use palpate_robot_model::{JointKind, ObjectModel, Station, TactileLayout};
+use palpate_robot_model::{JointKind, LinkPoses, ObjectModel, Station, TactileLayout};
 use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -55,8 +55,12 @@ pub(crate) struct Observed<'a> {
 #[derive(Clone)]
 struct Limb {
     moments: Moments,
+    /// The links that its patches are on.
+    links: Vec<usize>,
     /// Joint positions at the moments, as in [`TakeScene::positions`].
     positions: Vec<f64>,
+    /// Where its links, and those before them, are at these positions.
+    poses: LinkPoses,
     /// Per stream, when the sample in effect at each moment arrived, s.
     arrivals_s: Vec<Vec<f64>>,
     /// As [`TakeScene::frozen_for_s`]; empty without raw readings.
@@ -64,9 +68,15 @@ struct Limb {
 }
 
 impl Limb {
-    /// The limb of `take` in which something is felt at the times `felt_s`. `repeated_for_s`: of every stream, see
-    /// [`repeated_for_s`].
-    fn new(station: &Station, take: &Take, felt_s: &[f64], repeated_for_s: &[Vec<f64>]) -> Self {
+    /// The limb of `take` with patches on `links`, in which something is felt at the times `felt_s`. `repeated_for_s`: of every
+    /// stream, see [`repeated_for_s`].
+    fn new(
+        station: &Station,
+        take: &Take,
+        links: Vec<usize>,
+        felt_s: &[f64],
+        repeated_for_s: &[Vec<f64>],
+    ) -> Self {
         let moments = Moments::new(&take.joints.times_s, felt_s);
         let mut arrivals_s = Vec::new();
         let mut frozen_for_s = Vec::new();
@@ -85,7 +95,14 @@ impl Limb {
             frozen_for_s.clear();
         }
         let positions = moments.interpolated(&take.joints.positions, station.robot.num_dofs());
-        Self { moments, positions, arrivals_s, frozen_for_s }
+        let poses = LinkPoses::new(&station.robot, links.iter().copied(), &positions);
+        Self { moments, links, positions, poses, arrivals_s, frozen_for_s }
+    }
+
+    /// The same with other joint positions at the frames.
+    fn follow(&mut self, station: &Station, positions: &[f64]) {
+        self.positions = self.moments.interpolated(positions, station.robot.num_dofs());
+        self.poses = LinkPoses::new(&station.robot, self.links.iter().copied(), &self.positions);
     }
 }
 
@@ -140,12 +157,14 @@ impl<'a> Observed<'a> {
         let streams = layout.streams.iter().zip(&take.streams);
         let repeated_for_s: Vec<Vec<f64>> =
             streams.map(|(stream, log)| repeated_for_s(log, stream.channels.len())).collect();
-        let limbs = felt_s(layout, take)
-            .iter()
-            .map(|felt_s| Limb::new(station, take, felt_s, &repeated_for_s))
-            .collect();
-        let frozen_at_frames_s =
-            if has_raw { Limb::new(station, take, &[], &repeated_for_s).frozen_for_s } else { Vec::new() };
+        let felt_s = felt_s(layout, take).into_iter().zip(links(layout));
+        let limbs =
+            felt_s.map(|(felt_s, links)| Limb::new(station, take, links, &felt_s, &repeated_for_s)).collect();
+        let frozen_at_frames_s = if has_raw {
+            Limb::new(station, take, Vec::new(), &[], &repeated_for_s).frozen_for_s
+        } else {
+            Vec::new()
+        };
         Ok(Self {
             take,
             object,
@@ -223,7 +242,7 @@ impl<'a> Observed<'a> {
         }
         let mut simulated = self.clone();
         for limb in &mut simulated.limbs {
-            limb.positions = limb.moments.interpolated(&positions, num_dofs);
+            limb.follow(station, &positions);
         }
         let off_fractions: Vec<f64> = station
             .layout
@@ -287,9 +306,14 @@ impl<'a> Observed<'a> {
         }
     }
 
-    /// Of values at the moments of a limb, those at the joint frames.
-    pub(crate) fn at_frames(&self, limb: usize, of_moments: &[f64]) -> Series {
-        self.limbs[limb].moments.frames().iter().map(|&moment| of_moments[moment]).collect()
+    /// Where links are along [`TakeScene::positions`] of [`Self::scene`].
+    pub(crate) fn poses(&self, limb: usize) -> &LinkPoses {
+        &self.limbs[limb].poses
+    }
+
+    /// Which moments of a limb the joint frames are.
+    pub(crate) fn frames(&self, limb: usize) -> &[usize] {
+        self.limbs[limb].moments.frames()
     }
 }
 
@@ -306,6 +330,17 @@ pub(super) fn limbs(layout: &TactileLayout) -> Vec<usize> {
         }
     }
     limbs
+}
+
+/// Per limb, the links that its patches are on.
+fn links(layout: &TactileLayout) -> Vec<Vec<usize>> {
+    let limbs = limbs(layout);
+    let num_limbs = limbs.iter().max().map_or(0, |last| last + 1);
+    let mut links = vec![Vec::new(); num_limbs];
+    for (patch, &limb) in layout.patches.iter().zip(&limbs) {
+        links[limb].push(patch.link);
+    }
+    links
 }
 
 /// Per limb, when anything was felt, s.

@@ -1,5 +1,7 @@
 //! Loads at moments between the frames of a take.
 
+use std::sync::Arc;
+
 /// Moments between frames.
 pub(super) enum Moments {
     /// Those of the frames.
@@ -33,8 +35,8 @@ impl Moments {
     }
 
     /// `loads` (frame by frame) at these moments, linear between frames.
-    pub(super) fn of(&self, loads: &[f64]) -> Vec<f64> {
-        let Self::Between(moments) = self else { return loads.to_vec() };
+    pub(super) fn of(&self, loads: &Arc<[f64]>) -> Arc<[f64]> {
+        let Self::Between(moments) = self else { return Arc::clone(loads) };
         let at = |&(from, to, share): &(u32, u32, f64)| {
             let (from, to) = (loads[from as usize], loads[to as usize]);
             from + share * (to - from)

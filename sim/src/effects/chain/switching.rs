@@ -1,5 +1,7 @@
 //! Loads become events.
 
+use std::sync::Arc;
+
 use super::Arrived;
 
 /// How load becomes an event.
@@ -34,58 +36,106 @@ impl Switching {
         ]
     }
 
-    /// Activation of `channel` at frames `times_s`, given what `arrived` of its load.
-    pub fn activation(&self, channel: usize, arrived: &Arrived, times_s: &[f64]) -> Vec<f64> {
-        let mut activation = self.latched(channel, &arrived.present, times_s);
-        let past: Vec<Vec<f64>> =
-            arrived.past.iter().map(|loads| self.latched(channel, loads, times_s)).collect();
+    /// Activation of `channel` at the `frames` of those at `times_s` (`None`: at all of them), given what `arrived` of its load.
+    pub fn activation(
+        &self,
+        channel: usize,
+        arrived: &Arrived,
+        times_s: &[f64],
+        frames: Option<&[usize]>,
+    ) -> Vec<f64> {
+        let num_frames = arrived.present.len();
+        let num_wanted = frames.map_or(num_frames, <[usize]>::len);
+        // A channel that feels nothing stays as it is in the first frame.
+        let is_still = arrived.is_silent && !self.flickers(channel) && num_frames > 0;
+        let (looked_at, frames) =
+            if is_still { (1, frames.map(|frames| &frames[..1])) } else { (num_frames, frames) };
+        let latched = |loads: &Arc<[f64]>| self.latched(channel, &loads[..looked_at], times_s, frames);
+        let mut activation = latched(&arrived.present);
+        let past: Vec<Vec<f64>> = arrived.past.iter().map(latched).collect();
         if !past.is_empty() {
+            let past: Vec<&[f64]> = past.iter().map(|past| &past[..]).collect();
             arrived.blend(&mut activation, &past);
             activation.iter_mut().for_each(|activation| *activation = activation.clamp(0.0, 1.0));
         }
+        activation.resize(num_wanted, activation.last().copied().unwrap_or(0.0));
         activation
     }
 
-    /// Activation of `channel` under `loads`.
+    /// Whether `channel` is on in frames that are drawn.
+    fn flickers(&self, channel: usize) -> bool {
+        let idle = self.idle_activation[channel];
+        self.widths[channel] <= 0.0 && idle > 0.0 && idle < 1.0
+    }
+
+    /// Activation of `channel` under `loads`, at `frames` of them (`None`: at all).
     ///
     /// A soft latch: an event that is on stays on as far as the load is above the lower threshold. Where it switches
-    /// hard this is the latch of a comparator with hysteresis.
-    fn latched(&self, channel: usize, loads: &[f64], times_s: &[f64]) -> Vec<f64> {
+    /// hard this is the latch of a comparator with hysteresis. It latches how far the load is beyond a threshold, in widths, of
+    /// which the activation is a function that only rises, so that most frames never need its value.
+    fn latched(&self, channel: usize, loads: &[f64], times_s: &[f64], frames: Option<&[usize]>) -> Vec<f64> {
         let [on, off_fraction, min_on_s, idle, passed, width] = self.of_channel(channel);
         let (off, off_width) = (on * off_fraction, width * off_fraction);
-        let above = |load: f64, threshold: f64, width: f64| {
+        // Infinitely far where it switches hard.
+        let beyond = |load: f64, threshold: f64, width: f64| {
             if width > 0.0 && threshold.is_finite() {
-                1.0 / (1.0 + (-(load - threshold) / width).exp())
+                (load - threshold) / width
+            } else if load > threshold {
+                f64::INFINITY
             } else {
-                f64::from(u8::from(load > threshold))
+                f64::NEG_INFINITY
             }
         };
-        let mut latched = 0.0_f64;
-        let mut last = (f64::NAN, 0.0, None);
-        let mut values: Vec<f64> = loads
-            .iter()
-            .enumerate()
-            .map(|(frame, &load)| {
-                // Quiet channels stay where they are, and are most of the work.
-                if load != last.0 {
-                    last = (load, above(load, on, width), None);
-                }
-                let (_, over_on, over_off) = &mut last;
-                latched = if latched > *over_on && off != on {
-                    // The lower threshold concerns only what is on.
-                    let over_off = *over_off.get_or_insert_with(|| above(load, off, off_width));
-                    over_on.max(latched.min(over_off))
-                } else {
-                    *over_on
+        let flickers = self.flickers(channel);
+        let mut latched = f64::NEG_INFINITY;
+        let mut last = (f64::NAN, f64::NEG_INFINITY, None);
+        let mut latch = |load: f64| {
+            // Quiet channels stay where they are, and are most of the work.
+            if load != last.0 {
+                last = (load, beyond(load, on, width), None);
+            }
+            let (_, over_on, over_off) = &mut last;
+            latched = if latched > *over_on && off != on {
+                // The lower threshold concerns only what is on.
+                let over_off = *over_off.get_or_insert_with(|| beyond(load, off, off_width));
+                over_on.max(latched.min(over_off))
+            } else {
+                *over_on
+            };
+            latched
+        };
+        let mut last = (f64::NAN, 0.0);
+        let mut activation = |frame: usize, latched: f64| {
+            if latched != last.0 {
+                last = (latched, 1.0 / (1.0 + (-latched).exp()));
+            }
+            let idle = if flickers { drawn(frame, channel, idle) } else { idle };
+            passed * last.1.max(idle)
+        };
+        match frames {
+            Some(frames) if min_on_s <= 0.0 => {
+                let mut next = 0;
+                let at = |&frame: &usize| {
+                    let mut latched = f64::NEG_INFINITY;
+                    loads[next..=frame].iter().for_each(|load| latched = latch(*load));
+                    next = frame + 1;
+                    activation(frame, latched)
                 };
-                let idle = if width > 0.0 || idle >= 1.0 { idle } else { drawn(frame, channel, idle) };
-                passed * latched.max(idle)
-            })
-            .collect();
-        if min_on_s > 0.0 {
-            debounce(&mut values, times_s, min_on_s);
+                frames.iter().map(at).collect()
+            }
+            _ => {
+                let each = loads.iter().enumerate();
+                let mut values: Vec<f64> =
+                    each.map(|(frame, load)| activation(frame, latch(*load))).collect();
+                if min_on_s > 0.0 {
+                    debounce(&mut values, times_s, min_on_s);
+                }
+                match frames {
+                    Some(frames) => frames.iter().map(|&frame| values[frame]).collect(),
+                    None => values,
+                }
+            }
         }
-        values
     }
 }
 
@@ -121,5 +171,100 @@ fn debounce(values: &mut [f64], times_s: &[f64], min_on_s: f64) {
             smallest = smallest.min(at_start);
         }
         values[frame] = smallest;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn arrived(present: &[f64], past: &[Vec<f64>], is_silent: bool) -> Arrived {
+        let past = past.iter().map(|past| past.clone().into()).collect();
+        Arrived { present: present.into(), past, is_silent, past_share: 0.3 }
+    }
+
+    fn switching() -> impl Strategy<Value = Switching> {
+        let threshold = prop_oneof![0.5..2.0_f64, Just(f64::INFINITY), Just(f64::NEG_INFINITY)];
+        let width = prop_oneof![0.02..0.5_f64, Just(0.0)];
+        let min_on_s = prop_oneof![Just(0.0), 0.05..0.4_f64];
+        let idle = prop_oneof![Just(0.0), 0.0..=1.0_f64];
+        (threshold, 0.0..=1.0_f64, min_on_s, idle, 0.0..=1.0_f64, width).prop_map(
+            |(on_load, off_fraction, min_on_s, idle, passed, width)| Switching {
+                on_loads: vec![on_load],
+                off_fractions: vec![off_fraction],
+                min_on_s: vec![min_on_s],
+                idle_activation: vec![idle],
+                passed_shares: vec![passed],
+                widths: vec![width],
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn some_frames_are_as_all_are(
+            switching in switching(),
+            loads in prop::collection::vec(prop_oneof![Just(0.0), 0.0..4.0_f64], 1..40),
+            has_past in any::<bool>(),
+            wanted in prop::collection::vec(any::<bool>(), 40),
+        ) {
+            let times_s: Vec<f64> = (0..loads.len()).map(|frame| 0.03 * frame as f64).collect();
+            let frames: Vec<usize> = (0..loads.len()).filter(|&frame| wanted[frame]).collect();
+            let past = if has_past { vec![loads.iter().map(|load| 0.5 * load).collect()] } else { Vec::new() };
+            let arrived = arrived(&loads, &past, false);
+            let all = switching.activation(0, &arrived, &times_s, None);
+            let some = switching.activation(0, &arrived, &times_s, Some(&frames));
+            prop_assert_eq!(frames.iter().map(|&frame| all[frame]).collect::<Vec<_>>(), some);
+        }
+
+        #[test]
+        fn what_feels_nothing_is_as_what_feels_zeros(
+            switching in switching(), num_frames in 1_usize..40, has_past in any::<bool>(), every in 1_usize..5,
+        ) {
+            let zeros = vec![0.0; num_frames];
+            let times_s: Vec<f64> = (0..num_frames).map(|frame| 0.03 * frame as f64).collect();
+            let frames: Vec<usize> = (0..num_frames).step_by(every).collect();
+            let past = if has_past { vec![zeros.clone()] } else { Vec::new() };
+            for frames in [None, Some(&frames[..])] {
+                let of = |is_silent| switching.activation(0, &arrived(&zeros, &past, is_silent), &times_s, frames);
+                prop_assert_eq!(of(true), of(false));
+            }
+        }
+
+        /// The same latch written with activations.
+        #[test]
+        fn latched_activations_are_those_of_latched_distances(
+            switching in switching(), loads in prop::collection::vec(0.0..4.0_f64, 1..40),
+        ) {
+            let switching = Switching { min_on_s: vec![0.0], idle_activation: vec![0.0], ..switching };
+            let [on, off_fraction, _, _, passed, width] = switching.of_channel(0);
+            let above = |load: f64, threshold: f64, width: f64| {
+                if width > 0.0 && threshold.is_finite() {
+                    1.0 / (1.0 + (-(load - threshold) / width).exp())
+                } else {
+                    f64::from(u8::from(load > threshold))
+                }
+            };
+            let mut latched = 0.0_f64;
+            let expected: Vec<f64> = loads
+                .iter()
+                .map(|&load| {
+                    let over_on = above(load, on, width);
+                    let over_off = if off_fraction == 1.0 {
+                        over_on
+                    } else {
+                        above(load, on * off_fraction, width * off_fraction)
+                    };
+                    latched = over_on.max(latched.min(over_off));
+                    passed * latched
+                })
+                .collect();
+            let found = switching.activation(0, &arrived(&loads, &[], false), &[], None);
+            for (found, expected) in found.iter().zip(&expected) {
+                prop_assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+            }
+        }
     }
 }

@@ -112,8 +112,7 @@ fn no_effects_are_the_papers_model() {
     )
     .expect("valid");
     let response = palpate_sim::Response::default();
-    let chain =
-        palpate_sim::effects::Chain { theta: THETA, response: &response, effects: &[], soft_widths: &[] };
+    let chain = palpate_sim::effects::Chain::new(THETA, &response, &[], &[]);
     for take in takes(&station) {
         let scene = take.scene(&station, &take.measured);
         let object = SignedDistance::new(&take.object.shape).expect("valid");

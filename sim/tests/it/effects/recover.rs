@@ -27,7 +27,7 @@ static BENCH: LazyLock<Bench> = LazyLock::new(|| {
         .collect();
     takes.push(touching_fingers(&station, 40));
     let response = response(&station);
-    let chain = Chain { theta: THETA, response: &response, effects: &[], soft_widths: &SOFT };
+    let chain = Chain::new(THETA, &response, &[], &SOFT);
     let geometry = |take: &Take| chain.geometry(&take.scene(&station, &take.measured)).expect("a valid take");
     let geometries: Vec<Geometry> = takes.iter().map(geometry).collect();
     Bench { station, takes, geometries }

@@ -263,7 +263,7 @@ pub(crate) fn sense(
     cache: Option<&[Geometry]>,
 ) -> Vec<Sensed> {
     let response = response(station);
-    let chain = Chain { theta: THETA, response: &response, effects, soft_widths };
+    let chain = Chain::new(THETA, &response, effects, soft_widths);
     takes
         .iter()
         .enumerate()
