@@ -105,9 +105,12 @@ fn touches(
     felt
 }
 
+/// Touches by the groups that meet and the patch that feels it.
+type ByMeeting = BTreeMap<(Vec<String>, usize), Arc<Touches>>;
+
 /// What fingers feel of each other while joints and patches stay where they are, remembered.
 #[derive(Clone, Debug, Default)]
-pub struct FingerTouches(Arc<Mutex<BTreeMap<(Vec<String>, usize), Arc<Touches>>>>);
+pub struct FingerTouches(Arc<Mutex<ByMeeting>>);
 
 impl FingerTouches {
     fn get(&self, groups: &[String], patch: usize) -> Option<Arc<Touches>> {

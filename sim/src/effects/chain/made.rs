@@ -6,20 +6,26 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::effects::FingerTouches;
 use crate::replay::PatchTrace;
 
+/// Pressures at the taxels of a patch, each frame by frame; none where nothing presses.
+type Pressures = Arc<[Option<Arc<[f64]>>]>;
+
 /// What has been made of the patches of a geometry lately.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Made {
-    /// Pressures at the taxels, by decay; none where nothing presses.
-    pub(super) spread: ByPatch<Arc<[Option<Arc<[f64]>>]>>,
+    /// By decay.
+    pub(super) spread: ByPatch<Pressures>,
     /// What soft pads feel, by softness.
     pub(super) softened: ByPatch<Arc<PatchTrace>>,
     /// What fingers feel of each other.
     pub(super) touches: FingerTouches,
 }
 
+/// Values by the bits of a number, the latest last.
+type ByNumber<T> = Vec<(u64, T)>;
+
 /// Values by patch and the bits of a number.
 #[derive(Clone, Debug)]
-pub(super) struct ByPatch<T>(Arc<Mutex<BTreeMap<usize, Vec<(u64, T)>>>>);
+pub(super) struct ByPatch<T>(Arc<Mutex<BTreeMap<usize, ByNumber<T>>>>);
 
 impl<T> Default for ByPatch<T> {
     fn default() -> Self {
