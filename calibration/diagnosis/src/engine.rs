@@ -1,6 +1,7 @@
 //! The part of a diagnosis that knows no sensors: what a [`Domain`] must offer, and the naming of effects in it.
 //!
 //! - [`rows`]: how the rows of takes are numbered
+//! - [`segment`]: one signal of one take under a model
 //! - [`linear`]: a model's surroundings to first order: weighted residuals, nuisances projected out, doses of candidates
 //! - [`normal`]: normal matrices
 //! - [`screen`]: every candidate by its dose response
@@ -25,6 +26,7 @@ mod normal;
 mod reconsider;
 mod rows;
 mod screen;
+mod segment;
 #[cfg(test)]
 mod tests;
 

@@ -1,6 +1,6 @@
 //! The surroundings of a model to first order.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use palpate_sim::effects::Effect;
@@ -8,51 +8,9 @@ use rayon::prelude::*;
 
 use super::normal::inverse;
 use super::rows::{Column, Rows};
-use super::{Domain, HUBER, Model, Series, huber};
+use super::segment::{Segment, square};
+use super::{Domain, Model, Series, huber};
 use crate::DiagnosisError;
-
-/// One signal of one take under a model.
-struct Segment {
-    predicted: Series,
-    /// Weight of each row: one over its standard deviation, less for outliers; 0 where nothing was measured.
-    weights: Vec<f64>,
-    /// The same without regard to outliers; made when somebody asks.
-    allowed: OnceLock<Vec<f64>>,
-    /// Weighted residuals.
-    residual: Arc<[f64]>,
-    /// Huber's loss of the residuals.
-    loss: f64,
-    /// Their squares.
-    square: f64,
-}
-
-impl Segment {
-    fn new<D: Domain>(domain: &D, take: usize, signal: usize, predicted: &Series) -> Self {
-        let observed = domain.observed(take, signal);
-        let mut weights = domain.weights(take, signal, predicted);
-        let mut loss = 0.0;
-        let residual: Arc<[f64]> = weights
-            .iter_mut()
-            .zip(predicted.iter().zip(observed))
-            .map(|(weight, (predicted, observed))| {
-                if observed.is_nan() {
-                    *weight = 0.0;
-                    return 0.0;
-                }
-                let deviation = (observed - predicted) * *weight;
-                loss += huber(deviation);
-                if deviation.abs() <= HUBER {
-                    return deviation;
-                }
-                // Reweighted least squares: an outlier pulls as hard as one at the limit.
-                *weight *= (HUBER / deviation.abs()).sqrt();
-                (observed - predicted) * *weight
-            })
-            .collect();
-        let square = square(&residual);
-        Self { predicted: Arc::clone(predicted), weights, allowed: OnceLock::new(), residual, loss, square }
-    }
-}
 
 /// A model over some takes: residuals, and the responses to parameters that are no news (the nuisances).
 ///
@@ -703,8 +661,4 @@ pub(crate) fn predict<D: Domain>(
 /// `step`, or its opposite where that would leave the bounds.
 pub(crate) fn inside(value: f64, step: f64, lower: f64, upper: f64) -> f64 {
     if (lower..=upper).contains(&(value + step)) { step } else { -step }
-}
-
-fn square(values: &[f64]) -> f64 {
-    values.iter().map(|value| value * value).sum()
 }
