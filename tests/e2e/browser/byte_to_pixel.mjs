@@ -5,7 +5,7 @@
 // from the canvas in the task that drew it: what the browser needs to put it on a screen comes on top.
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
-import { openStation } from "./station.mjs";
+import { faults, openStation } from "./station.mjs";
 
 const [url, shots, channel, middle, jumps, out] = process.argv.slice(2);
 const station = await openStation(url, shots);
@@ -169,5 +169,5 @@ const { messages, frames } = await page.evaluate(() => {
   return { messages, frames };
 });
 writeFileSync(out, JSON.stringify({ pixel: found, messages, frames }));
-assert.deepEqual(errors, [], "the page logged errors");
+assert.deepEqual(faults(errors), [], "the page logged errors");
 await context.close();

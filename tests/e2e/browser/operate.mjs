@@ -2,7 +2,7 @@
 // Usage: node operate.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
 import { openPage } from "./browser.mjs";
-import { disabled, openStation } from "./station.mjs";
+import { disabled, faults, openStation } from "./station.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const station = await openStation(url, shots);
@@ -85,5 +85,5 @@ await step("reset ends the stop, disarmed; the station can be armed again and co
   await watching.page.getByText("Nobody has control").waitFor();
 });
 
-assert.deepEqual([...errors, ...watching.errors], [], "the pages logged errors");
+assert.deepEqual(faults([...errors, ...watching.errors]), [], "the pages logged errors");
 await context.close();

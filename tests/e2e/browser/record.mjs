@@ -1,7 +1,7 @@
 // An operator records a whole session by the wizard, take by take, and calibrates on it.
 // Usage: node record.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
-import { openStation } from "./station.mjs";
+import { faults, openStation } from "./station.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const station = await openStation(url, shots);
@@ -114,5 +114,5 @@ await step("a calibration on it finishes", async () => {
   await shot("record-calibrated");
 });
 
-assert.deepEqual(errors, [], "the page logged errors");
+assert.deepEqual(faults(errors), [], "the page logged errors");
 await context.close();
