@@ -108,6 +108,26 @@ impl SignedDistance {
         Ok(Self { shape, bounding_radius_m })
     }
 
+    /// Of a shape of a link, in the shape's own frame.
+    pub(crate) fn of_link_shape(shape: &LinkShape) -> Self {
+        let (shape, bounding_radius_m) = match *shape {
+            LinkShape::Box { size_m } => {
+                let half_extents = 0.5 * Vector3::from(size_m);
+                (Shape::Cuboid { half_extents }, half_extents.norm())
+            }
+            LinkShape::Cylinder { radius_m, length_m } => {
+                let half_height = 0.5 * length_m;
+                (Shape::Cylinder { radius: radius_m, half_height }, radius_m.hypot(half_height))
+            }
+            LinkShape::Capsule { radius_m, length_m } => {
+                let half_length = 0.5 * length_m;
+                (Shape::Capsule { radius: radius_m, half_length }, radius_m + half_length)
+            }
+            LinkShape::Sphere { radius_m } => (Shape::Ball { radius: radius_m }, radius_m),
+        };
+        Self { shape, bounding_radius_m }
+    }
+
     /// Signed distance of `pos_in_object` to the surface, m; negative inside.
     pub fn distance_m(&self, pos_in_object: &Point3<f64>) -> f64 {
         self.distance_below_m(pos_in_object, f64::INFINITY)
@@ -313,14 +333,12 @@ fn cuboid_distance(p: &Point3<f64>, half_extents: &Vector3<f64>) -> f64 {
     outside + beyond.x.max(beyond.y).max(beyond.z).min(0.0)
 }
 
-/// Signed distance of a point in the shape's frame to the shape of a link, m; negative inside.
-pub(crate) fn link_shape_distance_m(shape: &LinkShape, p: &Point3<f64>) -> f64 {
-    match *shape {
-        LinkShape::Box { size_m } => cuboid_distance(p, &(Vector3::from(size_m) * 0.5)),
-        LinkShape::Cylinder { radius_m, length_m } => cylinder_distance(p, radius_m, 0.5 * length_m),
-        LinkShape::Capsule { radius_m, length_m } => capsule_distance(p, radius_m, 0.5 * length_m),
-        LinkShape::Sphere { radius_m } => ball_distance(p, radius_m),
-    }
+/// Centre and radius, m, of a ball that holds all `points`: about the middle of the box around them.
+pub(crate) fn ball_about(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
+    let first = points.first().copied().unwrap_or_else(Point3::origin);
+    let (low, high) = points.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
+    let center = nalgebra::center(&low, &high);
+    (center, points.iter().map(|p| (p - center).norm()).fold(0.0, f64::max))
 }
 
 pub(crate) fn parry_vector(p: &Point3<f64>) -> Vector {

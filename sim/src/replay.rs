@@ -79,6 +79,16 @@ impl Gaps {
 pub const NEAR_M: f64 = 0.05;
 
 impl PatchTrace {
+    /// What its frames take in memory, bytes.
+    pub(crate) fn num_bytes(&self) -> usize {
+        match self {
+            Self::Proximity { min_distance_m, gaps } => {
+                size_of_val(&min_distance_m[..]) + size_of_val(&gaps.ends[..]) + size_of_val(&gaps.gaps_m[..])
+            }
+            Self::Pressure { offsets, entries } => size_of_val(&offsets[..]) + size_of_val(&entries[..]),
+        }
+    }
+
     /// The range of `entries` of `frame` of a pressure patch.
     pub fn entry_range(offsets: &[u32], frame: usize) -> Range<usize> {
         offsets[frame] as usize..offsets[frame + 1] as usize
@@ -241,7 +251,7 @@ const SOFT_TAIL: f64 = 8.0;
 const LONGEST_GAP_M: f64 = SOFT_TAIL * MOST_SOFTNESS_M;
 
 /// Room for rounding in a bound from the bounding sphere, m.
-const ROUNDING_M: f64 = 1e-9;
+pub(crate) const ROUNDING_M: f64 = 1e-9;
 
 /// The number of frames, or what is wrong with the inputs.
 pub(crate) fn check(
@@ -289,14 +299,7 @@ enum ChunkTrace {
 impl Probe {
     fn new(layout: &TactileLayout, patch: &Patch, gaps_below_m: f64) -> Self {
         let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
-        let first = nodes_in_link.first().copied().unwrap_or_else(Point3::origin);
-        let (mut low, mut high) = (first, first);
-        for node in &nodes_in_link {
-            low = low.inf(node);
-            high = high.sup(node);
-        }
-        let center_in_link = nalgebra::center(&low, &high);
-        let radius_m = nodes_in_link.iter().map(|node| (node - center_in_link).norm()).fold(0.0, f64::max);
+        let (center_in_link, radius_m) = geometry::ball_about(&nodes_in_link);
         Self {
             link: patch.link,
             kind: layout.streams[patch.stream].kind,

@@ -340,7 +340,8 @@ pub(crate) fn is_local(effect: &Effect) -> bool {
 fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {
     let layout = &station.layout;
     let num_limbs = observe::limbs(layout).into_iter().max().map_or(0, |last| last + 1);
-    let of_take = || (0..num_limbs).map(|_| Memory::new(layout.num_channels(), layout.patches.len()));
+    let memory = |_| Memory::new(layout.num_channels(), layout.patches.len(), num_limbs * num_takes);
+    let of_take = || (0..num_limbs).map(memory);
     (0..num_takes).map(|_| of_take().collect()).collect()
 }
 

@@ -438,6 +438,13 @@ pub struct Geometry {
 #[derive(Clone, Debug)]
 pub struct PatchGeometry(Arc<PatchTrace>);
 
+impl PatchGeometry {
+    /// What it takes in memory, bytes.
+    pub fn num_bytes(&self) -> usize {
+        self.0.num_bytes()
+    }
+}
+
 impl Geometry {
     /// Its patch `idx`.
     pub fn patch(&self, idx: usize) -> PatchGeometry {

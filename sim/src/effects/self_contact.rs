@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{LinkTracker, Place, Robot, SensorKind, Station, TactileLayout};
+use palpate_robot_model::{LinkTracker, Patch, Place, Robot, SensorKind, Station, TactileLayout};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
-use crate::geometry::link_shape_distance_m;
-use crate::replay::{NEAR_M, PatchTrace};
+use crate::geometry::{SignedDistance, ball_about};
+use crate::replay::{NEAR_M, PatchTrace, ROUNDING_M};
 
 /// Patches of one group also feel the collision shapes of the other's links, and the other way round. Links that a joint
 /// connects do not count: they always touch.
@@ -88,14 +88,14 @@ fn touches(
         return known;
     }
     let robot = &scene.station.robot;
-    let mut felt: Vec<Touches> = meetings.iter().map(|_| Touches::new()).collect();
-    let met = meetings.iter().flat_map(|meeting| &meeting.links).copied();
-    let felt_by = meetings.iter().map(|meeting| state.layout.patches[meeting.patch].link);
-    let mut tracker = LinkTracker::new(robot, met.chain(felt_by), None);
+    let skins: Vec<Skin> = meetings.iter().map(|meeting| Skin::new(robot, state.layout, meeting)).collect();
+    let mut felt: Vec<Touches> = skins.iter().map(|_| Touches::new()).collect();
+    let links = skins.iter().flat_map(|skin| skin.bodies.iter().map(|body| body.link).chain([skin.link]));
+    let mut tracker = LinkTracker::new(robot, links, None);
     for (frame, positions) in state.positions.chunks_exact(robot.num_dofs().max(1)).enumerate() {
         let root_from_link = tracker.at(frame, positions);
-        for (meeting, felt) in meetings.iter().zip(&mut felt) {
-            meeting.feel(robot, state.layout, root_from_link, felt);
+        for (skin, felt) in skins.iter().zip(&mut felt) {
+            skin.feel(root_from_link, felt);
         }
     }
     let felt: Vec<Arc<Touches>> = felt.into_iter().map(Arc::new).collect();
@@ -128,9 +128,6 @@ impl FingerTouches {
 struct Meeting {
     patch: usize,
     links: Vec<usize>,
-    /// A ball in the frame of the patch's link that holds its nodes.
-    center_in_link: Point3<f64>,
-    radius_m: f64,
 }
 
 fn meetings(robot: &Robot, layout: &TactileLayout, one: &str, other: &str) -> Vec<Meeting> {
@@ -144,65 +141,99 @@ fn meetings(robot: &Robot, layout: &TactileLayout, one: &str, other: &str) -> Ve
     let joined = |a: usize, b: usize| {
         robot.joints.iter().any(|joint| [(a, b), (b, a)].contains(&(joint.parent_link, joint.child_link)))
     };
-    let mut meetings = Vec::new();
-    for (idx, patch) in layout.patches.iter().enumerate() {
+    let met_by = |(idx, patch): (usize, &Patch)| {
         let others = if patch.group == one {
             links_of(other)
         } else if patch.group == other {
             links_of(one)
         } else {
-            continue;
+            return None;
         };
         let can_meet = |link: &usize| {
             *link != patch.link && !joined(*link, patch.link) && !robot.links[*link].collisions.is_empty()
         };
         let links: Vec<usize> = others.into_iter().filter(can_meet).collect();
-        let Some(first) = patch.nodes.first() else { continue };
-        if links.is_empty() {
-            continue;
-        }
-        let (mut low, mut high) = (first.pos_in_link, first.pos_in_link);
-        for node in &patch.nodes {
-            (low, high) = (low.inf(&node.pos_in_link), high.sup(&node.pos_in_link));
-        }
-        let center_in_link = nalgebra::center(&low, &high);
-        let reach = |node: &palpate_robot_model::SurfaceNode| (node.pos_in_link - center_in_link).norm();
-        let radius_m = patch.nodes.iter().map(reach).fold(0.0, f64::max);
-        meetings.push(Meeting { patch: idx, links, center_in_link, radius_m });
-    }
-    meetings
+        (!links.is_empty() && !patch.nodes.is_empty()).then_some(Meeting { patch: idx, links })
+    };
+    layout.patches.iter().enumerate().filter_map(met_by).collect()
 }
 
-impl Meeting {
-    /// Adds the distances of one frame to `felt`.
-    fn feel(
-        &self,
-        robot: &Robot,
-        layout: &TactileLayout,
-        root_from_link: &[Isometry3<f64>],
-        felt: &mut Touches,
-    ) {
-        let patch = &layout.patches[self.patch];
+/// A patch and what it can meet, prepared for many frames.
+struct Skin {
+    link: usize,
+    kind: SensorKind,
+    nodes_in_link: Vec<Point3<f64>>,
+    /// A ball that holds every node.
+    center_in_link: Point3<f64>,
+    radius_m: f64,
+    bodies: Vec<Body>,
+}
+
+/// A collision shape.
+struct Body {
+    link: usize,
+    shape_from_link: Isometry3<f64>,
+    center_in_link: Point3<f64>,
+    distance: SignedDistance,
+}
+
+impl Skin {
+    fn new(robot: &Robot, layout: &TactileLayout, meeting: &Meeting) -> Self {
+        let patch = &layout.patches[meeting.patch];
+        let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
+        let (center_in_link, radius_m) = ball_about(&nodes_in_link);
+        let bodies_of = |&link: &usize| {
+            robot.links[link].collisions.iter().map(move |body| Body {
+                link,
+                shape_from_link: body.link_from_shape.inverse(),
+                center_in_link: body.link_from_shape.translation.vector.into(),
+                distance: SignedDistance::of_link_shape(&body.shape),
+            })
+        };
+        Self {
+            link: patch.link,
+            kind: layout.streams[patch.stream].kind,
+            nodes_in_link,
+            center_in_link,
+            radius_m,
+            bodies: meeting.links.iter().flat_map(bodies_of).collect(),
+        }
+    }
+
+    /// Adds what is felt in one frame to `felt`.
+    fn feel(&self, root_from_link: &[Isometry3<f64>], felt: &mut Touches) {
         let first = felt.nodes.len();
         // A node that presses counts however deep others are; of those that do not, the nearest.
-        let is_pressed = layout.streams[patch.stream].kind == SensorKind::Pressure;
-        let mut nearest_m = if is_pressed { 0.0 } else { NEAR_M };
-        for &link in &self.links {
-            let other_from_patch = root_from_link[link].inverse() * root_from_link[patch.link];
-            for body in &robot.links[link].collisions {
-                let shape_from_patch = body.link_from_shape.inverse() * other_from_patch;
-                let center_m = link_shape_distance_m(&body.shape, &(shape_from_patch * self.center_in_link));
-                if center_m - self.radius_m >= nearest_m {
-                    continue;
+        let mut nearest_m = match self.kind {
+            SensorKind::Pressure => 0.0,
+            SensorKind::Proximity => NEAR_M,
+        };
+        let root_from_own = &root_from_link[self.link];
+        let center = root_from_own * self.center_in_link;
+        for body in &self.bodies {
+            let root_from_body = &root_from_link[body.link];
+            let reach_m = nearest_m + self.radius_m + ROUNDING_M;
+            let balls_reach_m = reach_m + body.distance.bounding_radius_m();
+            let between = root_from_body * body.center_in_link - center;
+            if between.norm_squared() >= balls_reach_m * balls_reach_m {
+                continue;
+            }
+            let shape_from_own = body.shape_from_link * (root_from_body.inverse() * root_from_own);
+            if body.distance.distance_m(&(shape_from_own * self.center_in_link)) >= reach_m {
+                continue;
+            }
+            match self.kind {
+                SensorKind::Proximity => {
+                    nearest_m =
+                        body.distance.min_distance_below_m(&shape_from_own, &self.nodes_in_link, nearest_m);
                 }
-                for (node, surface) in patch.nodes.iter().enumerate() {
-                    let distance_m =
-                        link_shape_distance_m(&body.shape, &(shape_from_patch * surface.pos_in_link));
-                    if !is_pressed {
-                        nearest_m = nearest_m.min(distance_m);
-                    } else if distance_m < 0.0 {
-                        felt.nodes.push((node as u32, -distance_m));
-                    }
+                SensorKind::Pressure => {
+                    let press = |node: usize, distance_m: f64| {
+                        if distance_m < 0.0 {
+                            felt.nodes.push((node as u32, -distance_m));
+                        }
+                    };
+                    body.distance.for_each_distance_below(&shape_from_own, &self.nodes_in_link, 0.0, press);
                 }
             }
         }

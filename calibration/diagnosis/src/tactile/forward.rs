@@ -130,6 +130,8 @@ impl<const N: usize> Recent<N> {
 pub(super) struct Memory {
     channels: Vec<Kept<Arc<ChannelLoad>>>,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
+    /// The most that `patches` may take, bytes.
+    patches_bytes: usize,
     /// Per channel, [`Signal::Switched`] by what its firmware switches by.
     switched: Vec<Recent<2>>,
     /// Geometries that were put together, with the patches that each has.
@@ -146,16 +148,31 @@ const RECENT_KEPT: usize = 4;
 const GEOMETRIES_KEPT: usize = 4;
 /// Geometries of a patch that are remembered: every round moves it in the same ways to see what that would do.
 const MOTIONS_KEPT: usize = 80;
+/// What the geometries of patches that are remembered may take over all limbs and takes, bytes: long sessions remember fewer.
+const MOTIONS_BYTES: usize = 4 << 30;
 
 impl Memory {
-    pub(super) fn new(num_channels: usize, num_patches: usize) -> Mutex<Self> {
+    /// One of `num_memories` that share the room.
+    pub(super) fn new(num_channels: usize, num_patches: usize, num_memories: usize) -> Mutex<Self> {
         Mutex::new(Self {
+            patches_bytes: MOTIONS_BYTES / num_memories.max(1),
             channels: (0..num_channels).map(|_| Kept::new(LOADS_KEPT)).collect(),
             switched: vec![Recent(Vec::new()); num_channels],
             patches: (0..num_patches).map(|_| Kept::new(MOTIONS_KEPT)).collect(),
             geometries: Kept::new(GEOMETRIES_KEPT),
             touches: Kept::new(GEOMETRIES_KEPT),
         })
+    }
+
+    /// Forgets the oldest geometries of patches of which most are remembered, as far as they take more than they may.
+    fn forget_motions(&mut self) {
+        let kept = self.patches.iter().flat_map(|kept| &kept.entries);
+        let mut num_bytes: usize = kept.map(|(_, geometry)| geometry.num_bytes()).sum();
+        while num_bytes > self.patches_bytes {
+            let longest = self.patches.iter_mut().max_by_key(|kept| kept.entries.len());
+            let Some(longest) = longest.filter(|kept| kept.entries.len() > 1) else { return };
+            num_bytes -= longest.entries.remove(0).1.num_bytes();
+        }
     }
 }
 
@@ -478,6 +495,7 @@ impl TactileDomain<'_> {
         for (idx, patch) in new {
             memory.patches[idx].put(keys[idx].clone(), patch);
         }
+        memory.forget_motions();
         memory.geometries.put(key, (wanted, Arc::clone(&geometry)));
         Ok(geometry)
     }
@@ -520,12 +538,17 @@ mod tests {
         let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
         let new = || TactileDomain::new(stage.station(), &takes, &nominal).unwrap();
         let (remembering, start) = new();
+        let (forgetting, _) = new();
+        for memory in forgetting.memories.iter().flatten() {
+            memory.lock().unwrap().patches_bytes = 0;
+        }
         remembering.predict(0, &start).unwrap();
         for (idx, parameter) in remembering.base().iter().enumerate() {
             let mut model = start.clone();
             model.base[idx] += parameter.dose;
-            let (remembered, made) = (remembering.predict(0, &model), new().0.predict(0, &model));
-            assert!(remembered.unwrap() == made.unwrap(), "{}", parameter.name);
+            let made = new().0.predict(0, &model).unwrap();
+            assert!(remembering.predict(0, &model).unwrap() == made, "{}", parameter.name);
+            assert!(forgetting.predict(0, &model).unwrap() == made, "{}, forgetting", parameter.name);
         }
     }
 }

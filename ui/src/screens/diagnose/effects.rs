@@ -6,7 +6,7 @@ use palpate_wire::{
     wording,
 };
 
-use super::DiagnoseState;
+use super::{DiagnoseState, Shown};
 use crate::screens::ScreenContext;
 
 /// True when the operator wants another run without one of them.
@@ -31,6 +31,10 @@ pub(super) fn effects_ui(
     again
 }
 
+/// Room for what can be done with an effect, which stands beside its sentence where both have room.
+const ACTIONS_WIDTH: f32 = 400.0;
+const SENTENCE_WIDTH: f32 = 720.0;
+
 fn effect_ui(
     ui: &mut egui::Ui,
     cx: &ScreenContext<'_>,
@@ -40,6 +44,27 @@ fn effect_ui(
     effect: &NamedEffect,
 ) -> bool {
     let shown = &mut state.shown;
+    let width = ui.available_width() - ACTIONS_WIDTH;
+    let again = if width >= SENTENCE_WIDTH {
+        ui.horizontal(|ui| {
+            let down = egui::Layout::top_down(egui::Align::LEFT);
+            ui.allocate_ui_with_layout(egui::vec2(width, 0.0), down, |ui| {
+                ui.set_width(width);
+                sentence_ui(ui, cx, report, effect);
+            });
+            actions_ui(ui, shown, idx, effect)
+        })
+    } else {
+        sentence_ui(ui, cx, report, effect);
+        ui.horizontal_wrapped(|ui| actions_ui(ui, shown, idx, effect))
+    };
+    if shown.open.contains(&idx) {
+        evidence_ui(ui, cx, report, idx, effect);
+    }
+    again.inner
+}
+
+fn sentence_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, effect: &NamedEffect) {
     let sentence = wording::effect_sentences(effect, report);
     let response = ui.label(RichText::new(&sentence).size(15.5));
     response.widget_info(|| egui::WidgetInfo::labeled(Role::Label, true, &sentence));
@@ -48,43 +73,36 @@ fn effect_ui(
         let next = next.map_or_else(String::new, |next| format!(" {}", next.sentence));
         ui.colored_label(cx.palette.warning, format!("\u{26a0} {rivals}{next}"));
     }
-    let mut again = false;
-    ui.horizontal_wrapped(|ui| {
-        let mut ticked = !shown.unticked.contains(&idx);
-        let name = wording::effect_at(&effect.id, &effect.place);
-        let tick = ui.checkbox(&mut ticked, "Add it");
-        tick.widget_info(|| egui::WidgetInfo::selected(Role::CheckBox, true, ticked, format!("Add {name}")));
-        if tick.changed() {
-            if ticked {
-                shown.unticked.remove(&idx);
-            } else {
-                shown.unticked.insert(idx);
-            }
+}
+
+/// True when the operator wants another run without it.
+fn actions_ui(ui: &mut egui::Ui, shown: &mut Shown, idx: usize, effect: &NamedEffect) -> bool {
+    let mut ticked = !shown.unticked.contains(&idx);
+    let name = wording::effect_at(&effect.id, &effect.place);
+    let tick = ui.checkbox(&mut ticked, "Add it");
+    tick.widget_info(|| egui::WidgetInfo::selected(Role::CheckBox, true, ticked, format!("Add {name}")));
+    if tick.changed() {
+        if ticked {
+            shown.unticked.remove(&idx);
+        } else {
+            shown.unticked.insert(idx);
         }
-        let open = shown.open.contains(&idx);
-        let button = ui.selectable_label(open, if open { "Hide the evidence" } else { "Evidence" });
-        button.widget_info(|| {
-            egui::WidgetInfo::selected(Role::Button, true, open, format!("Evidence for {name}"))
-        });
-        if button.clicked() && !shown.open.remove(&idx) {
-            shown.open.insert(idx);
-        }
-        let leave = ui.button("Run again without it").on_hover_text(
-            "Leaves this effect out of the library and diagnoses again: what else could explain the data?",
-        );
-        leave.widget_info(|| {
-            egui::WidgetInfo::labeled(
-                Role::Button,
-                true,
-                format!("Run again without {}", wording::words(&effect.id)),
-            )
-        });
-        again = leave.clicked();
-    });
-    if shown.open.contains(&idx) {
-        evidence_ui(ui, cx, report, idx, effect);
     }
-    again
+    let open = shown.open.contains(&idx);
+    let button = ui.selectable_label(open, if open { "Hide the evidence" } else { "Evidence" });
+    button
+        .widget_info(|| egui::WidgetInfo::selected(Role::Button, true, open, format!("Evidence for {name}")));
+    if button.clicked() && !shown.open.remove(&idx) {
+        shown.open.insert(idx);
+    }
+    let leave = ui.button("Run again without it").on_hover_text(
+        "Leaves this effect out of the library and diagnoses again: what else could explain the data?",
+    );
+    leave.widget_info(|| {
+        let name = format!("Run again without {}", wording::words(&effect.id));
+        egui::WidgetInfo::labeled(Role::Button, true, name)
+    });
+    leave.clicked()
 }
 
 fn evidence_ui(

@@ -1,4 +1,4 @@
-//! What a finished diagnosis says: the sentence, the names, the picture, what is left, what to do next.
+//! What a finished diagnosis says: the sentence, the picture, the names, what is left, what to do next.
 
 use egui::{RichText, accesskit::Role};
 use palpate_wire::{
@@ -27,9 +27,12 @@ pub(super) fn results_ui(
     egui::ScrollArea::vertical().id_salt(&run.id).auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         lead_ui(ui, cx, report);
-        again = effects::effects_ui(ui, cx, state, report);
         section(ui, "The gap, step by step");
         bars::waterfall_ui(ui, &cx.palette, report);
+        if !report.effects.is_empty() {
+            section(ui, "What is missing");
+            again = effects::effects_ui(ui, cx, state, report);
+        }
         section(ui, "What was tried");
         bars::evidence_ui(ui, &cx.palette, report, &mut state.shown.all_candidates);
         section(ui, "Where simulation and hand disagree");
