@@ -48,8 +48,11 @@ fn effect_ui(
     let again = if width >= SENTENCE_WIDTH {
         ui.horizontal(|ui| {
             let down = egui::Layout::top_down(egui::Align::LEFT);
-            ui.allocate_ui_with_layout(egui::vec2(width, 0.0), down, |ui| {
+            let row = egui::vec2(width, ui.spacing().interact_size.y);
+            ui.allocate_ui_with_layout(row, down, |ui| {
                 ui.set_width(width);
+                // A single line stands in the middle of the row.
+                ui.add_space(0.5 * (row.y - ui.text_style_height(&egui::TextStyle::Body)));
                 sentence_ui(ui, cx, report, effect);
             });
             actions_ui(ui, shown, idx, effect)
