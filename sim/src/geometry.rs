@@ -58,22 +58,19 @@ impl SignedDistance {
         let (shape, bounding_radius_m) = match shape {
             &ObjectShape::Sphere { radius_m } => {
                 check_sizes("sphere radius", &[radius_m])?;
-                (Shape::Ball { radius: radius_m }, radius_m)
+                return Ok(Self::of_link_shape(&LinkShape::Sphere { radius_m }));
             }
             &ObjectShape::Cylinder { radius_m, height_m } => {
                 check_sizes("cylinder radius and height", &[radius_m, height_m])?;
-                let half_height = 0.5 * height_m;
-                (Shape::Cylinder { radius: radius_m, half_height }, radius_m.hypot(half_height))
+                return Ok(Self::of_link_shape(&LinkShape::Cylinder { radius_m, length_m: height_m }));
             }
             &ObjectShape::Capsule { radius_m, length_m } => {
                 check_sizes("capsule radius and length", &[radius_m, length_m])?;
-                let half_length = 0.5 * length_m;
-                (Shape::Capsule { radius: radius_m, half_length }, radius_m + half_length)
+                return Ok(Self::of_link_shape(&LinkShape::Capsule { radius_m, length_m }));
             }
-            ObjectShape::Box { size_m } => {
-                check_sizes("box size", size_m)?;
-                let half_extents = 0.5 * Vector3::from(*size_m);
-                (Shape::Cuboid { half_extents }, half_extents.norm())
+            &ObjectShape::Box { size_m } => {
+                check_sizes("box size", &size_m)?;
+                return Ok(Self::of_link_shape(&LinkShape::Box { size_m }));
             }
             ObjectShape::ConvexParts { parts } => {
                 let convex_part = |(i, points): (usize, &Vec<Point3<f64>>)| {
@@ -331,14 +328,6 @@ fn cuboid_distance(p: &Point3<f64>, half_extents: &Vector3<f64>) -> f64 {
     let beyond = p.coords.abs() - half_extents;
     let outside = beyond.map(|v| v.max(0.0)).norm();
     outside + beyond.x.max(beyond.y).max(beyond.z).min(0.0)
-}
-
-/// Centre and radius, m, of a ball that holds all `points`: about the middle of the box around them.
-pub(crate) fn ball_about(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
-    let first = points.first().copied().unwrap_or_else(Point3::origin);
-    let (low, high) = points.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
-    let center = nalgebra::center(&low, &high);
-    (center, points.iter().map(|p| (p - center).norm()).fold(0.0, f64::max))
 }
 
 pub(crate) fn parry_vector(p: &Point3<f64>) -> Vector {

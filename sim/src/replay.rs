@@ -280,14 +280,14 @@ pub(crate) fn check(
 /// A patch prepared for many frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Probe {
-    link: usize,
-    kind: SensorKind,
+    pub(crate) link: usize,
+    pub(crate) kind: SensorKind,
     stiffness_pa_per_m: f64,
     gaps_below_m: f64,
-    nodes_in_link: Vec<Point3<f64>>,
+    pub(crate) nodes_in_link: Vec<Point3<f64>>,
     /// A ball that holds every node.
-    center_in_link: Point3<f64>,
-    radius_m: f64,
+    pub(crate) center_in_link: Point3<f64>,
+    pub(crate) radius_m: f64,
 }
 
 /// What one patch felt over the frames of a chunk.
@@ -297,9 +297,17 @@ enum ChunkTrace {
 }
 
 impl Probe {
-    fn new(layout: &TactileLayout, patch: &Patch, gaps_below_m: f64) -> Self {
+    /// `gaps_below_m` as for [`trace_of`].
+    pub(crate) fn new(layout: &TactileLayout, patch: &Patch, gaps_below_m: f64) -> Self {
         let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
-        let (center_in_link, radius_m) = geometry::ball_about(&nodes_in_link);
+        let first = nodes_in_link.first().copied().unwrap_or_else(Point3::origin);
+        let (mut low, mut high) = (first, first);
+        for node in &nodes_in_link {
+            low = low.inf(node);
+            high = high.sup(node);
+        }
+        let center_in_link = nalgebra::center(&low, &high);
+        let radius_m = nodes_in_link.iter().map(|node| (node - center_in_link).norm()).fold(0.0, f64::max);
         Self {
             link: patch.link,
             kind: layout.streams[patch.stream].kind,

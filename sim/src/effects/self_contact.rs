@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Point3};
 use palpate_robot_model::{LinkTracker, Patch, Place, Robot, SensorKind, Station, TactileLayout};
 
 use super::{Contact, Effect, EffectKind, Parameter, Stage, TakeScene, places};
-use crate::geometry::{SignedDistance, ball_about};
-use crate::replay::{NEAR_M, PatchTrace, ROUNDING_M};
+use crate::geometry::SignedDistance;
+use crate::replay::{NEAR_M, PatchTrace, Probe, ROUNDING_M};
 
 /// Patches of one group also feel the collision shapes of the other's links, and the other way round. Links that a joint
 /// connects do not count: they always touch.
@@ -88,14 +88,17 @@ fn touches(
         return known;
     }
     let robot = &scene.station.robot;
-    let skins: Vec<Skin> = meetings.iter().map(|meeting| Skin::new(robot, state.layout, meeting)).collect();
-    let mut felt: Vec<Touches> = skins.iter().map(|_| Touches::new()).collect();
-    let links = skins.iter().flat_map(|skin| skin.bodies.iter().map(|body| body.link).chain([skin.link]));
+    let prepared: Vec<PreparedMeeting> =
+        meetings.iter().map(|meeting| PreparedMeeting::new(robot, state.layout, meeting)).collect();
+    let mut felt: Vec<Touches> = prepared.iter().map(|_| Touches::new()).collect();
+    let links = prepared
+        .iter()
+        .flat_map(|meeting| meeting.bodies.iter().map(|body| body.link).chain([meeting.probe.link]));
     let mut tracker = LinkTracker::new(robot, links, None);
     for (frame, positions) in state.positions.chunks_exact(robot.num_dofs().max(1)).enumerate() {
         let root_from_link = tracker.at(frame, positions);
-        for (skin, felt) in skins.iter().zip(&mut felt) {
-            skin.feel(root_from_link, felt);
+        for (meeting, felt) in prepared.iter().zip(&mut felt) {
+            meeting.feel(root_from_link, felt);
         }
     }
     let felt: Vec<Arc<Touches>> = felt.into_iter().map(Arc::new).collect();
@@ -159,13 +162,8 @@ fn meetings(robot: &Robot, layout: &TactileLayout, one: &str, other: &str) -> Ve
 }
 
 /// A patch and what it can meet, prepared for many frames.
-struct Skin {
-    link: usize,
-    kind: SensorKind,
-    nodes_in_link: Vec<Point3<f64>>,
-    /// A ball that holds every node.
-    center_in_link: Point3<f64>,
-    radius_m: f64,
+struct PreparedMeeting {
+    probe: Probe,
     bodies: Vec<Body>,
 }
 
@@ -177,11 +175,8 @@ struct Body {
     distance: SignedDistance,
 }
 
-impl Skin {
+impl PreparedMeeting {
     fn new(robot: &Robot, layout: &TactileLayout, meeting: &Meeting) -> Self {
-        let patch = &layout.patches[meeting.patch];
-        let nodes_in_link: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
-        let (center_in_link, radius_m) = ball_about(&nodes_in_link);
         let bodies_of = |&link: &usize| {
             robot.links[link].collisions.iter().map(move |body| Body {
                 link,
@@ -190,42 +185,36 @@ impl Skin {
                 distance: SignedDistance::of_link_shape(&body.shape),
             })
         };
-        Self {
-            link: patch.link,
-            kind: layout.streams[patch.stream].kind,
-            nodes_in_link,
-            center_in_link,
-            radius_m,
-            bodies: meeting.links.iter().flat_map(bodies_of).collect(),
-        }
+        let probe = Probe::new(layout, &layout.patches[meeting.patch], f64::NEG_INFINITY);
+        Self { probe, bodies: meeting.links.iter().flat_map(bodies_of).collect() }
     }
 
     /// Adds what is felt in one frame to `felt`.
     fn feel(&self, root_from_link: &[Isometry3<f64>], felt: &mut Touches) {
+        let Probe { kind, nodes_in_link, center_in_link, radius_m, .. } = &self.probe;
         let first = felt.nodes.len();
         // A node that presses counts however deep others are; of those that do not, the nearest.
-        let mut nearest_m = match self.kind {
+        let mut nearest_m = match kind {
             SensorKind::Pressure => 0.0,
             SensorKind::Proximity => NEAR_M,
         };
-        let root_from_own = &root_from_link[self.link];
-        let center = root_from_own * self.center_in_link;
+        let root_from_own = &root_from_link[self.probe.link];
+        let center = root_from_own * center_in_link;
         for body in &self.bodies {
             let root_from_body = &root_from_link[body.link];
-            let reach_m = nearest_m + self.radius_m + ROUNDING_M;
+            let reach_m = nearest_m + radius_m + ROUNDING_M;
             let balls_reach_m = reach_m + body.distance.bounding_radius_m();
             let between = root_from_body * body.center_in_link - center;
             if between.norm_squared() >= balls_reach_m * balls_reach_m {
                 continue;
             }
             let shape_from_own = body.shape_from_link * (root_from_body.inverse() * root_from_own);
-            if body.distance.distance_m(&(shape_from_own * self.center_in_link)) >= reach_m {
+            if body.distance.distance_m(&(shape_from_own * center_in_link)) >= reach_m {
                 continue;
             }
-            match self.kind {
+            match kind {
                 SensorKind::Proximity => {
-                    nearest_m =
-                        body.distance.min_distance_below_m(&shape_from_own, &self.nodes_in_link, nearest_m);
+                    nearest_m = body.distance.min_distance_below_m(&shape_from_own, nodes_in_link, nearest_m);
                 }
                 SensorKind::Pressure => {
                     let press = |node: usize, distance_m: f64| {
@@ -233,7 +222,7 @@ impl Skin {
                             felt.nodes.push((node as u32, -distance_m));
                         }
                     };
-                    body.distance.for_each_distance_below(&shape_from_own, &self.nodes_in_link, 0.0, press);
+                    body.distance.for_each_distance_below(&shape_from_own, nodes_in_link, 0.0, press);
                 }
             }
         }

@@ -543,12 +543,31 @@ mod tests {
             memory.lock().unwrap().patches_bytes = 0;
         }
         remembering.predict(0, &start).unwrap();
+        let mut models = Vec::new();
         for (idx, parameter) in remembering.base().iter().enumerate() {
             let mut model = start.clone();
             model.base[idx] += parameter.dose;
+            models.push(model);
+        }
+        let offset = effects::tactile("joint_offset").unwrap();
+        for place in offset.places(stage.station()).into_iter().rev().take(2) {
+            for offset_rad in [0.01, 0.03, 0.01] {
+                let effect = Effect {
+                    id: offset.id().into(),
+                    place: place.clone(),
+                    parameters: [("offset_rad".to_owned(), offset_rad)].into(),
+                    interval: [].into(),
+                    takes: Vec::new(),
+                };
+                let mut model = start.clone();
+                model.effects.push(effect);
+                models.push(model);
+            }
+        }
+        for model in models {
             let made = new().0.predict(0, &model).unwrap();
-            assert!(remembering.predict(0, &model).unwrap() == made, "{}", parameter.name);
-            assert!(forgetting.predict(0, &model).unwrap() == made, "{}, forgetting", parameter.name);
+            assert!(remembering.predict(0, &model).unwrap() == made, "{model:?}");
+            assert!(forgetting.predict(0, &model).unwrap() == made, "forgetting, {model:?}");
         }
     }
 }
