@@ -1,11 +1,11 @@
 //! Rates, gaps, clock order and coverage of a session.
 
-use std::fs;
-
 use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity, StreamCheck, TakeCheck};
 use palpate_wire::wording::counted;
 
-use crate::{RecordingError, Session, SpanKind, Take, decode::decode, session::station_difference};
+use crate::{
+    RecordingError, Session, SpanKind, Take, decode::decode, plausible, session::station_difference,
+};
 
 /// A channel should be touched at least so often in each half of the takes: below, a dead, stuck or swapped channel
 /// cannot be told from one that was not reached.
@@ -42,9 +42,7 @@ pub fn check_session(session: &Session) -> Result<CheckReport, RecordingError> {
             report.add(Severity::Info, entry.id(), "not accepted, so calibration leaves it out");
         }
         let path = session.take_path(entry);
-        let decoded = fs::read(&path)
-            .map_err(RecordingError::io("read", &path))
-            .and_then(|bytes| decode(&path, &bytes));
+        let decoded = session.take_bytes(entry).and_then(|bytes| decode(&path, &bytes));
         let decoded = match decoded {
             Ok(decoded) => decoded,
             Err(error) => {
@@ -89,6 +87,7 @@ trait Judge {
     fn add_error(&mut self, take_id: &str, error: &RecordingError);
     fn judge_stream(&mut self, take_id: &str, stream: &StreamCheck);
     fn judge_take(&mut self, take: &Take);
+    fn judge_joints(&mut self, take: &Take);
     fn count_touches(&mut self, take: &Take, half: usize);
     fn judge_coverage(&mut self);
 }
@@ -135,22 +134,33 @@ impl Judge for CheckReport {
             let message = format!("the attached station does not know the object {:?}", take.meta.object);
             self.add(Severity::Error, &take.id, message);
         }
+        if let Some(problem) = plausible::out_of_reach(&take.station.robot, &take.meta.base_from_object) {
+            self.add(Severity::Error, format!("{}, object_pose", take.id), problem);
+        }
+        self.judge_joints(take);
         let layout = &take.station.layout;
         for ((stream, config), log) in layout.streams.iter().zip(&take.station.streams).zip(&take.streams) {
             let width = stream.channels.len().max(1);
             for (offset, channel) in layout.channels[stream.channels.clone()].iter().enumerate() {
-                let readings = log.raw.iter().skip(offset).step_by(width);
-                let outside = readings
-                    .filter(|&&reading| {
-                        f64::from(reading) < config.raw_min || f64::from(reading) > config.raw_max
-                    })
-                    .count();
-                if outside > 0 {
+                let readings =
+                    || log.raw.iter().skip(offset).step_by(width).map(|&reading| f64::from(reading));
+                let place = format!("{}, {}", take.id, channel.id);
+                let (below, above) = (
+                    readings().filter(|&reading| reading < config.raw_min).count(),
+                    readings().filter(|&reading| reading > config.raw_max).count(),
+                );
+                let lowest = readings().fold(f64::INFINITY, f64::min);
+                if let Some(problem) = plausible::below_range(config, lowest, &stream.raw_unit) {
+                    let message =
+                        format!("{}, the lowest of which is {problem}", counted(below as u64, "reading"));
+                    self.add(Severity::Error, &place, message);
+                }
+                if above > 0 {
                     let message = format!(
-                        "{outside} readings outside {}..{} {}, which the device cannot give; check the units",
-                        config.raw_min, config.raw_max, stream.raw_unit
+                        "{above} readings above {} {}, which the device cannot give; check the units",
+                        config.raw_max, stream.raw_unit
                     );
-                    self.add(Severity::Warning, format!("{}, {}", take.id, channel.id), message);
+                    self.add(Severity::Warning, place, message);
                 }
             }
             let steps_back = log.device_times_s.windows(2).filter(|pair| pair[1] <= pair[0]).count();
@@ -158,6 +168,29 @@ impl Judge for CheckReport {
                 let message =
                     format!("the device's clock does not increase {steps_back} times; did it restart?");
                 self.add(Severity::Warning, format!("{}, {}", take.id, stream.id), message);
+            }
+        }
+    }
+
+    fn judge_joints(&mut self, take: &Take) {
+        let robot = &take.station.robot;
+        if plausible::are_degrees(robot, &take.joints.positions) {
+            self.add(Severity::Error, format!("{}, {JOINTS}", take.id), plausible::DEGREES);
+            return;
+        }
+        for (dof, joint) in robot.dofs().enumerate() {
+            let positions = take.joints.positions.iter().skip(dof).step_by(robot.num_dofs());
+            let outside = positions
+                .filter_map(|&position| Some((position, plausible::exceeded_limits(joint, position)?)));
+            let num_outside = outside.clone().count();
+            if let Some((position, limits)) = outside.max_by(|(a, _), (b, _)| a.abs().total_cmp(&b.abs())) {
+                let message = format!(
+                    "{} of {}, the farthest: {}",
+                    counted(num_outside as u64, "position"),
+                    take.num_frames(),
+                    plausible::outside_limits(joint, position, &limits)
+                );
+                self.add(Severity::Error, format!("{}, {}", take.id, joint.name), message);
             }
         }
     }

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! `recording.toml` is written before a file moves, so that it says where each file belongs: opening the session again
-//! finishes what a crash interrupted. A name that was used once is not used again.
+//! finishes what a crash interrupted. No two takes have one name. If `recording.toml` itself was cut off, opening the session
+//! makes the list again from the takes in the folder.
 
 use std::{
     fs::{self, File},
@@ -23,12 +24,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     LiveTake, RecordingError, Session, SessionFile, SessionTake, TakeMeta, close_partial,
-    session::{RECORDING_FILE, replace_file, sync_folder},
+    files::{replace_file, sync_folder},
+    session::RECORDING_FILE,
 };
 
+mod names;
 mod resume;
+mod salvage;
+
+pub use resume::SessionHold;
 
 const RECORDING_FORMAT: u32 = 1;
+/// Last line of `recording.toml`: without it the file was cut off, or written before this line was.
+const LAST_LINE: &str = "# The list ends here.\n";
 const DISCARDED: &str = "discarded";
 const PARTIAL: &str = ".partial";
 /// Held while a process records into the folder.
@@ -361,11 +369,11 @@ impl GrowingSession {
     }
 
     fn put_aside(&mut self, mut changed: RecordingFile, take_idx: usize) -> Result<(), RecordingError> {
-        let newest = changed.takes.iter().map(|take| take.set_aside).max().unwrap_or_default();
+        let set_aside = next_set_aside(&mut changed);
         let take = &mut changed.takes[take_idx];
         let partial = take.state == TakeState::Recording;
         take.state = TakeState::Discarded;
-        take.set_aside = newest + 1;
+        take.set_aside = set_aside;
         let from = if partial { self.partial_path(&take.file) } else { self.session.dir.join(&take.file) };
         let to = self.discarded_path(&take.file);
         let before = self.recording.clone();
@@ -385,7 +393,7 @@ impl GrowingSession {
         let path = self.recording_path();
         let text = toml::to_string(&recording)
             .map_err(|error| RecordingError::content(&path, "file", error.to_string()))?;
-        replace_file(&path, &text)?;
+        replace_file(&path, &(text + LAST_LINE))?;
         self.recording = recording;
         let takes = accepted_takes(&self.recording);
         if takes != self.session.file.takes || !self.session.dir.join("session.toml").is_file() {
@@ -393,19 +401,6 @@ impl GrowingSession {
             self.session.save().inspect_err(|_| self.session.file.takes = before)?;
         }
         Ok(())
-    }
-
-    /// A name that no take of this session has or had.
-    fn free_name(&self, step_idx: usize) -> String {
-        let first = format!("take-{:02}.mcap", step_idx + 1);
-        let names = std::iter::once(first)
-            .chain((2_u32..).map(|attempt| format!("take-{:02}-{attempt}.mcap", step_idx + 1)));
-        let is_free = |name: &String| {
-            let paths = [self.session.dir.join(name), self.partial_path(name), self.discarded_path(name)];
-            self.recording.takes.iter().all(|take| take.file != *name)
-                && paths.iter().all(|path| path.symlink_metadata().is_err())
-        };
-        names.into_iter().find(is_free).unwrap_or_default()
     }
 
     fn path_of(&self, take: &RecordedTake) -> PathBuf {
@@ -443,6 +438,24 @@ fn accepted_takes(recording: &RecordingFile) -> Vec<SessionTake> {
             accepted: true,
         })
         .collect()
+}
+
+/// The number of a take that is set aside now: higher than that of every other.
+fn next_set_aside(recording: &mut RecordingFile) -> u32 {
+    let newest = |recording: &RecordingFile| {
+        recording.takes.iter().map(|take| take.set_aside).max().unwrap_or_default()
+    };
+    if newest(recording) == u32::MAX {
+        // Nobody sets so many takes aside; somebody wrote the number by hand. The order is what matters.
+        let mut numbers: Vec<u32> = recording.takes.iter().map(|take| take.set_aside).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        for take in recording.takes.iter_mut().filter(|take| take.set_aside > 0) {
+            let rank = numbers.iter().filter(|&&number| number > 0 && number <= take.set_aside).count();
+            take.set_aside = u32::try_from(rank).unwrap_or(u32::MAX - 1);
+        }
+    }
+    newest(recording).saturating_add(1)
 }
 
 /// Renames a file; what is at `to` already is never replaced.

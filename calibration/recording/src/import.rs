@@ -11,13 +11,18 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use palpate_robot_model::{PoseConfig, Station, StreamConfig};
+use palpate_robot_model::{PoseConfig, Robot, Station, Stream, StreamConfig};
 use serde::Deserialize;
 
 use self::table::{Columns, Table};
 use crate::{
     RecordingError, SessionDraft, SessionFile, SessionTake, Span, SpanKind, TactileSampleRef, TakeMeta,
-    TakeWriter, decode::stream_list, format::ns_from_secs, session::refuse_existing,
+    TakeWriter,
+    decode::stream_list,
+    files::{MAX_TEXT_BYTES, read_text},
+    format::ns_from_secs,
+    plausible,
+    session::refuse_existing,
     take::reference_readings,
 };
 
@@ -121,7 +126,7 @@ fn take_dirs(csv_dir: &Path) -> Result<Vec<PathBuf>, RecordingError> {
 fn read_take(station: &Station, dir: &Path) -> Result<CheckedTake, RecordingError> {
     let config_path = dir.join(TAKE_FILE);
     let config_error = |key: &str, problem: String| RecordingError::content(&config_path, key, problem);
-    let text = fs::read_to_string(&config_path).map_err(RecordingError::io("read", &config_path))?;
+    let text = read_text(&config_path, MAX_TEXT_BYTES)?;
     let config: TakeConfig = toml::from_str(&text).map_err(RecordingError::toml(&config_path, &text))?;
     if !station.objects.contains_key(&config.object) {
         let known: Vec<String> = station.objects.keys().map(|id| format!("{id:?}")).collect();
@@ -135,12 +140,16 @@ fn read_take(station: &Station, dir: &Path) -> Result<CheckedTake, RecordingErro
     }
     let base_from_object =
         config.object_pose.to_isometry().map_err(|problem| config_error("object_pose", problem))?;
+    if let Some(problem) = plausible::out_of_reach(&station.robot, &base_from_object) {
+        return Err(config_error("object_pose", problem));
+    }
     refuse_foreign_files(station, dir)?;
 
     let joint_ids: Vec<String> = station.robot.dofs().map(|joint| joint.name.clone()).collect();
     let joint_columns = Columns { prefix: 'q', ids: &joint_ids, what: "joint", binary: false };
     let joints_path = dir.join(JOINTS_FILE);
     let joints = Table::read(&joints_path, &joint_columns)?;
+    check_joints(&station.robot, &joints_path, &joint_columns, &joints)?;
     let mut tables = Vec::with_capacity(station.layout.streams.len());
     for stream in &station.layout.streams {
         let path = dir.join(format!("{}.csv", stream.id));
@@ -150,6 +159,9 @@ fn read_take(station: &Station, dir: &Path) -> Result<CheckedTake, RecordingErro
             .collect();
         let columns = Columns { prefix: 'v', ids: &channel_ids, what: "channel", binary: config.binary };
         let table = Table::read(&path, &columns)?;
+        if !config.binary {
+            check_readings(stream, &station.streams[tables.len()], &path, &columns, &table)?;
+        }
         tables.push((path, table));
     }
 
@@ -259,6 +271,45 @@ fn check_span([start_s, end_s]: [f64; 2], first_s: f64, last_s: f64) -> Result<(
     }
     if end_s < first_s || start_s > last_s || start_s < first_s.floor() {
         return Err(format!("[{start_s}, {end_s}] lies outside the recording, {first_s}..{last_s} s"));
+    }
+    Ok(())
+}
+
+/// Refuses positions that the joints cannot have.
+fn check_joints(
+    robot: &Robot,
+    path: &Path,
+    columns: &Columns<'_>,
+    table: &Table,
+) -> Result<(), RecordingError> {
+    let num_dofs = robot.num_dofs();
+    for (row, &line) in table.lines.iter().enumerate() {
+        for (dof, (joint, &position)) in robot.dofs().zip(table.row(row, num_dofs)).enumerate() {
+            let Some(limits) = plausible::exceeded_limits(joint, position) else { continue };
+            let mut problem = plausible::outside_limits(joint, position, &limits);
+            if plausible::are_degrees(robot, &table.values) {
+                problem = format!("{}: {}", plausible::short(position), plausible::DEGREES);
+            }
+            return Err(RecordingError::content(path, columns.place(line, dof), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses readings that the device cannot give.
+fn check_readings(
+    stream: &Stream,
+    config: &StreamConfig,
+    path: &Path,
+    columns: &Columns<'_>,
+    table: &Table,
+) -> Result<(), RecordingError> {
+    let num_channels = stream.channels.len();
+    for (cell, &reading) in table.values.iter().enumerate() {
+        if let Some(problem) = plausible::below_range(config, reading, &stream.raw_unit) {
+            let place = columns.place(table.lines[cell / num_channels], cell % num_channels);
+            return Err(RecordingError::content(path, place, problem));
+        }
     }
     Ok(())
 }

@@ -28,10 +28,12 @@
 mod check;
 mod decode;
 mod error;
+pub mod files;
 mod format;
 mod growing;
 pub mod import;
 mod live;
+mod plausible;
 mod repair;
 mod servo_log;
 mod session;
@@ -41,13 +43,14 @@ mod writer;
 
 pub use check::check_session;
 pub use error::RecordingError;
+pub use files::replace_file;
 pub use growing::{
-    GrowingSession, PlannedStep, RecordedTake, RecordingFile, SessionPlan, TakeEnd, TakeState,
+    GrowingSession, PlannedStep, RecordedTake, RecordingFile, SessionHold, SessionPlan, TakeEnd, TakeState,
 };
 pub use live::LiveTake;
 pub use repair::{Closed, close_partial};
 pub use servo_log::ServoLog;
-pub use session::{Session, SessionDraft, SessionFile, SessionTake, replace_file};
+pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
 pub use take::{JointLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
 pub use writer::{LogLevel, TactileSampleRef, TakeWriter};

@@ -1,7 +1,7 @@
 //! Gives a take that was cut off its end back, in place.
 
 use std::{
-    fs::{self, OpenOptions},
+    fs::OpenOptions,
     io::{Seek, SeekFrom, Write},
     path::Path,
 };
@@ -11,10 +11,13 @@ use mcap::{
     records::{Record, op},
 };
 
-use crate::{RecordingError, Take};
+use crate::{
+    RecordingError, Take,
+    files::{MAX_TAKE_BYTES, read_file},
+};
 
 /// A writer that was stopped leaves less than one chunk unfinished, and chunks have about 1 MiB.
-const MOST_CUT_OFF: usize = 4 << 20;
+const MAX_CUT_OFF: usize = 4 << 20;
 /// Opcode and length in front of every record.
 const RECORD_HEAD: usize = 1 + 8;
 
@@ -33,14 +36,14 @@ pub struct Closed {
 /// A file of which no take can be read is left as it is, and the error says why. So is one that is damaged long before
 /// its end, since what follows may be worth a closer look.
 pub fn close_partial(path: &Path) -> Result<Closed, RecordingError> {
-    let mut bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+    let mut bytes = read_file(path, MAX_TAKE_BYTES)?;
     let error = match Take::from_bytes(path, &bytes) {
         Ok(take) => return Ok(Closed { take, damage: None }),
         Err(error) => error,
     };
     let len = bytes.len();
     let intact_len = intact_len(&bytes);
-    if len - intact_len > MOST_CUT_OFF {
+    if len - intact_len > MAX_CUT_OFF {
         return Err(error);
     }
     bytes.truncate(intact_len);

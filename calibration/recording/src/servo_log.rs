@@ -6,7 +6,10 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use crate::{RecordingError, Take};
+use crate::{
+    RecordingError, Take,
+    files::{MAX_TAKE_BYTES, read_file},
+};
 
 /// A log of one actuator: goals sent, positions measured, and what else the servo tells.
 ///
@@ -79,7 +82,7 @@ impl ServoLog {
     /// `length` [m], `kp` [register], `vin` [V], `motor`, `trajectory` and `entries`, each with `timestamp` [s],
     /// `position` [rad], `goal_position` [rad], `torque_enable`, and optionally `load` [PWM register] and `input_volts` [V].
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
-        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::from_bytes(path, &bytes)
     }
 

@@ -1,15 +1,16 @@
 //! A session: a folder of takes with a `session.toml`.
 
 use std::{
-    fs::{self, File},
-    io::Write as _,
+    fs,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
 };
 
 use serde::{Deserialize, Serialize};
 
-use crate::{RecordingError, Take};
+use crate::{
+    RecordingError, Take,
+    files::{self, MAX_TAKE_BYTES, MAX_TEXT_BYTES, replace_file, sibling},
+};
 
 const SESSION_FILE: &str = "session.toml";
 /// Beside `session.toml` while a session is recorded step by step, and afterwards: see
@@ -65,10 +66,11 @@ pub struct Session {
 
 impl Session {
     /// Reads `session.toml` in `dir`. A session without takes is refused, unless it is being recorded: a
-    /// `recording.toml` lies beside it.
+    /// `recording.toml` lies beside it. So is a `session.toml` that is no regular file or lies elsewhere.
     pub fn open(dir: &Path) -> Result<Self, RecordingError> {
         let path = dir.join(SESSION_FILE);
-        let text = fs::read_to_string(&path).map_err(RecordingError::io("read", &path))?;
+        files::resolve_in(dir, &path)?;
+        let text = files::read_text(&path, MAX_TEXT_BYTES)?;
         let file: SessionFile = toml::from_str(&text).map_err(RecordingError::toml(&path, &text))?;
         check_file(&path, &file)?;
         Ok(Self { dir: dir.to_owned(), id: folder_name(dir), file })
@@ -80,9 +82,16 @@ impl Session {
             let problem = format!("there is no take {take_idx}, only {}", self.file.takes.len());
             return Err(RecordingError::content(self.dir.join(SESSION_FILE), "takes", problem));
         };
-        let take = Take::read(&self.take_path(entry))?;
+        let take = Take::from_bytes(&self.take_path(entry), &self.take_bytes(entry)?)?;
         self.check_belongs(entry, &take)?;
         Ok(take)
+    }
+
+    /// The bytes of a take; refused where the file is not regular, or is a link that leads out of the session's folder.
+    pub(crate) fn take_bytes(&self, entry: &SessionTake) -> Result<Vec<u8>, RecordingError> {
+        let path = self.take_path(entry);
+        files::resolve_in(&self.dir, &path)?;
+        files::read_file(&path, MAX_TAKE_BYTES)
     }
 
     /// Reads every accepted take, in order; checks that they share one station, so that they can be compared.
@@ -272,33 +281,4 @@ pub(crate) fn folder_name(dir: &Path) -> String {
     let resolved = if dir.file_name().is_none() { dir.canonicalize().ok() } else { None };
     let named = resolved.as_deref().unwrap_or(dir);
     named.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
-/// Puts `text` at `path`: whoever reads it, and whatever happens, finds the old text or the new one.
-pub fn replace_file(path: &Path, text: &str) -> Result<(), RecordingError> {
-    let partial = sibling(path);
-    let written = File::create_new(&partial)
-        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
-        .and_then(|()| fs::rename(&partial, path));
-    if let Err(source) = written {
-        // The old text is still in place; a leftover beside it helps nobody.
-        let _ = fs::remove_file(&partial);
-        return Err(RecordingError::io("write", path)(source));
-    }
-    sync_folder(path);
-    Ok(())
-}
-
-/// Makes names that appeared or changed beside `path` survive a power cut, where the file system can.
-pub(crate) fn sync_folder(path: &Path) {
-    // Some file systems refuse to sync a folder; the names are right all the same unless the power fails now.
-    let _ = path.parent().and_then(|dir| File::open(dir).ok()).map(|dir| dir.sync_all());
-}
-
-/// A hidden name beside `path` that nobody else uses.
-fn sibling(path: &Path) -> PathBuf {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
-    let count = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_file_name(format!(".{name}.partial-{}-{count}", std::process::id()))
 }

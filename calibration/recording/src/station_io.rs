@@ -1,10 +1,13 @@
 //! Reads a station from disk.
 
-use std::{fs, path::Path};
+use std::{error::Error as _, path::Path};
 
 use palpate_robot_model::Station;
 
-use crate::RecordingError;
+use crate::{
+    RecordingError,
+    files::{MAX_STATION_FILE_BYTES, open_file, read_file},
+};
 
 /// Reads the station file at `path` and everything it names, relative to it.
 pub fn load_station(path: &Path) -> Result<Station, RecordingError> {
@@ -16,10 +19,13 @@ pub fn load_station(path: &Path) -> Result<Station, RecordingError> {
         })?
         .to_string_lossy();
     // Distinguishes a station file that is not there from one that names a file that is not there.
-    fs::metadata(path).map_err(RecordingError::io("read", path))?;
+    open_file(path)?;
     Station::read(&file_name, |name| {
         let named = dir.join(name);
-        fs::read(&named).map_err(|error| format!("failed to read {named:?}: {error}"))
+        read_file(&named, MAX_STATION_FILE_BYTES).map_err(|error| match error.source() {
+            Some(cause) => format!("{error}: {cause}"),
+            None => error.to_string(),
+        })
     })
     .map_err(|source| RecordingError::Station { path: path.to_owned(), source })
 }

@@ -1,11 +1,15 @@
 //! A take in memory.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 
-use crate::{RecordingError, decode, format};
+use crate::{
+    RecordingError, decode,
+    files::{MAX_TAKE_BYTES, read_file},
+    format,
+};
 
 /// A take, read and checked: times increase, every value is finite, every sample has its stream's channels.
 #[derive(Clone, Debug)]
@@ -106,7 +110,7 @@ pub struct Recovered {
 impl Take {
     /// Reads the MCAP file at `path`.
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
-        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::from_bytes(path, &bytes)
     }
 
@@ -124,7 +128,7 @@ impl Take {
     ///
     /// Refused as by [`Take::read`] if no intact chunk holds every stream.
     pub fn recover(path: &Path) -> Result<Recovered, RecordingError> {
-        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        let bytes = read_file(path, MAX_TAKE_BYTES)?;
         let decoded = decode::decode(path, &bytes)?;
         decoded.take.check_order(path)?;
         let damage = decoded.damage.map(|damage| damage.into_error(path).to_string());

@@ -7,12 +7,19 @@ use std::{
 
 use super::{
     DISCARDED, GrowingSession, LOCK_FILE, PARTIAL, PlannedStep, RECORDING_FORMAT, RecordingFile, SessionPlan,
-    TakeState, chain, move_file, new_session_file,
+    TakeState, chain, move_file, new_session_file, next_set_aside, salvage::Listed,
 };
 use crate::{
-    RecordingError, Session, close_partial,
+    RecordingError, Session, close_partial, files,
     session::{RECORDING_FILE, check_file, folder_name},
 };
+
+/// Keeps every process from recording into a session's folder until it is dropped, e.g. while the folder is moved.
+#[derive(Debug)]
+pub struct SessionHold {
+    /// `None` where nobody ever recorded.
+    _lock: Option<File>,
+}
 
 impl GrowingSession {
     /// Begins the session at `dir` or goes on with it; the second value says in sentences what was found and mended.
@@ -45,8 +52,19 @@ impl GrowingSession {
         fs::create_dir_all(dir).map_err(RecordingError::io("make", dir))?;
         let lock = lock(dir)?;
         let resumed = recording_path.is_file();
+        let mut cut_off = None;
         let recording = if resumed {
-            let mut recording = read_recording(&recording_path)?;
+            let listed = Listed::read(&recording_path)?;
+            let is_cut_off = listed.is_cut_off(plan, dir)?;
+            let mut recording = listed.recording;
+            if is_cut_off {
+                cut_off = Some(listed.bytes);
+                recording.steps.clone_from(&plan.steps);
+                recording.takes.retain(|take| take.step < plan.steps.len());
+                if recording.plan.is_empty() {
+                    recording.plan.clone_from(&plan.plan);
+                }
+            }
             check_plan(&recording_path, &recording, plan)?;
             recording.steps.clone_from(&plan.steps);
             recording
@@ -76,6 +94,10 @@ impl GrowingSession {
         let mut growing = Self { session, recording, _lock: lock };
         let mut report = Vec::new();
         if resumed {
+            if let Some(cut_off) = cut_off {
+                growing.list_again(&cut_off, &mut report)?;
+            }
+            growing.separate_names(&mut report)?;
             growing.reconcile(&mut report)?;
         }
         let mut recording = growing.recording.clone();
@@ -90,7 +112,16 @@ impl GrowingSession {
     /// The steps of the session at `dir`, those that were added included; `None` if none was begun there.
     pub fn steps_of(dir: &Path) -> Result<Option<Vec<PlannedStep>>, RecordingError> {
         let path = dir.join(RECORDING_FILE);
-        if path.is_file() { read_recording(&path).map(|recording| Some(recording.steps)) } else { Ok(None) }
+        if path.is_file() { Listed::read(&path).map(|listed| Some(listed.recording.steps)) } else { Ok(None) }
+    }
+
+    /// Holds the session at `dir`, whether it was recorded step by step or not; refused while a process records into it.
+    pub fn hold(dir: &Path) -> Result<SessionHold, RecordingError> {
+        let path = dir.join(LOCK_FILE);
+        if path.symlink_metadata().is_err() {
+            return Ok(SessionHold { _lock: None });
+        }
+        Ok(SessionHold { _lock: Some(lock(dir)?) })
     }
 
     /// Makes the folder what `recording.toml` says it is.
@@ -107,10 +138,16 @@ impl GrowingSession {
                     self.recording.takes[take_idx].state = TakeState::Review;
                 }
                 TakeState::Recording if partial.is_file() => self.recover(take_idx, report)?,
-                TakeState::Recording => {
-                    report.push(format!("{id} was begun, but nothing of it was written"));
-                    lost.push(take_idx);
-                }
+                TakeState::Recording => match self.unlisted_recovered(&id) {
+                    Some(recovered) => {
+                        report.push(format!("{id} was recovered as {recovered}; it waits for a decision"));
+                        self.put_recovered(take_idx, recovered, "what could be read of it is kept");
+                    }
+                    None => {
+                        report.push(format!("{id} was begun, but nothing of it was written"));
+                        lost.push(take_idx);
+                    }
+                },
                 TakeState::Review | TakeState::Accepted if place.is_file() => {}
                 TakeState::Review | TakeState::Accepted if discarded.is_file() => {
                     report.push(format!("{id} was about to be moved; it is back in its place"));
@@ -148,7 +185,7 @@ impl GrowingSession {
         let partial = self.partial_path(&file);
         match close_partial(&partial) {
             Ok(closed) => {
-                let recovered = format!("{id}-recovered.mcap");
+                let recovered = self.recovered_name(&id);
                 move_file(&partial, &self.session.dir.join(&recovered))?;
                 let seconds = closed.take.duration_s();
                 let damage = closed.damage.unwrap_or_else(|| "the file is whole".to_owned());
@@ -156,10 +193,7 @@ impl GrowingSession {
                     "{id} was being recorded when the program ended; {seconds:.1} s of it are kept as {recovered}, \
                      which waits for a decision ({damage})"
                 ));
-                let take = &mut self.recording.takes[take_idx];
-                take.file = recovered;
-                take.state = TakeState::Review;
-                take.broken_off = format!("the program ended while it was recorded; {seconds:.1} s are kept");
+                self.put_recovered(take_idx, recovered, &format!("{seconds:.1} s are kept"));
             }
             Err(error) => {
                 self.make_discarded()?;
@@ -169,10 +203,10 @@ impl GrowingSession {
                      {DISCARDED}/{file} ({})",
                     chain(&error)
                 ));
-                let newest = self.recording.takes.iter().map(|take| take.set_aside).max().unwrap_or_default();
+                let set_aside = next_set_aside(&mut self.recording);
                 let take = &mut self.recording.takes[take_idx];
                 take.state = TakeState::Discarded;
-                take.set_aside = newest + 1;
+                take.set_aside = set_aside;
                 take.readable = Some(false);
                 take.broken_off = "the program ended before anything could be kept".to_owned();
             }
@@ -180,7 +214,14 @@ impl GrowingSession {
         Ok(())
     }
 
-    /// Partial takes that nothing knows go where they harm nothing.
+    fn put_recovered(&mut self, take_idx: usize, file: String, kept: &str) {
+        let take = &mut self.recording.takes[take_idx];
+        take.file = file;
+        take.state = TakeState::Review;
+        take.broken_off = format!("the program ended while it was recorded; {kept}");
+    }
+
+    /// Moves partial takes that the list does not know to the folder `discarded`.
     fn sweep_partials(&mut self, report: &mut Vec<String>) -> Result<(), RecordingError> {
         let dir = self.session.dir.clone();
         let entries = fs::read_dir(&dir).map_err(RecordingError::io("list", &dir))?;
@@ -191,13 +232,16 @@ impl GrowingSession {
         strays.sort();
         for name in strays {
             self.make_discarded()?;
-            move_file(&dir.join(&name), &self.discarded_path(&name))?;
+            let names =
+                std::iter::once(name.clone()).chain((2_u64..).map(|number| format!("{name}-{number}")));
+            let free = names.into_iter().find(|name| self.discarded_path(name).symlink_metadata().is_err());
+            move_file(&dir.join(&name), &self.discarded_path(&free.unwrap_or_default()))?;
             report.push(format!("{name} belongs to no take of this session; it is in {DISCARDED} now"));
         }
         Ok(())
     }
 
-    fn make_discarded(&self) -> Result<(), RecordingError> {
+    pub(super) fn make_discarded(&self) -> Result<(), RecordingError> {
         let discarded = self.session.dir.join(DISCARDED);
         fs::create_dir_all(&discarded).map_err(RecordingError::io("make", &discarded))
     }
@@ -205,6 +249,10 @@ impl GrowingSession {
 
 fn lock(dir: &Path) -> Result<File, RecordingError> {
     let path = dir.join(LOCK_FILE);
+    if path.symlink_metadata().is_ok() {
+        // Opening a named pipe for writing would wait for its reader.
+        files::open_file(&path)?;
+    }
     let file = File::options()
         .create(true)
         .truncate(false)
@@ -229,36 +277,6 @@ fn is_empty(dir: &Path) -> Result<bool, RecordingError> {
         Err(error) => return Err(RecordingError::io("list", dir)(error)),
     };
     Ok(entries.filter_map(Result::ok).all(|entry| entry.file_name().to_string_lossy().starts_with('.')))
-}
-
-fn read_recording(path: &Path) -> Result<RecordingFile, RecordingError> {
-    let text = fs::read_to_string(path).map_err(RecordingError::io("read", path))?;
-    let recording: RecordingFile = toml::from_str(&text).map_err(RecordingError::toml(path, &text))?;
-    if recording.format != RECORDING_FORMAT {
-        let problem = format!(
-            "{}, expected {RECORDING_FORMAT}; go on with the palpate that wrote it",
-            recording.format
-        );
-        return Err(RecordingError::content(path, "format", problem));
-    }
-    for (take_idx, take) in recording.takes.iter().enumerate() {
-        let place = format!("take {}", take_idx + 1);
-        if Path::new(&take.file).file_name().is_none_or(|name| name != take.file.as_str())
-            || !take.file.ends_with(".mcap")
-        {
-            let problem =
-                format!("file {:?} must be the name of an .mcap file in the session's folder", take.file);
-            return Err(RecordingError::content(path, place, problem));
-        }
-        if recording.takes[..take_idx].iter().any(|other| other.file == take.file) {
-            return Err(RecordingError::content(path, place, format!("{:?} is listed twice", take.file)));
-        }
-        if take.step >= recording.steps.len() {
-            let problem = format!("step {} of a plan with {} steps", take.step, recording.steps.len());
-            return Err(RecordingError::content(path, place, problem));
-        }
-    }
-    Ok(recording)
 }
 
 fn check_plan(path: &Path, recording: &RecordingFile, plan: &SessionPlan) -> Result<(), RecordingError> {

@@ -1,8 +1,11 @@
 //! CSV tables of times and readings, checked cell by cell.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
-use crate::RecordingError;
+use crate::{
+    RecordingError,
+    files::{MAX_TAKE_BYTES, read_file},
+};
 
 /// One file: times and `num_rows x num_columns` values, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,11 +28,19 @@ pub(crate) struct Columns<'a> {
     pub(crate) binary: bool,
 }
 
+impl Columns<'_> {
+    /// Where a value is, for errors: line, column, and what the station calls it.
+    pub(crate) fn place(&self, line: u64, column: usize) -> String {
+        let Self { prefix, what, ids, .. } = self;
+        format!("line {line}, column {} ({prefix}{column}, {what} {:?})", column + 2, ids[column])
+    }
+}
+
 impl Table {
     /// Reads the file at `path`. Refused with line and column: a wrong header, a ragged row, what is no finite number,
     /// a time that does not increase, no rows.
     pub(crate) fn read(path: &Path, columns: &Columns<'_>) -> Result<Self, RecordingError> {
-        let bytes = fs::read(path).map_err(RecordingError::io("read", path))?;
+        let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::parse(path, &bytes, columns)
     }
 
@@ -94,13 +105,10 @@ impl Table {
         }
         for (column, text) in record.iter().enumerate() {
             let error = |problem: String| {
-                let name = match column.checked_sub(1) {
-                    None => "t_s".to_owned(),
-                    Some(value) => {
-                        format!("{}{value}, {} {:?}", columns.prefix, columns.what, columns.ids[value])
-                    }
+                let place = match column.checked_sub(1) {
+                    None => format!("line {line}, column 1 (t_s)"),
+                    Some(value) => columns.place(line, value),
                 };
-                let place = format!("line {line}, column {} ({name})", column + 1);
                 Err(RecordingError::content(path, place, problem))
             };
             let value = match text.parse::<f64>() {

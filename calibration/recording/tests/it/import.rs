@@ -32,7 +32,7 @@ fn csv(header: &str, rate_hz: f64, duration_s: f64, row: impl Fn(f64) -> Vec<f64
 fn write_recording(dir: &Path) {
     fs::create_dir_all(dir).unwrap();
     fs::write(dir.join("take.toml"), TAKE_TOML).unwrap();
-    fs::write(dir.join("joints.csv"), csv("t_s,q0,q1", 10.0, 2.0, |t| vec![0.1 * t, -t])).unwrap();
+    fs::write(dir.join("joints.csv"), csv("t_s,q0,q1", 10.0, 2.0, |t| vec![0.1 * t, -0.75 * t])).unwrap();
     let pressed = |t: f64, on: bool, rest: f64| if on { rest + 500.0 } else { rest + (t * 7.0).sin() };
     let gel = |t: f64| vec![pressed(t, false, 200.0), pressed(t, (1.0..1.5).contains(&t), 210.0), 190.0];
     fs::write(dir.join("gel.csv"), csv("t_s,v0,v1,v2", 100.0, 2.0, gel)).unwrap();
@@ -69,7 +69,7 @@ fn a_recording_becomes_a_take() {
     assert!(!take.meta.fixture_trusted);
     assert_eq!(take.meta.base_from_object.translation.vector.as_slice(), [0.1, 0.0, 0.05]);
     assert_eq!(take.joints.times_s, (0..20).map(|row| f64::from(row) / 10.0).collect::<Vec<_>>());
-    assert_eq!(take.joints.positions[2 * 13..2 * 14], [0.1 * 1.3, -1.3]);
+    assert_eq!(take.joints.positions[2 * 13..2 * 14], [0.1 * 1.3, -0.75 * 1.3]);
     assert_eq!(take.streams[0].times_s.len(), 200);
     assert_eq!(take.streams[1].raw[1], 310.0);
     assert!((take.streams[0].reference[1] - 210.0).abs() < 0.5);
@@ -190,6 +190,33 @@ fn every_fault_of_a_recording_names_file_line_and_column() {
         ("film.csv", |_| String::new(), "film.csv: line 1: the file is empty, expected the header t_s,v0,v1"),
         ("film.csv", |_| "t_s,v0,v1\n".to_owned(), "film.csv: line 2: no rows"),
         ("film.csv", |t| t.replace("\n0,", "\n-1e12,"), "too far from the other times"),
+        (
+            "joints.csv",
+            |t| line(t, 4, "0.2,0,100"),
+            "joints.csv: line 4, column 3 (q1, joint \"curl\"): 100 rad lies outside of the joint's limits, -1.5..1.5 rad",
+        ),
+        (
+            "joints.csv",
+            |t| line(t, 4, "0.2,1e308,0"),
+            "joints.csv: line 4, column 2 (q0, joint \"slide\"): 1e308 m lies outside of the joint's limits, 0..0.2 m",
+        ),
+        (
+            "joints.csv",
+            |_| csv("t_s,q0,q1", 10.0, 2.0, |t| vec![0.1 * t, 43.0 * t]),
+            "joints.csv: line 3, column 3 (q1, joint \"curl\"): 4.3: most positions lie outside of the joints' limits and would \
+             fit as degrees; give radians",
+        ),
+        (
+            "gel.csv",
+            |t| line(t, 5, "0.03,1,-1,3"),
+            "gel.csv: line 5, column 3 (v1, channel \"tip.1\"): -1 counts is less than 0, the least that the device can give",
+        ),
+        (
+            "take.toml",
+            |t| t.replace("0.05]", "1e308]"),
+            "take.toml: object_pose: the object is 1e308 m from the robot's base, which is more than 3 times the robot's \
+             reach (0.44 m)",
+        ),
         (
             "take.toml",
             |t| t.replace("\"ball\"", "\"cube\""),

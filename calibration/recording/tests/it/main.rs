@@ -1,6 +1,7 @@
 //! Takes and sessions on disk, through the public API only.
 #![expect(clippy::unwrap_used, reason = "helpers of tests stop at what they do not expect, as tests do")]
 
+mod crashes;
 mod growing;
 mod import;
 mod live;

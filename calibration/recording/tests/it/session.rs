@@ -3,7 +3,12 @@
 use std::{fs, path::Path};
 
 use palpate_recording::{Session, SessionDraft, SessionFile, SessionTake, check_session};
-use palpate_wire::api::{CheckReport, Severity};
+use palpate_wire::{
+    api::{CheckReport, Severity},
+    foxglove::JointStates,
+    proto::TactileSample,
+};
+use prost::Message as _;
 
 use crate::support::{meta, rewrite, take_bytes, tree};
 
@@ -200,4 +205,105 @@ fn a_check_reports_what_cannot_be_read_and_goes_on() {
     assert!(severities.is_sorted(), "worst first");
     let gel = report.takes.iter().find(|take| take.id == "take-03").unwrap().streams[1].clone();
     assert_eq!(gel.clock_steps_back, 1);
+}
+
+/// A take of which every message of the joint log was changed.
+fn with_joints(bytes: &[u8], change: impl Fn(&mut f64)) -> Vec<u8> {
+    rewrite(bytes, |edit| {
+        if edit.topic == "/joint_states" {
+            let mut message = JointStates::decode(edit.data.as_slice()).unwrap();
+            message.joints.iter_mut().filter_map(|joint| joint.position.as_mut()).for_each(&change);
+            *edit.data = message.encode_to_vec();
+        }
+    })
+}
+
+#[test]
+fn what_robot_and_sensors_cannot_report_makes_a_session_unusable() {
+    let good = take_bytes(2000, &meta());
+    let mut far = meta();
+    far.base_from_object.translation.vector.x = 1e308;
+    let below = rewrite(&good, |edit| {
+        if edit.topic == "/tactile/gel" && edit.number < 3 {
+            let mut message = TactileSample::decode(edit.data.as_slice()).unwrap();
+            message.raw[1] = -5.0;
+            *edit.data = message.encode_to_vec();
+        }
+    });
+    let cases: [(Vec<u8>, &str); 5] = [
+        (
+            with_joints(&good, |position| *position = if *position < 0.0 { 1e308 } else { *position }),
+            "Error take-01, curl: 20 positions of 20, the farthest: 1e308 rad lies outside of the joint's limits, \
+             -1.5..1.5 rad",
+        ),
+        (
+            with_joints(&good, |position| *position = position.min(0.05) + 0.3),
+            "Error take-01, slide: 20 positions of 20, the farthest: 0.35 m lies outside of the joint's limits, 0..0.2 m",
+        ),
+        (
+            with_joints(&good, |position| *position = if *position < 0.0 { -28.6 } else { *position }),
+            "Error take-01, joints: most positions lie outside of the joints' limits and would fit as degrees",
+        ),
+        (take_bytes(2000, &far), "Error take-01, object_pose: the object is 1e308 m from the robot's base"),
+        (below, "Error take-01, tip.1: 3 readings, the lowest of which is -5 counts is less than 0"),
+    ];
+    for (bytes, expected) in cases {
+        let dir = tempfile::tempdir().unwrap();
+        let report = check_session(&session(dir.path(), &[("take-01.mcap", bytes)])).unwrap();
+        let found = messages(&report);
+        assert!(found[0].starts_with(expected), "{expected} is not first in {found:#?}");
+        assert!(!report.ok);
+    }
+    let dir = tempfile::tempdir().unwrap();
+    // As far off as a zero may be that a diagnosis is to find.
+    let offset = with_joints(&good, |position| *position = if *position < 0.0 { -1.59 } else { *position });
+    assert!(check_session(&session(dir.path(), &[("take-01.mcap", offset)])).unwrap().ok);
+}
+
+#[test]
+fn links_out_of_the_session_and_special_files_are_not_opened() {
+    use std::os::unix::fs::symlink;
+    let dir = tempfile::tempdir().unwrap();
+    let good = take_bytes(1000, &meta());
+    fs::write(dir.path().join("elsewhere.mcap"), &good).unwrap();
+    let takes: Vec<(&str, Vec<u8>)> = ["take-01.mcap", "take-02.mcap", "take-03.mcap", "take-04.mcap"]
+        .map(|file| (file, good.clone()))
+        .into();
+    let session = session(dir.path(), &takes);
+    let replace = |file: &str, target: &str| {
+        fs::remove_file(session.dir.join(file)).unwrap();
+        symlink(target, session.dir.join(file)).unwrap();
+    };
+    replace("take-01.mcap", "../elsewhere.mcap");
+    replace("take-02.mcap", "/dev/zero");
+    replace("take-03.mcap", "take-04.mcap");
+    let error = session.take(0).unwrap_err().to_string();
+    assert!(error.contains("take-01.mcap: link: is a link that leads out of the folder \"demo\""), "{error}");
+    assert!(session.take(1).unwrap_err().to_string().contains("leads out of the folder"));
+    assert_eq!(session.take(2).unwrap().id, "take-03", "a link within the session is as good as a file");
+    fs::remove_file(session.dir.join("take-02.mcap")).unwrap();
+    rustix::fs::mknodat(
+        rustix::fs::CWD,
+        session.dir.join("take-02.mcap"),
+        rustix::fs::FileType::Fifo,
+        rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR,
+        0,
+    )
+    .unwrap();
+    let found = messages(&check_session(&session).unwrap());
+    assert!(
+        found.iter().any(|message| message.contains("Error take-02, file: is a named pipe")),
+        "{found:#?}"
+    );
+    assert!(found.iter().any(|message| message.contains("Error take-01, link: ")), "{found:#?}");
+
+    let toml = session.dir.join("session.toml");
+    fs::rename(&toml, dir.path().join("session.toml")).unwrap();
+    symlink("../session.toml", &toml).unwrap();
+    let error = Session::open(&session.dir).unwrap_err().to_string();
+    assert!(error.contains("session.toml: link: is a link that leads out"), "{error}");
+    fs::remove_file(&toml).unwrap();
+    fs::File::create(&toml).unwrap().set_len(1 << 40).unwrap();
+    let error = Session::open(&session.dir).unwrap_err().to_string();
+    assert!(error.contains("session.toml: file: is larger than"), "{error}");
 }

@@ -46,7 +46,7 @@ pub(crate) fn take_bytes(duration_ms: u64, meta: &TakeMeta) -> Vec<u8> {
     for tick_ms in (0..duration_ms).step_by(5) {
         let time_ns = tick_ms * 1_000_000;
         if tick_ms % 100 == 0 {
-            writer.joints(time_ns, &[tick_ms as f64 * 1e-4, -0.5]).unwrap();
+            writer.joints(time_ns, &[tick_ms as f64 * 5e-5, -0.5]).unwrap();
         }
         for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
             let period_ms = (1e3 / stream.rate_hz) as u64;
