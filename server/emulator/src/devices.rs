@@ -255,6 +255,7 @@ impl EmulatedStation {
             match fault {
                 Fault::Stuck { .. } => servos[idx].stuck = true,
                 Fault::Overload { .. } => servos[idx].overload = true,
+                Fault::NoPower { .. } => servos[idx].unpowered = true,
                 Fault::Heating { rise_k, .. } => servos[idx].heating_k = *rise_k,
                 _ => {}
             }

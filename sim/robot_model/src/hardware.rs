@@ -16,6 +16,10 @@ pub(crate) use safety::{SafetyText, safety};
 /// Most current that a servo of a hand may draw, A: above, the small servos shut down and their gears suffer.
 pub const MAX_CURRENT_LIMIT_A: f64 = 0.55;
 
+/// Longest silence after which servos stop by themselves, s: if the program dies they move on to their last goal until
+/// then. The register could hold 2.54 s.
+pub const MAX_WATCHDOG_S: f64 = 1.0;
+
 /// One device of a station.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceConfig {
@@ -47,7 +51,8 @@ pub struct ServoBusConfig {
     pub rate_hz: f64,
     /// Largest current of a servo, A, at most [`MAX_CURRENT_LIMIT_A`]. Default 0.3.
     pub current_limit_a: f64,
-    /// Silence after which servos stop by themselves, s, 0.02 to 2.54. Default 0.2.
+    /// Silence after which servos stop by themselves, s, 0.02 to [`MAX_WATCHDOG_S`], and at least two cycles of `rate_hz`.
+    /// Default 0.2.
     pub watchdog_s: f64,
     /// The servos, in the file's order.
     pub servos: Vec<ServoConfig>,

@@ -39,7 +39,7 @@ pub enum Fault {
     Delay {
         /// Which device.
         device: String,
-        /// How late, s.
+        /// How late, s, 0..=60.
         delay_s: f64,
     },
     /// Answers or lines of a serial device do not arrive.
@@ -73,16 +73,21 @@ pub enum Fault {
         /// Which joint of the hand.
         joint: String,
     },
+    /// A servo has no power, as with a loose connector: it answers nothing and holds nothing. When this ends it starts anew.
+    NoPower {
+        /// Which joint of the hand.
+        joint: String,
+    },
     /// A servo is hotter than its own losses make it.
     Heating {
         /// Which joint of the hand.
         joint: String,
-        /// By how much, K.
+        /// By how much, K, -60..=120.
         rise_k: f64,
     },
     /// The hand's supply gives another voltage.
     Supply {
-        /// V.
+        /// V, 0..=12.
         volts: f64,
     },
     /// The arm hits something, once, when this begins.
@@ -93,7 +98,7 @@ pub enum Fault {
     DeadTaxel {
         /// Which channel of the layout.
         channel: String,
-        /// What it reads, raw units.
+        /// What it reads, raw units, within the range of its stream.
         #[serde(default)]
         raw: f64,
     },
@@ -101,10 +106,13 @@ pub enum Fault {
     Drift {
         /// Which channel of the layout.
         channel: String,
-        /// How fast, raw units per s.
+        /// How fast, raw units per s; either way at most the range of its stream in 0.1 s.
         raw_per_s: f64,
     },
 }
+
+/// A drift covers the range of its stream at most this often a second: faster, it is a jump.
+const MAX_RANGES_PER_S: f64 = 10.0;
 
 impl Faults {
     /// Reads a file of faults for `station`; `file` names it in errors.
@@ -152,7 +160,10 @@ impl Fault {
     /// The joint whose servo it befalls.
     pub(crate) fn joint(&self) -> Option<&str> {
         match self {
-            Self::Stuck { joint } | Self::Overload { joint } | Self::Heating { joint, .. } => Some(joint),
+            Self::Stuck { joint }
+            | Self::Overload { joint }
+            | Self::NoPower { joint }
+            | Self::Heating { joint, .. } => Some(joint),
             _ => None,
         }
     }
@@ -169,15 +180,13 @@ impl Fault {
                 (false, false) => Err(format!("no device {device:?}; expected one of {all}, {}", names.arm)),
             }
         };
-        let share = |share: f64| {
-            if (0.0..=1.0).contains(&share) {
+        // Every number has a range: what the emulation computes from it stays finite and fits the devices' registers.
+        let within = |name: &str, value: f64, min: f64, max: f64| {
+            if (min..=max).contains(&value) {
                 Ok(())
             } else {
-                Err(format!("share = {share} must be within 0..=1"))
+                Err(format!("{name} = {value} must be within {min}..={max}"))
             }
-        };
-        let finite = |name: &str, value: f64| {
-            if value.is_finite() { Ok(()) } else { Err(format!("{name} = {value} must be finite")) }
         };
         let joint = |joint: &String| match names.hand_joints.contains(joint) {
             true => Ok(()),
@@ -186,36 +195,48 @@ impl Fault {
                 names.hand_joints.join(", ")
             )),
         };
-        let channel = |id: &String| match station.layout.channels.iter().any(|channel| channel.id == *id) {
-            true => Ok(()),
-            false => Err(format!("the layout has no channel {id:?}")),
+        // Lowest and highest reading of a channel, raw units.
+        let range_of = |id: &String| {
+            let Some(found) = station.layout.channels.iter().position(|channel| channel.id == *id) else {
+                return Err(format!("the layout has no channel {id:?}"));
+            };
+            let stream = station.layout.streams.iter().position(|stream| stream.channels.contains(&found));
+            let config = stream.and_then(|stream| station.streams.get(stream));
+            config
+                .map(|config| (config.raw_min, config.raw_max))
+                .ok_or_else(|| format!("the channel {id:?} has no range of readings"))
         };
         match self {
             Self::Unplug { device: named } => device(named, false),
             Self::Delay { device: named, delay_s } => {
                 device(named, false)?;
-                if (0.0..=60.0).contains(delay_s) {
-                    Ok(())
-                } else {
-                    Err(format!("delay_s = {delay_s} must be within 0..=60"))
-                }
+                within("delay_s", *delay_s, 0.0, 60.0)
             }
-            Self::Lost { device: named, share: part }
-            | Self::Garbage { device: named, share: part }
-            | Self::Flip { device: named, share: part } => device(named, true).and_then(|()| share(*part)),
-            Self::Stuck { joint: named } | Self::Overload { joint: named } => joint(named),
-            Self::Heating { joint: named, rise_k } => joint(named).and_then(|()| finite("rise_k", *rise_k)),
-            Self::Supply { volts } => {
-                if (0.0..=12.0).contains(volts) {
-                    Ok(())
-                } else {
-                    Err(format!("volts = {volts} must be within 0..=12"))
-                }
+            Self::Lost { device: named, share }
+            | Self::Garbage { device: named, share }
+            | Self::Flip { device: named, share } => {
+                device(named, true)?;
+                within("share", *share, 0.0, 1.0)
             }
+            Self::Stuck { joint: named }
+            | Self::Overload { joint: named }
+            | Self::NoPower { joint: named } => joint(named),
+            Self::Heating { joint: named, rise_k } => {
+                joint(named)?;
+                // From deep frost to what melts a winding; the register has a byte for it.
+                within("rise_k", *rise_k, -60.0, 120.0)
+            }
+            Self::Supply { volts } => within("volts", *volts, 0.0, 12.0),
             Self::Collision | Self::EmergencyStop => Ok(()),
-            Self::DeadTaxel { channel: named, raw } => channel(named).and_then(|()| finite("raw", *raw)),
-            Self::Drift { channel: named, raw_per_s } => {
-                channel(named).and_then(|()| finite("raw_per_s", *raw_per_s))
+            Self::DeadTaxel { channel, raw } => {
+                let (raw_min, raw_max) = range_of(channel)?;
+                // Zero is the reading of a channel without a wire, and the default.
+                within("raw", *raw, raw_min.min(0.0), raw_max.max(0.0))
+            }
+            Self::Drift { channel, raw_per_s } => {
+                let (raw_min, raw_max) = range_of(channel)?;
+                let fastest = MAX_RANGES_PER_S * (raw_max - raw_min);
+                within("raw_per_s", *raw_per_s, -fastest, fastest)
             }
         }
     }

@@ -37,6 +37,8 @@ pub(crate) struct ServoFaults {
     pub(crate) stuck: bool,
     /// The overload protection sees a load.
     pub(crate) overload: bool,
+    /// There is no power.
+    pub(crate) unpowered: bool,
     /// The case is this much hotter than its own losses make it, K.
     pub(crate) heating_k: f64,
 }
@@ -151,6 +153,10 @@ impl Servo {
     }
 
     pub(crate) fn set_faults(&mut self, faults: ServoFaults) {
+        if faults.unpowered && !self.faults.unpowered {
+            // What is not in the EEPROM is forgotten; when power comes back it starts as after a reboot.
+            self.reboot();
+        }
         self.faults = faults;
     }
 
@@ -263,7 +269,7 @@ impl Servo {
 
     /// One step of [`STEP_S`] at `supply_v`.
     pub(crate) fn step(&mut self, supply_v: f64) {
-        self.rebooting = self.rebooting.saturating_sub(1);
+        self.rebooting = if self.faults.unpowered { REBOOT_STEPS } else { self.rebooting.saturating_sub(1) };
         self.watch_the_bus();
         let demand = if self.table.torque_is_on() && self.rebooting == 0 {
             let (position_rad, sign) = (self.position_rad(), self.sign());

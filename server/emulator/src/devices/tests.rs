@@ -336,6 +336,87 @@ fn wrong_faults_are_refused_with_their_place() {
 }
 
 #[test]
+fn every_number_of_a_fault_has_a_range() {
+    let station = station(0);
+    let fault = |kind: &str, rest: &str| format!("[[fault]]\nkind = \"{kind}\"\n{rest}");
+    for (kind, with, name, bad, good, range) in [
+        ("delay", "device = \"fsr\"", "delay_s", ["1e308", "60.1", "-0.1", "nan"], ["0.0", "60.0"], "0..=60"),
+        ("lost", "device = \"fsr\"", "share", ["1e308", "1.01", "-0.01", "nan"], ["0.0", "1.0"], "0..=1"),
+        ("garbage", "device = \"fsr\"", "share", ["1e308", "1.01", "-0.01", "nan"], ["0.0", "1.0"], "0..=1"),
+        ("flip", "device = \"u2d2\"", "share", ["1e308", "1.01", "-0.01", "nan"], ["0.0", "1.0"], "0..=1"),
+        (
+            "heating",
+            "joint = \"index_pip\"",
+            "rise_k",
+            ["1e308", "121.0", "-61.0", "nan"],
+            ["-60.0", "120.0"],
+            "-60..=120",
+        ),
+        ("supply", "", "volts", ["1e308", "12.1", "-0.1", "nan"], ["0.0", "12.0"], "0..=12"),
+        (
+            "dead_taxel",
+            "channel = \"index_tip.0\"",
+            "raw",
+            ["1e308", "65536.0", "-1.0", "nan"],
+            ["0.0", "65535.0"],
+            "0..=65535",
+        ),
+        (
+            "drift",
+            "channel = \"index_tip.0\"",
+            "raw_per_s",
+            ["1e308", "655351.0", "-655351.0", "nan"],
+            ["-655350.0", "655350.0"],
+            "-655350..=655350",
+        ),
+    ] {
+        for value in bad {
+            let text = fault(kind, &format!("{with}\n{name} = {value}"));
+            let parsed = Faults::parse("faults.toml", &text, station.station());
+            let error = parsed.expect_err(&text).to_string();
+            assert!(
+                error.contains("fault 1: ") && error.contains(&format!("{name} = ")),
+                "{error}\nfor {text}"
+            );
+            assert!(error.contains(&format!("must be within {range}")), "{error}\nfor {text}");
+        }
+        for value in good {
+            let text = fault(kind, &format!("{with}\n{name} = {value}"));
+            faults(&station, &text);
+        }
+    }
+}
+
+#[test]
+fn a_servo_without_power_is_silent_and_limp_and_starts_anew_when_it_is_back() {
+    let mut station = station(0);
+    let control = station.control();
+    let dof = station.station().robot.dofs().position(|joint| joint.name == "index_pip").expect("a joint");
+    let write = |station: &mut EmulatedStation, address: u16, data: &[u8], now_ns: u64| {
+        station.line_input(0, &request(2, Instruction::Write { address, data: data.to_vec() }), now_ns);
+        station.line_output(0, now_ns + 5_000_000)
+    };
+    // Torque on, and a gain that it does not have as delivered.
+    assert!(!write(&mut station, 84, &600_u16.to_le_bytes(), 0).is_empty());
+    assert!(!write(&mut station, 64, &[1], 10_000_000).is_empty());
+    assert!(control.snapshot().torque_on[dof]);
+    let loose = faults(&station, "[[fault]]\nkind = \"no_power\"\njoint = \"index_pip\"");
+    station.set_faults(loose, 20_000_000);
+    station.advance(900_000_000);
+    assert!(!control.snapshot().torque_on[dof]);
+    let ping = request(2, Instruction::Ping);
+    station.line_input(0, &ping, 900_000_000);
+    assert!(station.line_output(0, 910_000_000).is_empty(), "it has no power to answer with");
+    station.set_faults(Faults::default(), 920_000_000);
+    station.line_input(0, &ping, 1_300_000_000);
+    assert!(!station.line_output(0, 1_310_000_000).is_empty(), "it has started again");
+    assert!(!control.snapshot().torque_on[dof]);
+    station.line_input(0, &request(2, Instruction::Read { address: 84, length: 2 }), 1_320_000_000);
+    let answer = station.line_output(0, 1_330_000_000);
+    assert!(!answer.is_empty() && !answer.windows(2).any(|pair| pair == 600_u16.to_le_bytes()), "{answer:?}");
+}
+
+#[test]
 fn a_station_without_a_hand_is_refused() {
     let error = EmulatedStation::new(&shipped("bench.toml"), 0).map(|_| ()).expect_err("no hand").to_string();
     assert!(error.contains("has no hand on an arm"), "{error}");

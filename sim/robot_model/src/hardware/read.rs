@@ -6,7 +6,8 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
-    ArmConfig, BoardConfig, DeviceConfig, DeviceKind, MAX_CURRENT_LIMIT_A, ServoBusConfig, ServoConfig,
+    ArmConfig, BoardConfig, DeviceConfig, DeviceKind, MAX_CURRENT_LIMIT_A, MAX_WATCHDOG_S, ServoBusConfig,
+    ServoConfig,
 };
 use crate::{
     JointKind, ModelError, Robot, TactileLayout,
@@ -179,12 +180,14 @@ impl Reader<'_> {
         let current_limit_a = at.number("current_limit_a", text.current_limit_a, 0.3, allowed, || {
             format!("expected above zero and at most {MAX_CURRENT_LIMIT_A} A")
         })?;
+        // Shorter than two cycles, it would trip between them, and a servo that has tripped is stiff.
+        let min_watchdog_s = (2.0 / rate_hz).max(0.02);
         let watchdog_s = at.number(
             "watchdog_s",
             text.watchdog_s,
             0.2,
-            |s| (0.02..=2.54).contains(s),
-            || "expected 0.02 to 2.54 s, which is what servos can count".to_owned(),
+            |s| (min_watchdog_s..=MAX_WATCHDOG_S).contains(s),
+            || format!("expected {min_watchdog_s} (servos count 0.02 s, and two cycles of rate_hz fit) to {MAX_WATCHDOG_S} s"),
         )?;
         let texts = text.servo.unwrap_or_default();
         if texts.is_empty() {

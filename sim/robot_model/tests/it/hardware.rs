@@ -154,7 +154,13 @@ fn every_fault_of_a_device_names_line_and_device() {
         ("current_limit_a = 0.3", "current_limit_a = 0.6", vec!["current_limit_a is 0.6", "0.55 A"]),
         ("current_limit_a = 0.3", "current_limit_a = nan", vec!["current_limit_a is NaN"]),
         ("baud = 4000000", "baud = 4000001", vec!["baud is 4000001", "115200"]),
-        ("watchdog_s = 0.2", "watchdog_s = 3.0", vec!["watchdog_s is 3"]),
+        ("watchdog_s = 0.2", "watchdog_s = 1.02", vec!["device \"u2d2\"", "watchdog_s is 1.02", "to 1 s"]),
+        ("watchdog_s = 0.2", "watchdog_s = 0.01", vec!["watchdog_s is 0.01", "expected 0.02"]),
+        (
+            "rate_hz = 100.0\ncurrent_limit_a = 0.3\nwatchdog_s = 0.2",
+            "rate_hz = 10.0\ncurrent_limit_a = 0.3\nwatchdog_s = 0.15",
+            vec!["watchdog_s is 0.15", "expected 0.2", "two cycles"],
+        ),
         ("rate_hz = 100.0\ncurrent", "rate_hz = 0.0\ncurrent", vec!["rate_hz is 0", "10 to 1000 Hz"]),
         (servo, &servo.replace("index_pip", "index_pop"), vec!["joint \"index_pop\"", "expected one of"]),
         (
@@ -217,8 +223,8 @@ fn every_fault_of_the_safety_section_names_line_and_joint() {
         ("lease_ttl_s = 6.0", "lease_ttl_s = 0.4".to_owned(), "lease_ttl_s 0.4 is below disarm_after_s 0.5"),
         (
             "heartbeat_ttl_s = 0.15",
-            "heartbeat_ttl_s = 0.6".to_owned(),
-            "heartbeat_ttl_s 0.6 is not below disarm_after_s",
+            "heartbeat_ttl_s = 0.5".to_owned(),
+            "heartbeat_ttl_s 0.5 is not below disarm_after_s",
         ),
         ("telemetry_ttl_s = 0.25", "telemetry_ttl_s = nan".to_owned(), "telemetry_ttl_s is NaN"),
         ("ease_in_s = 1.0", "ease_in_s = -1.0".to_owned(), "ease_in_s is -1"),
@@ -264,4 +270,131 @@ fn every_fault_of_the_safety_section_names_line_and_joint() {
     let pip = tight.robot.dofs().position(|joint| joint.name == "index_pip").unwrap();
     assert_eq!((tight.safety.joints[pip].upper, tight.safety.joints[pip].velocity), (1.5, 1.0));
     assert_eq!(tight.safety.joints[pip].lower, -0.506);
+}
+
+#[test]
+fn no_station_file_lifts_the_ceilings_of_times_and_speeds() {
+    let joint = |name: &str, text: &str| format!("[[safety.joint]]\nname = {name:?}\n{text}\n\n# Devices.");
+    // As in the file, just too much, what is said of it, and what is still allowed.
+    for (from, to, expected, allowed) in [
+        (
+            "heartbeat_ttl_s = 0.15\ndisarm_after_s = 0.5",
+            "heartbeat_ttl_s = 3600\ndisarm_after_s = 7200",
+            "heartbeat_ttl_s is 3600, expected at most 0.5 s",
+            "heartbeat_ttl_s = 0.5\ndisarm_after_s = 0.6",
+        ),
+        (
+            "disarm_after_s = 0.5",
+            "disarm_after_s = 2.1",
+            "disarm_after_s is 2.1, expected at most 2 s",
+            "disarm_after_s = 2.0",
+        ),
+        (
+            "disarm_after_s = 0.5\ncommand_ttl_s = 0.15",
+            "disarm_after_s = 0.9\ncommand_ttl_s = 0.6",
+            "command_ttl_s is 0.6, expected at most 0.5 s",
+            "disarm_after_s = 0.9\ncommand_ttl_s = 0.5",
+        ),
+        (
+            "command_ttl_s = 0.15",
+            "command_ttl_s = 0.5",
+            "command_ttl_s 0.5 is not below disarm_after_s 0.5",
+            "command_ttl_s = 0.4",
+        ),
+        (
+            "disarm_after_s = 0.5\ncommand_ttl_s = 0.15\ntelemetry_ttl_s = 0.25",
+            "disarm_after_s = 2.0\ncommand_ttl_s = 0.15\ntelemetry_ttl_s = 1.1",
+            "telemetry_ttl_s is 1.1, expected at most 1 s",
+            "disarm_after_s = 2.0\ncommand_ttl_s = 0.15\ntelemetry_ttl_s = 1.0",
+        ),
+        (
+            "lease_ttl_s = 6.0",
+            "lease_ttl_s = 61.0",
+            "lease_ttl_s is 61, expected at most 60 s",
+            "lease_ttl_s = 60.0",
+        ),
+        (
+            "ease_in_s = 1.0",
+            "ease_in_s = 10.5",
+            "ease_in_s is 10.5, expected zero to 10 s",
+            "ease_in_s = 10.0",
+        ),
+        (
+            "hand_velocity = 3.0",
+            "hand_velocity = 6.3",
+            "hand_velocity is 6.3, expected at most 6.283 rad/s",
+            "hand_velocity = 6.28",
+        ),
+        (
+            "hand_acceleration = 40.0",
+            "hand_acceleration = 201.0",
+            "hand_acceleration is 201, expected at most 200 rad/s²",
+            "hand_acceleration = 200.0",
+        ),
+        (
+            "carrier_velocity = 0.6",
+            "carrier_velocity = 1.6",
+            "carrier_velocity is 1.6, expected at most 1.57 rad/s",
+            "carrier_velocity = 1.57",
+        ),
+        (
+            "carrier_acceleration = 5.0",
+            "carrier_acceleration = 21.0",
+            "carrier_acceleration is 21, expected at most 20 rad/s²",
+            "carrier_acceleration = 20.0",
+        ),
+        (
+            "carrier_acceleration = 5.0",
+            "carrier_acceleration = 1.0",
+            "carrier_acceleration is 1, so that braking from carrier_velocity 0.6 takes 0.60 s, expected at most 0.5 s",
+            "carrier_acceleration = 1.2",
+        ),
+        (
+            "# Devices.",
+            &joint("index_pip", "velocity = 7.0"),
+            "joint \"index_pip\": velocity is 7, expected at most 6.283 rad/s",
+            &joint("index_pip", "velocity = 6.0"),
+        ),
+        (
+            "# Devices.",
+            &joint("joint1", "velocity = 2.0"),
+            "joint \"joint1\": velocity is 2, expected at most 1.57 rad/s",
+            &joint("joint1", "velocity = 1.5"),
+        ),
+        (
+            "# Devices.",
+            &joint("joint1", "acceleration = 50.0"),
+            "joint \"joint1\": acceleration is 50, expected at most 20 rad/s²",
+            &joint("joint1", "acceleration = 20.0"),
+        ),
+        (
+            "# Devices.",
+            &joint("index_pip", "acceleration = 5.0"),
+            "joint \"index_pip\": acceleration is 5, so that braking from velocity 3 takes 0.60 s",
+            &joint("index_pip", "acceleration = 6.0"),
+        ),
+    ] {
+        let error = edited(from, to).err().unwrap_or_else(|| panic!("{to:?} is accepted")).to_string();
+        assert!(error.contains(expected) && error.contains("line "), "{to}: {error}");
+        edited(from, allowed).unwrap_or_else(|error| panic!("{allowed:?} is refused: {error}"));
+    }
+}
+
+#[test]
+fn sliding_joints_without_a_speed_of_their_own_get_no_more_than_their_ceiling() {
+    let mut files = station("probe_bench.toml").files;
+    let robot = files.files.get_mut("../robots/probe_bench.urdf").expect("the robot's file");
+    *robot = String::from_utf8(robot.clone())
+        .expect("text")
+        .replace("velocity=\"0.1\"", "velocity=\"0\"")
+        .into_bytes();
+    files.station_toml.push_str("\n[safety.joint_defaults]\ncarrier_velocity = 1.5\n");
+    let fastest = |files| {
+        let joints = Station::from_files(files).expect("a station").safety.joints;
+        joints.iter().map(|joint| joint.velocity).fold(0.0, f64::max)
+    };
+    assert_eq!(fastest(files.clone()), 1.0);
+    files.station_toml.push_str("[[safety.joint]]\nname = \"stage_z\"\nvelocity = 1.2\n");
+    let error = Station::from_files(files).unwrap_err().to_string();
+    assert!(error.contains("joint \"stage_z\": velocity is 1.2, expected at most 1 m/s"), "{error}");
 }

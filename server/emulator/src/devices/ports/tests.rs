@@ -26,7 +26,7 @@ fn while_served(
     let dir = tempfile::tempdir().expect("a folder");
     let config = PortsConfig { dir: dir.path().to_path_buf(), arm_ip: IP, arm_ports: ArmPorts::Any };
     let stop = AtomicBool::new(false);
-    let (tell, told) = mpsc::channel();
+    let (tell, told) = mpsc::sync_channel(1);
     let mut notices = Vec::new();
     std::thread::scope(|scope| {
         let served = scope.spawn(|| {

@@ -307,7 +307,7 @@ fn faults_show_in_registers() {
     let mut line = Line::new(2);
     line.set(0, &registers::TORQUE_ENABLE, 1);
     let cold = line.get(0, &PRESENT_TEMPERATURE);
-    let faults = |stuck, overload, heating_k| ServoFaults { stuck, overload, heating_k };
+    let faults = |stuck, overload, heating_k| ServoFaults { stuck, overload, unpowered: false, heating_k };
     line.bus.set_faults(&[faults(true, false, 20.0), ServoFaults::default()], Some(4.2));
     line.set(0, &registers::GOAL_POSITION, 2300);
     line.wait(200);
