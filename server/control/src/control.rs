@@ -2,7 +2,7 @@
 
 use std::{
     path::PathBuf,
-    sync::{Arc, mpsc::channel},
+    sync::{Arc, mpsc::sync_channel},
     thread::{self, JoinHandle},
 };
 
@@ -25,6 +25,9 @@ use crate::{
     wanted::WantedFile,
 };
 
+/// Events of devices that wait for the control loop at most: two seconds of all devices of a hand on an arm. Readings beyond
+/// that are dropped and counted by the drivers.
+const MAX_WAITING_EVENTS: usize = 4096;
 /// How far a joint may be behind a guided motion before the motion is given up: servos that press against something
 /// yield, arms do not.
 const MOST_BEHIND_HAND: f64 = 0.45;
@@ -103,7 +106,7 @@ impl Control {
         if let Some(problem) = problem {
             audit.warn(0, "station", &problem);
         }
-        let (report, events) = channel();
+        let (report, events) = sync_channel(MAX_WAITING_EVENTS);
         let devices = Devices::open(&station, &ports, report)?;
         let (handle, messages) = Handle::new(Shared {
             station: Arc::clone(&station),

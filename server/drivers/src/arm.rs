@@ -11,6 +11,7 @@ mod velocity;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use palpate_device_protocol::xarm::{NUM_JOINT_SLOTS, Report};
@@ -48,15 +49,20 @@ pub(crate) struct ArmSetup {
 /// Drives the arm until the context says stop.
 pub(crate) fn run(context: &DeviceContext, setup: &ArmSetup) {
     let mut session = Session::new(setup.joints.clone(), setup.limits.clone(), setup.hold_ns);
+    if context.has_failed.load(Ordering::Relaxed) {
+        session.take_over();
+    }
     context.health.set_motors(setup.joints.iter().cloned());
     context.keep_connected(
         |context| Connection::open(&context.id, setup.commands, setup.reports, &context.clock),
-        |context, connection| Conversation::new(context, setup, &mut session).run(connection),
+        |context, connection| Conversation::new(context, setup, &mut session, connection).run(),
     );
 }
 
-/// One connection's worth of driving.
+/// One connection's worth of driving. The arm is stopped and switched off when this is dropped, also by a panic, unless it
+/// is already.
 struct Conversation<'a> {
+    connection: Connection,
     context: &'a DeviceContext,
     setup: &'a ArmSetup,
     session: &'a mut Session,
@@ -67,28 +73,45 @@ struct Conversation<'a> {
 }
 
 impl<'a> Conversation<'a> {
-    fn new(context: &'a DeviceContext, setup: &'a ArmSetup, session: &'a mut Session) -> Self {
+    fn new(
+        context: &'a DeviceContext,
+        setup: &'a ArmSetup,
+        session: &'a mut Session,
+        connection: Connection,
+    ) -> Self {
         let velocities = VelocityEstimate::new(setup.joints.len());
         let clock_map = ClockMap::default();
-        Self { context, setup, session, clock_map, velocities, last_received_ns: None, last_link: None }
+        Self {
+            connection,
+            context,
+            setup,
+            session,
+            clock_map,
+            velocities,
+            last_received_ns: None,
+            last_link: None,
+        }
     }
 
-    fn run(&mut self, mut connection: Connection) -> Result<(), String> {
+    fn run(&mut self) -> Result<(), String> {
         let clock = &self.context.clock;
         let mut next_tick_ns = clock.now_ns();
         let mut farewell_ns = None;
         self.session.connected(next_tick_ns);
         let ended = loop {
+            #[cfg(test)]
+            self.context.panic_if_asked();
             let wait_ns = next_tick_ns.saturating_sub(clock.now_ns());
-            match connection.wait(Duration::from_nanos(wait_ns)) {
-                Some(Received::Reports { received_ns, reports }) => {
+            match self.connection.wait(Duration::from_nanos(wait_ns)) {
+                Some(Received::Reports { received_ns, reports, num_dropped }) => {
+                    self.context.health.add_gaps(num_dropped);
                     reports.iter().for_each(|report| self.report(received_ns, report));
                 }
                 Some(Received::Malformed(count)) => self.context.health.add_bad_frames(count),
                 Some(Received::Ended(problem)) => break Err(problem),
                 None => {}
             }
-            match connection.read() {
+            match self.connection.read() {
                 Ok(bytes) => self.session.receive(clock.now_ns(), &bytes),
                 Err(problem) => break Err(problem),
             }
@@ -112,7 +135,7 @@ impl<'a> Conversation<'a> {
                 }
                 self.tell_link();
             }
-            if let Err(problem) = connection.write(&self.session.take_output()) {
+            if let Err(problem) = self.connection.write(&self.session.take_output()) {
                 break Err(problem);
             }
             if let Some(problem) = self.session.broken() {
@@ -189,6 +212,17 @@ impl<'a> Conversation<'a> {
         if self.last_link.as_ref() != Some(&link) {
             self.context.link(link.0, link.1.clone());
             self.last_link = Some(link);
+        }
+    }
+}
+
+impl Drop for Conversation<'_> {
+    fn drop(&mut self) {
+        let Some([stop, off]) = self.session.last_words() else { return };
+        let mut bytes = self.session.take_output();
+        bytes.extend(stop);
+        if let Err(error) = self.connection.say_last(&bytes, &off) {
+            tracing::warn!(device = %self.context.id, %error, "the arm could not be told to stop any more");
         }
     }
 }

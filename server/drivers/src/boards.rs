@@ -96,6 +96,8 @@ impl<'a> Reading<'a> {
         let mut heard_ns = clock.now_ns();
         let mut understood_ns = heard_ns;
         while !self.context.stop.is_set() {
+            #[cfg(test)]
+            self.context.panic_if_asked();
             let count = match port.read(&mut bytes) {
                 Ok(0) => return Err(format!("{} hung up; check its plug", self.setup.port.display())),
                 Ok(count) => count,

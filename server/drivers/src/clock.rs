@@ -7,16 +7,33 @@ use std::time::{Duration, Instant};
 #[derive(Clone, Debug)]
 pub struct HostClock {
     opened: Instant,
+    /// The time that tests set, in place of the computer's.
+    #[cfg(test)]
+    by_hand: Option<Arc<std::sync::atomic::AtomicU64>>,
 }
 
 impl HostClock {
     /// A clock that starts now.
     pub(crate) fn start() -> Self {
-        Self { opened: Instant::now() }
+        Self {
+            opened: Instant::now(),
+            #[cfg(test)]
+            by_hand: None,
+        }
+    }
+
+    /// A clock that shows what `now_ns` holds, for devices in their own time.
+    #[cfg(test)]
+    pub(crate) fn by_hand(now_ns: Arc<std::sync::atomic::AtomicU64>) -> Self {
+        Self { opened: Instant::now(), by_hand: Some(now_ns) }
     }
 
     /// Time since the station was opened, ns.
     pub fn now_ns(&self) -> u64 {
+        #[cfg(test)]
+        if let Some(now_ns) = &self.by_hand {
+            return now_ns.load(std::sync::atomic::Ordering::Relaxed);
+        }
         u64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(u64::MAX)
     }
 }

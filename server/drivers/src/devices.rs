@@ -5,7 +5,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::SyncSender;
 
 use palpate_robot_model::{ArmConfig, BoardConfig, DeviceConfig, DeviceKind, SafetyConfig, Station};
 use palpate_safety::{Setpoint, disarm_begins_s};
@@ -13,7 +13,7 @@ use palpate_safety::{Setpoint, disarm_begins_s};
 use crate::arm::{self, ArmSetup, Limits};
 use crate::boards::{self, BoardSetup};
 use crate::clock::{HostClock, Stop};
-use crate::context::{BusHandle, DeviceContext, Goal, GoalSlot};
+use crate::context::{BusHandle, DeviceContext, Goal, GoalSlot, Outbox};
 use crate::error::DriverError;
 use crate::event::DeviceEvent;
 use crate::health::{DeviceHealth, SharedHealth};
@@ -57,11 +57,15 @@ struct Device {
 
 impl Devices {
     /// Starts a thread for each device of the station. What they have to say comes through `events`, each `device` of
-    /// which counts the station's devices. A device that is not there is no error: its thread keeps trying, and says so.
+    /// which counts the station's devices. A device that is not there is no error: its thread keeps trying, and says so. A
+    /// driver that panics is told as [`crate::Link::Lost`] with the reason, and started again.
+    ///
+    /// No device's thread waits for room in `events`. Where there is none, readings are dropped and counted in
+    /// [`DeviceHealth::dropped_events`]; the newest link of each device is kept and comes as soon as there is room.
     pub fn open(
         station: &Arc<Station>,
         ports: &Ports,
-        events: Sender<DeviceEvent>,
+        events: SyncSender<DeviceEvent>,
     ) -> Result<Self, DriverError> {
         let known = || list(station.devices.iter().map(|device| device.id.as_str()));
         if let Some(unknown) = ports.keys().find(|id| station.devices.iter().all(|device| device.id != **id))
@@ -78,8 +82,11 @@ impl Devices {
                 health: SharedHealth::new(&config.id, config.kind_name()),
                 goals: goals.clone(),
                 stop: Stop::default(),
-                events: events.clone(),
+                events: Outbox::new(events.clone()),
                 clear_fault: Arc::default(),
+                has_failed: Arc::default(),
+                #[cfg(test)]
+                panics: Arc::default(),
             };
             let (id, health) = (Arc::clone(&context.id), context.health.clone());
             let clear_fault = Arc::clone(&context.clear_fault);
@@ -99,7 +106,8 @@ impl Devices {
         self.goals.set(Goal::from(setpoint));
     }
 
-    /// Asks the device's thread to clear what can be cleared: servos that have tripped restart, the arm's errors go.
+    /// Asks the device's thread to clear what can be cleared: servos that have tripped restart, the arm's errors go. What is
+    /// asked while the device is away is void: when it comes back, its faults stay until somebody who has seen them asks.
     pub fn clear_fault(&self, device: &str) -> Result<(), DriverError> {
         let Some(found) = self.devices.iter().find(|candidate| *candidate.id == *device) else {
             let known = list(self.devices.iter().map(|device| &*device.id));
@@ -149,11 +157,11 @@ fn spawn(
         }
         DeviceKind::Xarm(arm) => {
             let setup = arm_setup(config, arm, port, safety)?;
-            context.spawn(move |context| arm::run(&context, &setup))
+            context.spawn(move |context| arm::run(context, &setup))
         }
         DeviceKind::Lines(board) => {
             let setup = board_setup(serial_path(config, &board.port, port)?, board);
-            context.spawn(move |context| boards::run(&context, &setup))
+            context.spawn(move |context| boards::run(context, &setup))
         }
     }
 }

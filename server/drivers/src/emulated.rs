@@ -8,19 +8,23 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use palpate_emulator::devices::{ArmPorts, DevicePorts, EmulatedStation, PortsConfig, serve_devices};
+use palpate_emulator::devices::{
+    ArmPorts, DevicePorts, EmulatedStation, PortsConfig, StationControl, serve_devices,
+};
 
-use crate::clock::{HostClock, Stop};
-use crate::context::{DeviceContext, GoalSlot};
+use crate::context::DeviceContext;
 use crate::event::{DeviceEvent, Link};
-use crate::health::SharedHealth;
 
 /// Whatever is waited for comes long before this, unless it never does.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// A test that looks away for long loses no event.
+const MAX_EVENTS: usize = 100_000;
 
 /// Devices on free ports and in a folder of their own. They end when this is dropped.
 pub(crate) struct Emulated {
     pub(crate) ports: DevicePorts,
+    /// What is true of the devices.
+    pub(crate) control: StationControl,
     dir: tempfile::TempDir,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -30,7 +34,7 @@ impl Emulated {
     pub(crate) fn start() -> Self {
         let dir = tempfile::tempdir().expect("a folder");
         let stop = Arc::new(AtomicBool::new(false));
-        let (sender, ports) = mpsc::channel();
+        let (sender, ports) = mpsc::sync_channel(1);
         let config = PortsConfig {
             dir: dir.path().to_path_buf(),
             arm_ip: IpAddr::V4(Ipv4Addr::LOCALHOST),
@@ -41,13 +45,16 @@ impl Emulated {
             move || {
                 let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/truth/demo.toml");
                 let mut station = EmulatedStation::new(&truth, 3).expect("the demonstration's station");
-                let mut ready = |ports: &DevicePorts| sender.send(ports.clone()).expect("the test waits");
+                let control = station.control();
+                let mut ready = |ports: &DevicePorts| {
+                    sender.send((ports.clone(), control.clone())).expect("the test waits");
+                };
                 let mut notice = |text: String| eprintln!("emulation: {text}");
                 serve_devices(&mut station, &config, &stop, &mut ready, &mut notice).expect("served");
             }
         });
-        let ports = ports.recv_timeout(PATIENCE).expect("the devices come up");
-        Self { ports, dir, stop, thread: Some(thread) }
+        let (ports, control) = ports.recv_timeout(PATIENCE).expect("the devices come up");
+        Self { ports, control, dir, stop, thread: Some(thread) }
     }
 
     /// Path of a serial line.
@@ -84,21 +91,12 @@ pub(crate) struct Driven {
 }
 
 impl Driven {
-    pub(crate) fn start(id: &str, run: impl FnOnce(&DeviceContext) + Send + 'static) -> Self {
-        let (sender, events) = mpsc::channel();
-        let context = DeviceContext {
-            index: 0,
-            id: Arc::from(id),
-            clock: HostClock::start(),
-            health: SharedHealth::new(id, "test"),
-            goals: GoalSlot::default(),
-            stop: Stop::default(),
-            events: sender,
-            clear_fault: Arc::default(),
-        };
+    pub(crate) fn start(id: &str, run: impl FnMut(&DeviceContext) + Send + 'static) -> Self {
+        let (sender, events) = mpsc::sync_channel(MAX_EVENTS);
+        let context = DeviceContext::for_tests(id, sender);
         let thread = std::thread::spawn({
             let context = context.clone();
-            move || run(&context)
+            move || context.keep_running(run)
         });
         Self { context, events, seen: Vec::new(), thread: Some(thread) }
     }

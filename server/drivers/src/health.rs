@@ -26,6 +26,8 @@ pub struct DeviceHealth {
     pub gaps: u64,
     /// Frames dropped for a wrong checksum or form.
     pub bad_frames: u64,
+    /// Readings dropped because nobody took them in time.
+    pub dropped_events: u64,
     /// Times that it was connected again.
     pub reconnects: u64,
     /// How much faster the host's clock runs than the device's, parts per million; 0 where the device has none.
@@ -94,6 +96,13 @@ impl SharedHealth {
     /// Frames had a wrong checksum or form.
     pub(crate) fn add_bad_frames(&self, count: u64) {
         self.lock().health.bad_frames += count;
+    }
+
+    /// A reading was dropped because nobody took it; how many that makes.
+    pub(crate) fn add_dropped_event(&self) -> u64 {
+        let mut inner = self.lock();
+        inner.health.dropped_events += 1;
+        inner.health.dropped_events
     }
 
     pub(crate) fn set_skew_ppm(&self, skew_ppm: f64) {

@@ -11,6 +11,8 @@ use thread_priority::{
 const REAL_TIME: u8 = 60;
 /// The crate's middle of 0 to 99 for ordinary threads: nice 0.
 const ORDINARY: u8 = 50;
+/// In the same measure, for work that gives way: nice 10.
+const BACKGROUND: u8 = 25;
 
 /// The calling thread comes before all ordinary ones from now on, where the system permits it; where it does not, that is
 /// said once. Only for threads that mostly wait, and never longer than a few ms.
@@ -30,6 +32,12 @@ pub fn real_time() {
 pub fn ordinary() {
     // The policy is set first; a nice value that may not be raised again stays as it is.
     let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), ORDINARY);
+}
+
+/// The calling thread gives way to every ordinary one from now on: for work that takes seconds and that nobody steers by.
+pub fn background() {
+    // Whoever may not even lower it loses nothing but the order.
+    let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), BACKGROUND);
 }
 
 fn set(policy: ThreadSchedulePolicy, priority: u8) -> Result<(), thread_priority::Error> {

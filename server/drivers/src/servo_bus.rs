@@ -1,8 +1,11 @@
 //! The servos of a hand: one thread that reads all of them and gives them their goals, at a steady rate.
 //!
-//! A cycle reads every servo, reports, decides what the newest goal means now, acts, and spends what is left on the
-//! condition of one servo. Answers that are missing or damaged are asked for again a bounded number of times; what
-//! is not whole is not used.
+//! A cycle reads every servo, reports, decides what the newest goal means now, acts, and spends what is left on one
+//! request to one servo: for its condition, or for its set-up where it was away. Answers that are missing or damaged are
+//! asked for again a bounded number of times; what is not whole is not used.
+//!
+//! Every servo that shall have no torque is told so, whether it is believed to have any or not: in [`OFF_CYCLES`] cycles
+//! in a row, every [`OFF_AGAIN_NS`] from then on, and once more when the line is let go for whatever reason.
 
 mod arming;
 mod line;
@@ -24,12 +27,13 @@ use palpate_robot_model::hardware::ServoBusConfig;
 use crate::context::{BusHandle, DeviceContext, Goal, LOST_AFTER};
 use crate::error::DriverError;
 use crate::event::Link;
+use arming::{Arming, Progress};
 use line::{Line, RequestError};
 use order::{Decider, Order};
 use plan::BusPlan;
 use present::PresentReader;
 use servo::{Presence, Servo};
-use setup::{find_and_set_up, read_condition};
+use setup::{SetUp, read_condition};
 
 /// Pings of a servo when the line is opened, and when it is looked for while others are driven.
 const FIRST_PINGS: usize = 4;
@@ -42,10 +46,22 @@ const LOOK_FOR_RESTARTED_NS: u64 = 60_000_000;
 const LONGEST_RESTART_NS: u64 = 3_000_000_000;
 /// Pause before arming is tried again, ns.
 const ARM_AGAIN_NS: u64 = 300_000_000;
+/// Cycles in a row in which a servo is told to let go, because nobody confirms that.
+const OFF_CYCLES: u32 = 5;
+/// It is told again this often for as long as it shall have no torque, ns: one that could not hear may hear again.
+const OFF_AGAIN_NS: u64 = 100_000_000;
+/// Pause between the last requests of a line that is let go: longer than any of them takes on the line.
+const FAREWELL_PAUSE: Duration = Duration::from_millis(2);
+/// Times that a servo is told to restart before it is taken to have done so without its answer arriving.
+const REBOOTS: u32 = 3;
+/// Time that a request to one servo has to fit into before the next cycle begins, ns...
+const SPARE_NS: u64 = 2_000_000;
+/// ... except in every so many cycles, because a slow line has no time to spare in any.
+const MAX_SKIPPED: u32 = 3;
 /// How often the way to the operator is looked at for what slows it down, ns.
 const LOOK_FOR_SLOWNESS_NS: u64 = 5_000_000_000;
 /// More problems than this are counted, not listed.
-const MOST_PROBLEMS: usize = 4;
+const MAX_PROBLEMS: usize = 4;
 
 /// Starts the thread of a line of servos on the port at `path`. Joints are held for `hold_ns` once setpoints have dried
 /// up, and go limp then.
@@ -66,7 +82,7 @@ pub(crate) fn spawn(
     })
 }
 
-/// An open line with its servos.
+/// An open line with its servos. All of them are told to let go when this is dropped, also by a panic.
 struct Bus<'a> {
     plan: &'a BusPlan,
     line: Line,
@@ -75,13 +91,23 @@ struct Bus<'a> {
     decider: Decider,
     /// Whether goals are followed; not necessarily by every servo.
     armed: bool,
+    /// Torque on the way up.
+    arming: Option<Arming>,
     /// Why arming failed, and until when it is not tried again.
     arm_problem: String,
     arm_again_ns: u64,
+    /// Whether servos were driven in the cycle before.
+    was_driving: bool,
+    /// When servos without torque are told so again.
+    off_again_ns: u64,
     slowness: Option<String>,
     look_for_slowness_ns: u64,
     /// Next servo whose condition is read.
     turn: usize,
+    /// Whether the next request to one servo is for its condition, while others are driven.
+    is_conditions_turn: bool,
+    /// Cycles in a row that had no time for a request to one servo.
+    num_skipped: u32,
 }
 
 impl<'a> Bus<'a> {
@@ -89,38 +115,58 @@ impl<'a> Bus<'a> {
     fn open(context: &DeviceContext, plan: &'a BusPlan) -> Result<Self, String> {
         let line = Line::open(&plan.path, plan.baud, &context.clock)
             .map_err(|error| words::cannot_open(&plan.path, &error))?;
-        let mut bus = Self {
+        let mut bus = Self::new(context, plan, line);
+        bus.find(context)?;
+        Ok(bus)
+    }
+
+    fn new(context: &DeviceContext, plan: &'a BusPlan, line: Line) -> Self {
+        Self {
             line,
             servos: plan.servos.iter().cloned().map(Servo::new).collect(),
             reader: PresentReader::default(),
             decider: Decider::new(plan.hold_ns),
             armed: false,
+            arming: None,
             arm_problem: String::new(),
             arm_again_ns: 0,
+            was_driving: false,
+            off_again_ns: 0,
             slowness: words::slow_line(&plan.path, None),
             look_for_slowness_ns: context.clock.now_ns() + LOOK_FOR_SLOWNESS_NS,
             turn: 0,
+            is_conditions_turn: false,
+            num_skipped: 0,
             plan,
-        };
-        for servo in &mut bus.servos {
-            let now_ns = context.clock.now_ns();
-            find_and_set_up(&mut bus.line, servo, plan, now_ns, FIRST_PINGS)
-                .map_err(|error| format!("{:?}: {error}: plug the adapter in again", plan.path))?;
-            if context.stop.is_set() {
-                break;
+        }
+    }
+
+    /// Finds the servos and sets them up, one after another: nothing is driven yet.
+    fn find(&mut self, context: &DeviceContext) -> Result<(), String> {
+        let trouble =
+            |error: RequestError| format!("{:?}: {error}: plug the adapter in again", self.plan.path);
+        // They may be stiff from before, and finding all of them takes a while.
+        let ids = self.ids();
+        for _ in 0..OFF_CYCLES {
+            arming::tell_off(&mut self.line, &ids).map_err(trouble)?;
+        }
+        for servo in &mut self.servos {
+            servo.setup = Some(SetUp::looking(FIRST_PINGS));
+            while servo.setup.is_some() && !context.stop.is_set() {
+                let now_ns = context.clock.now_ns();
+                setup::go_on(&mut self.line, servo, self.plan, now_ns).map_err(trouble)?;
             }
         }
-        if bus.servos.iter().all(|servo| matches!(servo.presence, Presence::Missing { .. })) {
+        if self.servos.iter().all(|servo| matches!(servo.presence, Presence::Missing { .. })) {
             return Err(format!(
                 "no servo answers on {:?} at {} baud: check the 5 V supply, the cable from the adapter to the first \
                  servo, and `baud` in the station file",
-                plan.path, plan.baud
+                self.plan.path, self.plan.baud
             ));
         }
-        // A request to clear faults that came before there was anybody to clear them is void.
-        let _void = context.take_clear_fault();
-        bus.tell(context);
-        Ok(bus)
+        self.line.limit_waits(self.plan.period);
+        self.tell(context);
+        Ok(())
     }
 
     /// Drives the servos until the thread shall end, or the line is lost, which is told in words.
@@ -145,8 +191,13 @@ impl<'a> Bus<'a> {
                 break;
             }
         }
-        // A servo that does not hear this stops by its own watchdog.
-        let _unheard = arming::go_limp(&mut self.line, &mut self.servos, 5);
+        let ids = self.ids();
+        for _ in 0..OFF_CYCLES {
+            arming::tell_off(&mut self.line, &ids).map_err(|error| error.to_string())?;
+            if arming::confirm_off(&mut self.line, &mut self.servos).map_err(|error| error.to_string())? {
+                break;
+            }
+        }
         Ok(())
     }
 
@@ -160,22 +211,40 @@ impl<'a> Bus<'a> {
         )
     }
 
+    /// Ids of all servos of the plan.
+    fn ids(&self) -> Vec<u8> {
+        self.plan.servos.iter().map(|servo| servo.id).collect()
+    }
+
+    /// Whether any servo has torque, or is about to get it, because a goal wants that.
+    fn is_driving(&self) -> bool {
+        self.armed || self.arming.is_some()
+    }
+
     fn cycle(&mut self, context: &DeviceContext, deadline_ns: u64) -> Result<(), RequestError> {
+        #[cfg(test)]
+        context.panic_if_asked();
         let clock = &context.clock;
         self.reader.read(context, &mut self.line, &mut self.servos, deadline_ns)?;
         let goal = context.goals.newest();
         let now_ns = clock.now_ns();
-        match self.decider.decide(goal.as_ref(), self.armed, now_ns) {
-            Order::Limp => self.go_limp()?,
+        let order = self.decider.decide(goal.as_ref(), self.armed, now_ns);
+        match order {
+            Order::Limp => {
+                (self.armed, self.arming) = (false, None);
+                self.servos.iter_mut().for_each(|servo| servo.armed = false);
+                self.arm_problem.clear();
+            }
             Order::Hold => {}
             Order::Follow(goal) if self.armed => self.follow(goal)?,
             Order::Follow(goal) if now_ns >= self.arm_again_ns => self.arm(goal, now_ns)?,
             Order::Follow(_) => {}
         }
+        self.let_go(now_ns)?;
         if context.take_clear_fault() {
-            self.clear_faults(now_ns)?;
+            self.clear_faults();
         }
-        self.look_after_one(now_ns)?;
+        self.look_after_one(context, deadline_ns)?;
         let now_ns = clock.now_ns();
         self.note_silent(now_ns);
         if now_ns >= self.look_for_slowness_ns {
@@ -187,24 +256,47 @@ impl<'a> Bus<'a> {
         Ok(())
     }
 
-    fn go_limp(&mut self) -> Result<(), RequestError> {
-        let was_armed = std::mem::take(&mut self.armed);
-        if was_armed || self.servos.iter().any(|servo| servo.is_ready() && servo.torque_on) {
-            // What is not confirmed now is tried again in the next cycle.
-            let _confirmed = arming::go_limp(&mut self.line, &mut self.servos, 2)?;
+    /// Tells every servo that shall have no torque to switch it off, whether it is believed to have any or not: one whose
+    /// answer was lost, one that is missing and one that restarts may hear it all the same.
+    fn let_go(&mut self, now_ns: u64) -> Result<(), RequestError> {
+        let is_again = now_ns >= self.off_again_ns;
+        if is_again {
+            self.off_again_ns = now_ns + OFF_AGAIN_NS;
         }
-        self.arm_problem.clear();
+        let is_driving = self.is_driving();
+        if std::mem::replace(&mut self.was_driving, is_driving) && !is_driving {
+            // Also those that were not driven with the others.
+            self.servos.iter_mut().for_each(|servo| servo.offs_left = OFF_CYCLES);
+        }
+        let mut ids = Vec::with_capacity(self.servos.len());
+        for (idx, servo) in self.servos.iter_mut().enumerate() {
+            let is_driven = self.armed && servo.armed;
+            if is_driven || self.arming.as_ref().is_some_and(|arming| arming.includes(idx)) {
+                servo.offs_left = OFF_CYCLES;
+            } else if is_again || servo.offs_left > 0 {
+                servo.offs_left = servo.offs_left.saturating_sub(1);
+                ids.push(servo.plan.id);
+            }
+        }
+        arming::tell_off(&mut self.line, &ids)?;
+        if !self.is_driving() {
+            // What is not confirmed now is asked again in the next cycle.
+            let _confirmed = arming::confirm_off(&mut self.line, &mut self.servos)?;
+        }
         Ok(())
     }
 
+    /// One attempt to switch torque on.
     fn arm(&mut self, goal: &Goal, now_ns: u64) -> Result<(), RequestError> {
-        match arming::arm(&mut self.line, &mut self.servos, self.plan, &goal.positions, now_ns)? {
-            Ok(()) => {
+        let mut arming = self.arming.take().unwrap_or_else(|| Arming::new(&self.servos));
+        match arming.go_on(&mut self.line, &mut self.servos, self.plan, &goal.positions, now_ns)? {
+            Progress::GoesOn => self.arming = Some(arming),
+            Progress::Armed => {
                 self.armed = true;
                 self.arm_problem.clear();
             }
-            Err(problem) => {
-                self.go_limp()?;
+            Progress::Failed(problem) => {
+                self.servos.iter_mut().for_each(|servo| servo.armed = false);
                 self.arm_problem = format!("not armed: {problem}");
                 self.arm_again_ns = now_ns + ARM_AGAIN_NS;
             }
@@ -228,38 +320,89 @@ impl<'a> Bus<'a> {
         self.line.sync_write(GOAL_POSITION.address, goals)
     }
 
-    /// Restarts the servos that have tripped, and only those; they are set up again once they answer.
-    fn clear_faults(&mut self, now_ns: u64) -> Result<(), RequestError> {
+    /// The servos that have tripped, and only those, restart; they are set up again once they answer.
+    fn clear_faults(&mut self) {
         for servo in &mut self.servos {
-            let tripped = servo.is_ready() && servo.hardware_error != HardwareError(0);
-            if !tripped && servo.presence != Presence::Unusable {
-                continue;
+            let has_tripped = servo.is_ready() && servo.hardware_error != HardwareError(0);
+            if has_tripped || servo.presence == Presence::Unusable {
+                servo.reboots_left = REBOOTS;
             }
-            // One that restarted without its answer arriving is silent, too.
-            if let Err(error @ RequestError::Port(_)) = self.line.ask(servo.plan.id, Instruction::Reboot) {
-                return Err(error);
-            }
-            (servo.armed, servo.torque_on) = (false, false);
-            servo.presence = Presence::Restarting { look_ns: now_ns + RESTART_NS, since_ns: now_ns };
         }
-        Ok(())
     }
 
-    /// Looks for one servo that is away, or else reads the condition of one that is there.
-    fn look_after_one(&mut self, now_ns: u64) -> Result<(), RequestError> {
-        let due = |servo: &&mut Servo| match servo.presence {
+    /// Sends one request to one servo: to restart, to go on with the set-up of one that was away, or for the condition of one
+    /// that is there. While nothing is driven, set-ups take all of the cycle.
+    fn look_after_one(&mut self, context: &DeviceContext, deadline_ns: u64) -> Result<(), RequestError> {
+        let is_short = context.clock.now_ns() + SPARE_NS > deadline_ns;
+        // Right after a stop nothing is worth a late word to those that shall let go.
+        let lets_go = self.servos.iter().any(|servo| servo.offs_left > 0 && servo.offs_left < OFF_CYCLES);
+        if is_short && (lets_go || self.num_skipped < MAX_SKIPPED) {
+            self.num_skipped += 1;
+            return Ok(());
+        }
+        self.num_skipped = 0;
+        if self.restart_one(context.clock.now_ns())? {
+            return Ok(());
+        }
+        let is_driving = self.is_driving();
+        // Whoever is away for long does not keep the others' conditions from being read.
+        self.is_conditions_turn = is_driving && !self.is_conditions_turn;
+        if self.is_conditions_turn {
+            return self.read_one(context.clock.now_ns());
+        }
+        let mut num_asked = 0;
+        while let Some(idx) = self.next_to_set_up(context.clock.now_ns()) {
+            let now_ns = context.clock.now_ns();
+            setup::go_on(&mut self.line, &mut self.servos[idx], self.plan, now_ns)?;
+            num_asked += 1;
+            if is_driving || context.clock.now_ns() + SPARE_NS > deadline_ns {
+                break;
+            }
+        }
+        if num_asked == 0 { self.read_one(context.clock.now_ns()) } else { Ok(()) }
+    }
+
+    /// Restarts a servo of which that was asked, if there is one.
+    fn restart_one(&mut self, now_ns: u64) -> Result<bool, RequestError> {
+        let Some(servo) = self.servos.iter_mut().find(|servo| servo.reboots_left > 0) else {
+            return Ok(false);
+        };
+        match self.line.ask(servo.plan.id, Instruction::Reboot) {
+            Err(error @ RequestError::Port(_)) => return Err(error),
+            Err(RequestError::Silent { .. }) => servo.reboots_left -= 1,
+            _ => servo.reboots_left = 0,
+        }
+        if servo.reboots_left == 0 {
+            // One that restarted without its answer arriving is silent, too.
+            (servo.armed, servo.torque_on, servo.setup) = (false, false, None);
+            servo.presence = Presence::Restarting { look_ns: now_ns + RESTART_NS, since_ns: now_ns };
+        }
+        Ok(true)
+    }
+
+    /// The servo whose set-up goes on or begins now.
+    fn next_to_set_up(&mut self, now_ns: u64) -> Option<usize> {
+        if let Some(idx) = self.servos.iter().position(|servo| servo.setup.is_some()) {
+            return Some(idx);
+        }
+        let idx = self.servos.iter().position(|servo| match servo.presence {
             Presence::Restarting { look_ns, .. } | Presence::Missing { look_ns } => look_ns <= now_ns,
             Presence::Ready | Presence::Unusable => false,
+        })?;
+        let servo = &mut self.servos[idx];
+        servo.presence = match servo.presence {
+            Presence::Restarting { since_ns, .. } if now_ns - since_ns < LONGEST_RESTART_NS => {
+                Presence::Restarting { look_ns: now_ns + LOOK_FOR_RESTARTED_NS, since_ns }
+            }
+            _ => Presence::Missing { look_ns: now_ns + LOOK_AGAIN_NS },
         };
-        if let Some(servo) = self.servos.iter_mut().find(due) {
-            servo.presence = match servo.presence {
-                Presence::Restarting { since_ns, .. } if now_ns - since_ns < LONGEST_RESTART_NS => {
-                    Presence::Restarting { look_ns: now_ns + LOOK_FOR_RESTARTED_NS, since_ns }
-                }
-                _ => Presence::Missing { look_ns: now_ns + LOOK_AGAIN_NS },
-            };
-            return find_and_set_up(&mut self.line, servo, self.plan, now_ns, LATER_PINGS);
-        }
+        (servo.armed, servo.torque_on) = (false, false);
+        servo.setup = Some(SetUp::looking(LATER_PINGS));
+        Some(idx)
+    }
+
+    /// Reads the condition of one servo that is there.
+    fn read_one(&mut self, now_ns: u64) -> Result<(), RequestError> {
         let num = self.servos.len();
         let ready = |idx: &usize| self.servos[*idx].is_ready();
         let in_turn = (0..num).map(|step| (self.turn + step) % num);
@@ -277,7 +420,7 @@ impl<'a> Bus<'a> {
                 {
                     // It had no power for a moment: as it is, it would move with other gains and currents.
                     tracing::warn!(servo = %servo.plan.name(), "lost its settings; it is set up again, without torque");
-                    servo.presence = Presence::Missing { look_ns: now_ns };
+                    (servo.armed, servo.presence) = (false, Presence::Missing { look_ns: now_ns });
                 }
                 Ok(())
             }
@@ -310,7 +453,7 @@ impl<'a> Bus<'a> {
         }
         let mut named: Vec<String> = befallen
             .iter()
-            .take(MOST_PROBLEMS)
+            .take(MAX_PROBLEMS)
             .map(|(problem, names)| match &names[..] {
                 [first, _, _, ..] => format!("{} servos, {first} the first: {problem}", names.len()),
                 names => format!("{}: {problem}", names.join(" and ")),
@@ -339,6 +482,20 @@ impl<'a> Bus<'a> {
     }
 }
 
+impl Drop for Bus<'_> {
+    /// The thread ends, the line is lost, or something panicked. What is believed of the servos does not matter here.
+    fn drop(&mut self) {
+        let ids = self.ids();
+        for _ in 0..OFF_CYCLES {
+            if arming::tell_off(&mut self.line, &ids).is_err() {
+                // The port is gone; the servos stop by their own watchdog.
+                break;
+            }
+            std::thread::sleep(FAREWELL_PAUSE);
+        }
+    }
+}
+
 fn model_name(model: u16, firmware: u8) -> String {
     match Model::from_number(model) {
         Some(Model::Xl330M288) => format!("XL330-M288, firmware {firmware}"),
@@ -347,5 +504,7 @@ fn model_name(model: u16, firmware: u8) -> String {
     }
 }
 
+#[cfg(test)]
+mod own_time_tests;
 #[cfg(all(test, unix))]
 mod tests;

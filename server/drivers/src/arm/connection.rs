@@ -2,9 +2,9 @@
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpStream};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TrySendError};
 use std::thread::{Builder, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use palpate_device_protocol::xarm::{Report, ReportDecoder, ReportKind};
 
@@ -13,6 +13,13 @@ use crate::clock::HostClock;
 /// Time for connecting to a port.
 const CONNECT: Duration = Duration::from_secs(2);
 const CHUNK: usize = 4096;
+/// What waits for the driver's thread at most: a second of the quickest reports. More is dropped and counted, because old
+/// reports are worth little and the thread that reads them must not wait.
+const MAX_WAITING: usize = 256;
+/// Time for the last words to a box that is left, and for its answers.
+const FAREWELL: Duration = Duration::from_millis(300);
+/// An arm that is told to stop has braked within this time; only then may its brakes take over.
+const BRAKING: Duration = Duration::from_millis(100);
 /// Bytes that the box may leave unread before the connection is given up.
 const MOST_UNSENT: usize = 64 * 1024;
 /// Reports of at least this size are those of port 30000, whose layout is its own.
@@ -27,6 +34,8 @@ pub(crate) enum Received {
         /// When.
         received_ns: u64,
         reports: Vec<Report>,
+        /// Reports before these for which there was no room.
+        num_dropped: u64,
     },
     /// So many more reports were none.
     Malformed(u64),
@@ -62,7 +71,7 @@ impl Connection {
         };
         let stream = set_up()
             .map_err(|error| format!("the connection to the control box cannot be set up: {error}"))?;
-        let (sender, received) = mpsc::channel();
+        let (sender, received) = mpsc::sync_channel(MAX_WAITING);
         let clock = clock.clone();
         let thread = Builder::new()
             .name(format!("reports {id}"))
@@ -115,6 +124,36 @@ impl Connection {
     }
 }
 
+impl Connection {
+    /// The last words to the box, for a driver that cannot go on: `stop`, a pause in which the arm brakes, and `off`. Everything
+    /// that was to be sent before goes first, because frames have no mark to begin at. Waits for the answers, or for
+    /// [`FAREWELL`].
+    pub(crate) fn say_last(&mut self, stop: &[u8], off: &[u8]) -> io::Result<()> {
+        self.unsent.extend_from_slice(stop);
+        self.commands.set_nonblocking(false)?;
+        self.commands.set_write_timeout(Some(FAREWELL))?;
+        self.commands.write_all(&self.unsent)?;
+        self.unsent.clear();
+        std::thread::sleep(BRAKING);
+        self.commands.write_all(off)?;
+        let begun = Instant::now();
+        self.commands.shutdown(Shutdown::Write)?;
+        // A connection that is closed with unread answers is reset, and a reset may overtake what was sent.
+        let mut bytes = vec![0; CHUNK];
+        while let Some(left) = FAREWELL.checked_sub(begun.elapsed()).filter(|left| !left.is_zero()) {
+            self.commands.set_read_timeout(Some(left))?;
+            match self.commands.read(&mut bytes) {
+                Ok(0) => break,
+                Ok(_) => {}
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if is_passing(&error) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Drop for Connection {
     fn drop(&mut self) {
         // Either may be closed already.
@@ -148,11 +187,11 @@ fn is_passing(error: &io::Error) -> bool {
 }
 
 /// Reads until the stream is closed from either side.
-fn read_reports(mut stream: TcpStream, clock: &HostClock, sender: &Sender<Received>) {
+fn read_reports(mut stream: TcpStream, clock: &HostClock, sender: &SyncSender<Received>) {
     let mut bytes = vec![0; CHUNK];
     let mut first = Vec::new();
     let mut decoder = None;
-    let mut num_malformed = 0;
+    let (mut num_malformed, mut num_dropped) = (0, 0);
     let problem = loop {
         let count = match stream.read(&mut bytes) {
             Ok(0) => break HUNG_UP.to_owned(),
@@ -177,16 +216,25 @@ fn read_reports(mut stream: TcpStream, clock: &HostClock, sender: &Sender<Receiv
         let reports = decoder.feed(&first);
         let malformed = decoder.counters().malformed;
         if malformed > num_malformed {
-            let more = malformed - std::mem::replace(&mut num_malformed, malformed);
-            if sender.send(Received::Malformed(more)).is_err() {
-                return;
+            match sender.try_send(Received::Malformed(malformed - num_malformed)) {
+                Ok(()) => num_malformed = malformed,
+                // They are counted with the next ones.
+                Err(TrySendError::Full(_)) => {}
+                Err(TrySendError::Disconnected(_)) => return,
             }
         }
-        if !reports.is_empty() && sender.send(Received::Reports { received_ns, reports }).is_err() {
-            return;
+        if reports.is_empty() {
+            continue;
+        }
+        let num_reports = reports.len() as u64;
+        match sender.try_send(Received::Reports { received_ns, reports, num_dropped }) {
+            Ok(()) => num_dropped = 0,
+            Err(TrySendError::Full(_)) => num_dropped += num_reports,
+            Err(TrySendError::Disconnected(_)) => return,
         }
     };
-    let _nobody_waits = sender.send(Received::Ended(problem));
+    // Where there is no room, the end of the channel tells the same with less detail.
+    let _nobody_waits = sender.try_send(Received::Ended(problem));
 }
 
 /// The layout of a stream that begins with these bytes.
@@ -262,6 +310,37 @@ mod tests {
         let all = received(&bytes);
         assert!(all.iter().any(|received| matches!(received, Received::Malformed(1))));
         assert!(matches!(all.last(), Some(Received::Ended(problem)) if problem.contains("closed")));
+    }
+
+    #[test]
+    fn a_driver_that_takes_no_reports_gets_the_first_ones_and_the_number_of_those_without_room() {
+        let listen = || TcpListener::bind("127.0.0.1:0").expect("a port");
+        let listener = listen();
+        let mut client = TcpStream::connect(listener.local_addr().expect("its address")).expect("it listens");
+        let (stream, _) = listener.accept().expect("a client");
+        let (sender, received) = mpsc::sync_channel(2);
+        let reader = std::thread::spawn(move || read_reports(stream, &HostClock::start(), &sender));
+        let one = report(ReportKind::Real, 135);
+        let mut first = Vec::new();
+        // Each comes by itself, until there must have been some without room.
+        for _ in 0..50 {
+            client.write_all(&one).expect("it reads");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        while first.len() < 2 {
+            first.push(received.recv().expect("the first ones"));
+        }
+        client.write_all(&one).expect("it reads");
+        let last = received.recv().expect("the last one");
+        drop(client);
+        reader.join().expect("it ends by itself");
+        let count = |received: &Received| match received {
+            Received::Reports { reports, num_dropped, .. } => (reports.len() as u64, *num_dropped),
+            _ => (0, 0),
+        };
+        let (kept, dropped) =
+            first.iter().chain([&last]).map(count).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        assert!(kept + dropped == 51 && dropped > 0, "{kept} reports, {dropped} without room");
     }
 
     #[test]

@@ -156,7 +156,7 @@ pub(crate) struct Session {
     enabled: bool,
     /// Whether this program has switched them on.
     ours: bool,
-    /// An order without torque has to be seen first.
+    /// An order without torque has to be seen first, as at the start: who commands has then seen that the arm is off.
     needs_disarm: bool,
     clear_requested: bool,
     connected_ns: u64,
@@ -192,7 +192,7 @@ impl Session {
             warning: 0,
             enabled: false,
             ours: false,
-            needs_disarm: false,
+            needs_disarm: true,
             clear_requested: false,
             connected_ns: 0,
             seen: None,
@@ -202,6 +202,27 @@ impl Session {
             is_behind_since_ns: None,
             broken: None,
         }
+    }
+
+    /// The driver before this one failed and may have left motors on: they are this program's to switch off.
+    pub(crate) fn take_over(&mut self) {
+        self.ours = true;
+    }
+
+    /// Frames for a box that is left without anybody who drives it, after all of [`Session::take_output`]: stop, and, once it has
+    /// had time to brake, motors off. `None` where nothing is on that this program has switched on.
+    pub(crate) fn last_words(&mut self) -> Option<[Vec<u8>; 2]> {
+        let commands =
+            [Command::SetState { state: state::STOPPED }, Command::MotionEnable { joint: 8, on: 0 }];
+        (!self.is_at_rest()).then(|| {
+            commands.map(|command| {
+                let transaction = self.next_transaction;
+                self.next_transaction = if transaction == u16::MAX { 1 } else { transaction + 1 };
+                let frame = command.to_frame(transaction, self.protocol).and_then(|frame| frame.encode());
+                // Both are small and always fit a frame.
+                frame.unwrap_or_default()
+            })
+        })
     }
 
     /// A new connection: asks the box what it is.
@@ -253,7 +274,16 @@ impl Session {
                 .seen
                 .as_ref()
                 .is_some_and(|seen| seen.state == state::MOVING && seen.still_since_ns.is_none());
-        let problem = if !self.note.is_empty() {
+        // As after a program that was killed while the arm was led.
+        let yields = self.phase == Phase::Idle
+            && self.enabled
+            && self.seen.as_ref().is_some_and(|seen| {
+                seen.mode == mode::LEAD_THROUGH
+                    && matches!(seen.state, state::TOLD_READY | state::MOVING | state::READY)
+            });
+        let problem = if yields {
+            "the arm yields to hands, and this program did not tell it to: press its emergency stop, or arm it".to_owned()
+        } else if !self.note.is_empty() {
             self.note.clone()
         } else if self.warning != 0 {
             explain_warning(self.warning)

@@ -18,7 +18,10 @@ fn driven(emulated: &Emulated, report_port: u16) -> Driven {
         limits: Limits { rad_per_sec: vec![0.6; 6], rad_per_sec2: vec![5.0; 6] },
         hold_ns: 250_000_000,
     };
-    Driven::start("xarm", move |context| run(context, &setup))
+    let driven = Driven::start("xarm", move |context| run(context, &setup));
+    // Who commands begins without torque, as the safety layer does.
+    set(&driven, false, false, &[]);
+    driven
 }
 
 fn set(driven: &Driven, torque: bool, lead_through: bool, positions: &[f64]) {
@@ -136,6 +139,87 @@ fn lead_through_is_entered_and_left() {
     });
     set(&arm, true, false, &there);
     wait_until_at(&mut arm, &there);
+    arm.end();
+}
+
+/// Until the box says something of itself.
+fn wait_for_arm(emulated: &Emulated, is_it: impl Fn(&palpate_emulator::devices::StationSnapshot) -> bool) {
+    let begun = std::time::Instant::now();
+    loop {
+        let now = emulated.control.snapshot();
+        if is_it(&now) {
+            return;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(30), "never: {:?} {:?}", now.arm, now.torque_on);
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// An arm that yields to hands.
+fn led(emulated: &Emulated) -> Driven {
+    let mut arm = driven(emulated, emulated.ports.arm_ports.real);
+    arm.wait_for_link(Link::Ready);
+    let (start, _) = joints(&mut arm);
+    set(&arm, true, true, &start);
+    wait_for_torque(&mut arm, true);
+    wait_for_arm(emulated, |now| now.arm.mode == 2 && matches!(now.arm.state, 1 | 2) && now.torque_on[0]);
+    arm
+}
+
+#[test]
+fn an_arm_in_lead_through_is_stopped_and_off_after_an_orderly_end() {
+    let _turn = one_at_a_time();
+    let emulated = Emulated::start();
+    let mut arm = led(&emulated);
+    arm.end();
+    let now = emulated.control.snapshot();
+    assert_eq!(now.arm.state, 4);
+    assert!(now.torque_on[..6].iter().all(|on| !on));
+}
+
+#[test]
+fn an_arm_in_lead_through_is_stopped_and_off_after_a_panic_and_not_switched_on_again_by_itself() {
+    let _turn = one_at_a_time();
+    let emulated = Emulated::start();
+    let mut arm = led(&emulated);
+    arm.context.panics.store(true, std::sync::atomic::Ordering::Relaxed);
+    let problem = arm.wait_for_link(Link::Lost);
+    assert!(problem.contains("driver failed") && problem.contains("started again"), "{problem}");
+    // Said before the driver is: the next one has nothing left to stop.
+    wait_for_arm(&emulated, |now| now.arm.state == 4 && now.torque_on[..6].iter().all(|on| !on));
+    arm.wait_for_link(Link::Ready);
+    // Lead-through is still asked for.
+    (0..50).for_each(|_| assert!(!joints(&mut arm).1));
+    assert_eq!(emulated.control.snapshot().arm.state, 4);
+    set(&arm, false, false, &[]);
+    thread::sleep(Duration::from_millis(100));
+    let (start, _) = joints(&mut arm);
+    set(&arm, true, false, &start);
+    wait_for_torque(&mut arm, true);
+    arm.end();
+}
+
+#[test]
+fn a_warning_that_somebody_asks_to_clear_while_the_arm_is_away_stays() {
+    use std::io::Write as _;
+    let _turn = one_at_a_time();
+    let emulated = Emulated::start();
+    let mut arm = driven(&emulated, emulated.ports.arm_ports.real);
+    arm.wait_for_link(Link::Ready);
+    // Another client says something that the box does not know.
+    let address = SocketAddr::new(emulated.ports.arm_ip, emulated.ports.arm_ports.command);
+    let mut other = std::net::TcpStream::connect(address).expect("the box listens");
+    other.write_all(&[0, 1, 0, 2, 0, 1, 0x7B]).expect("it reads");
+    wait_for_arm(&emulated, |now| now.arm.warning != 0);
+    emulated.set_faults("[[fault]]\nkind = \"unplug\"\ndevice = \"xarm\"\n");
+    arm.wait_for_link(Link::Lost);
+    arm.context.clear_fault.store(true, Ordering::Relaxed);
+    emulated.set_faults("");
+    arm.wait_for_link(Link::Ready);
+    (0..50).for_each(|_| drop(joints(&mut arm)));
+    assert_ne!(emulated.control.snapshot().arm.warning, 0, "nobody has seen it");
+    arm.context.clear_fault.store(true, Ordering::Relaxed);
+    wait_for_arm(&emulated, |now| now.arm.warning == 0);
     arm.end();
 }
 

@@ -94,6 +94,20 @@ fn a_board_that_goes_silent_is_lost_and_one_of_another_shape_has_a_fault() {
 }
 
 #[test]
+fn a_driver_of_a_board_that_panics_is_started_again() {
+    let _turn = one_at_a_time();
+    let emulated = Emulated::start();
+    let mut tip = driven(&emulated, "twintac1", 8, 1);
+    tip.wait_for_link(Link::Ready);
+    tip.context.panics.store(true, std::sync::atomic::Ordering::Relaxed);
+    let problem = tip.wait_for_link(Link::Lost);
+    assert!(problem.contains("driver failed") && problem.contains("started again"), "{problem}");
+    tip.wait_for_link(Link::Ready);
+    assert_eq!(take(&mut tip, 5).len(), 5);
+    tip.end();
+}
+
+#[test]
 fn a_port_that_is_not_there_is_explained() {
     let setup = BoardSetup {
         port: PathBuf::from("/nowhere/ttyACM7"),

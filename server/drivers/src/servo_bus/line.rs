@@ -2,7 +2,7 @@
 
 use std::io::{self, Read as _, Write as _};
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate_device_protocol::dynamixel::{
     BROADCAST_ID, Decoder, FastBlock, Instruction, PacketError, Request, Status, StatusError,
@@ -16,8 +16,6 @@ use crate::clock::HostClock;
 const BITS_PER_BYTE: u64 = 10;
 /// Silence after which no more bytes of a damaged answer are expected.
 const SILENCE: Duration = Duration::from_millis(1);
-/// Times that a request to one servo is sent before it counts as unanswered.
-const TRIES: usize = 8;
 /// Bytes around the data of one servo's status: header, id, length, instruction, error, checksum.
 const STATUS_BYTES: usize = 11;
 /// Bytes of a joint answer in front of the first servo's block, and around the data of each block.
@@ -69,6 +67,8 @@ struct Patience {
     mean: Duration,
     /// Whether the last answer did not come in time.
     gave_up: bool,
+    /// An answer is not waited for longer than this, unless answers take longer as a rule.
+    most: Option<Duration>,
 }
 
 impl Patience {
@@ -76,7 +76,10 @@ impl Patience {
     const LONGEST: Duration = Duration::from_millis(50);
 
     fn limit(&self) -> Duration {
-        (2 * self.peak + Duration::from_millis(2)).clamp(Self::SHORTEST, Self::LONGEST)
+        let limit = (2 * self.peak + Duration::from_millis(2)).clamp(Self::SHORTEST, Self::LONGEST);
+        // A line that is always slow keeps the time that its answers take.
+        let usual = 2 * self.mean + Duration::from_millis(2);
+        self.most.map_or(limit, |most| limit.min(most.max(usual)))
     }
 
     fn answered(&mut self, took: Duration) {
@@ -90,9 +93,31 @@ impl Patience {
     }
 }
 
+/// What a line needs of its port.
+pub(crate) trait Port: io::Read + io::Write + Send {
+    /// How long a read waits for its first byte.
+    fn set_timeout(&mut self, timeout: Duration) -> io::Result<()>;
+    /// Throws away what has come and was not read; whether there was anything.
+    fn discard_input(&mut self) -> io::Result<bool>;
+}
+
+impl Port for Box<dyn SerialPort> {
+    fn set_timeout(&mut self, timeout: Duration) -> io::Result<()> {
+        Ok(SerialPort::set_timeout(&mut **self, timeout)?)
+    }
+
+    fn discard_input(&mut self) -> io::Result<bool> {
+        let is_late = self.bytes_to_read()? > 0;
+        if is_late {
+            self.clear(ClearBuffer::Input)?;
+        }
+        Ok(is_late)
+    }
+}
+
 /// An open line.
 pub(crate) struct Line {
-    port: Box<dyn SerialPort>,
+    port: Box<dyn Port>,
     clock: HostClock,
     byte_ns: u64,
     patience: Patience,
@@ -107,19 +132,31 @@ impl Line {
     pub(crate) fn open(path: &Path, baud: u32, clock: &HostClock) -> Result<Self, serialport::Error> {
         let name = path.to_string_lossy();
         let port = serialport::new(name, baud).timeout(Duration::from_millis(100)).open()?;
-        Ok(Self {
+        Ok(Self::over(Box::new(port), baud, clock))
+    }
+
+    /// The line behind an open port.
+    pub(crate) fn over(port: Box<dyn Port>, baud: u32, clock: &HostClock) -> Self {
+        Self {
             port,
             byte_ns: BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1)),
             patience: Patience {
                 peak: Duration::from_millis(15),
                 mean: Duration::from_millis(1),
                 gave_up: false,
+                most: None,
             },
             bad_frames: 0,
             heard_ns: clock.now_ns(),
             buffer: Vec::with_capacity(1024),
             clock: clock.clone(),
-        })
+        }
+    }
+
+    /// From now on no answer is waited for longer than this, so that one servo that has fallen silent does not hold up the
+    /// others: unless answers take longer as a rule.
+    pub(crate) fn limit_waits(&mut self, most: Duration) {
+        self.patience.most = Some(most);
     }
 
     /// Frames with a wrong checksum or form since the last call.
@@ -137,35 +174,22 @@ impl Line {
         self.patience.mean
     }
 
-    /// Asks one servo until it answers, at most [`TRIES`] times.
+    /// Asks one servo, once. Nobody is asked again and again here: other servos wait for the line meanwhile.
     pub(crate) fn ask(&mut self, id: u8, instruction: Instruction) -> Result<Status, RequestError> {
-        self.ask_times(id, instruction, TRIES)
-    }
-
-    /// Asks one servo until it answers, at most `tries` times.
-    pub(crate) fn ask_times(
-        &mut self,
-        id: u8,
-        instruction: Instruction,
-        tries: usize,
-    ) -> Result<Status, RequestError> {
         let num_data = match &instruction {
             Instruction::Read { length, .. } => usize::from(*length),
             Instruction::Ping => 3,
             _ => 0,
         };
         let request = Request { id, instruction }.encode()?;
-        for _ in 0..tries {
-            let (_, statuses) = self.statuses(&request, &[id], num_data)?;
-            let Some(status) = statuses.into_iter().next() else { continue };
-            match status.error.error() {
-                None => return Ok(status),
-                // The request was damaged on its way.
-                Some(StatusError::Crc) => {}
-                Some(error) => return Err(RequestError::Refused { id, error }),
-            }
+        let (_, statuses) = self.statuses(&request, &[id], num_data)?;
+        let Some(status) = statuses.into_iter().next() else { return Err(RequestError::Silent { id }) };
+        match status.error.error() {
+            None => Ok(status),
+            // The request was damaged on its way.
+            Some(StatusError::Crc) => Err(RequestError::Silent { id }),
+            Some(error) => Err(RequestError::Refused { id, error }),
         }
-        Err(RequestError::Silent { id })
     }
 
     /// Reads registers of one servo.
@@ -289,15 +313,14 @@ impl Line {
     ) -> io::Result<Reading> {
         self.discard_late()?;
         self.buffer.clear();
-        let begun = Instant::now();
         let sent_ns = self.clock.now_ns();
         self.port.write_all(request)?;
         let on_line = Duration::from_nanos(self.byte_ns * (request.len() + num_bytes) as u64);
-        let deadline = begun + on_line + self.patience.limit();
+        let limit_ns = u64::try_from((on_line + self.patience.limit()).as_nanos()).unwrap_or(u64::MAX);
+        let deadline_ns = sent_ns.saturating_add(limit_ns);
         let mut chunk = [0; 1024];
         loop {
-            let now = Instant::now();
-            let left = deadline.saturating_duration_since(now);
+            let left = Duration::from_nanos(deadline_ns.saturating_sub(self.clock.now_ns()));
             if left.is_zero() {
                 self.patience.gave_up = true;
                 break;
@@ -309,7 +332,8 @@ impl Line {
                 Ok(count) => {
                     self.buffer.extend_from_slice(&chunk[..count]);
                     if is_done(&self.buffer) {
-                        self.patience.answered(begun.elapsed().saturating_sub(on_line));
+                        let took = Duration::from_nanos(self.clock.now_ns().saturating_sub(sent_ns));
+                        self.patience.answered(took.saturating_sub(on_line));
                         break;
                     }
                 }
@@ -326,11 +350,8 @@ impl Line {
 
     /// What comes after it was given up is no answer to the next request.
     fn discard_late(&mut self) -> io::Result<()> {
-        if self.port.bytes_to_read()? > 0 {
-            if std::mem::take(&mut self.patience.gave_up) {
-                self.patience.too_short();
-            }
-            self.port.clear(ClearBuffer::Input)?;
+        if self.port.discard_input()? && std::mem::take(&mut self.patience.gave_up) {
+            self.patience.too_short();
         }
         Ok(())
     }

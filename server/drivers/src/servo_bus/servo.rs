@@ -4,6 +4,7 @@ use palpate_device_protocol::dynamixel::{HardwareError, PingReply};
 
 use super::plan::ServoPlan;
 use super::registers::Condition;
+use super::setup::SetUp;
 use super::words;
 
 /// No joint of the hand turns faster, rad/s: the no-load speed of its servos is 8.5.
@@ -20,8 +21,16 @@ pub(crate) struct Servo {
     pub(crate) identity: Option<PingReply>,
     /// Whether its torque is on, as it last said itself.
     pub(crate) torque_on: bool,
+    /// Whether it was told to switch its torque on and has not said since that it is off.
+    pub(crate) told_on: bool,
     /// Whether the driver has armed it, so that it gets goals.
     pub(crate) armed: bool,
+    /// Cycles in which it is still told to switch its torque off, whatever is believed of it.
+    pub(crate) offs_left: u32,
+    /// Its set-up, where one is under way.
+    pub(crate) setup: Option<SetUp>,
+    /// How often it may still be told to restart, which was asked for.
+    pub(crate) reboots_left: u32,
     pub(crate) hardware_error: HardwareError,
     /// Stopped because the line was silent.
     pub(crate) watchdog_tripped: bool,
@@ -57,7 +66,11 @@ impl Servo {
             presence: Presence::Missing { look_ns: 0 },
             identity: None,
             torque_on: false,
+            told_on: false,
             armed: false,
+            offs_left: 0,
+            setup: None,
+            reboots_left: 0,
             hardware_error: HardwareError(0),
             watchdog_tripped: false,
             setup_problem: String::new(),

@@ -13,10 +13,9 @@ use palpate_emulator::devices::{ArmPorts, EmulatedStation, PortsConfig, serve_de
 use palpate_robot_model::{DeviceKind, ServoBusConfig};
 
 use super::*;
-use crate::clock::{HostClock, Stop};
-use crate::context::GoalSlot;
+use crate::clock::HostClock;
 use crate::event::DeviceEvent;
-use crate::health::{DeviceHealth, SharedHealth};
+use crate::health::DeviceHealth;
 
 /// Nothing here takes nearly as long, on any machine that can run the emulation at all.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -70,7 +69,7 @@ impl Rig {
             arm_ip: IpAddr::V4(Ipv4Addr::LOCALHOST),
             arm_ports: ArmPorts::Any,
         };
-        let (ready, is_ready) = mpsc::channel();
+        let (ready, is_ready) = mpsc::sync_channel(1);
         let emulator = std::thread::spawn({
             let stop = Arc::clone(&stop_emulator);
             move || {
@@ -80,17 +79,8 @@ impl Rig {
             }
         });
         is_ready.recv_timeout(PATIENCE).expect("the emulated devices");
-        let (events, received) = mpsc::channel();
-        let context = DeviceContext {
-            index: 3,
-            id: Arc::from("u2d2"),
-            clock: HostClock::start(),
-            health: SharedHealth::new("u2d2", "dynamixel"),
-            goals: GoalSlot::default(),
-            stop: Stop::default(),
-            events,
-            clear_fault: Arc::default(),
-        };
+        let (events, received) = mpsc::sync_channel(100_000);
+        let context = DeviceContext { index: 3, ..DeviceContext::for_tests("u2d2", events) };
         let path = dir.path().join("u2d2");
         let bus = spawn(context.clone(), &config, path, HOLD_NS).expect("a thread");
         Self {
@@ -422,6 +412,34 @@ fn a_missing_servo_is_named_and_the_others_are_read() {
     let num = rig.seen.num_readings;
     rig.wait("more readings", |rig| rig.seen.num_readings > num + 100);
     assert!(!rig.seen.joints.contains_key(&missing.dof), "nothing is made up for it");
+}
+
+#[test]
+fn a_driver_that_panics_lets_go_says_so_and_is_started_again() {
+    let mut rig = Rig::start(|_| {});
+    rig.ready();
+    let start = rig.arm();
+    rig.seen.links.clear();
+    rig.context.panics.store(true, Ordering::Relaxed);
+    rig.drive("the failure", |_| Some((true, start.clone())), |rig| rig.seen.link == Link::Lost);
+    assert!(
+        rig.seen.problem.contains("driver failed") && rig.seen.problem.contains("let go"),
+        "{}",
+        rig.seen.problem
+    );
+    rig.seen.joints.clear();
+    rig.drive("its return", |_| Some((true, start.clone())), |rig| rig.seen.link == Link::Ready);
+    let again_ns = rig.context.clock.now_ns() + 300 * MS_NS;
+    rig.drive(
+        "some readings",
+        |_| Some((true, start.clone())),
+        |rig| {
+            assert!(rig.seen.joints.values().all(|joint| !joint.torque_on), "torque came on by itself");
+            rig.context.clock.now_ns() > again_ns
+        },
+    );
+    rig.ready();
+    rig.arm();
 }
 
 #[test]

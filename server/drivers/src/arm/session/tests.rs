@@ -57,6 +57,8 @@ fn bench() -> Bench {
         path: Vec::new(),
     };
     bench.session.connected(0);
+    // Who commands begins without torque, as the safety layer does.
+    bench.session.tick(0, Some(&order(false, 0, &[0.0; 6])));
     bench
 }
 
@@ -208,6 +210,60 @@ fn a_box_is_asked_who_it_is_and_left_as_it_is_until_somebody_arms() {
     assert!(!bench.session.torque_on() && bench.session.protocol == Protocol::KeepAlive);
     assert_eq!(bench.session.seen.as_ref().map(|seen| (seen.state, seen.mode)), Some((4, 0)));
     assert!(bench.is_still_since(0));
+}
+
+#[test]
+fn nothing_is_switched_on_before_an_order_without_torque_was_seen() {
+    let mut bench = bench();
+    bench.session = Session::new(joints(), bench.session.limits.clone(), HOLD_MS * MS);
+    bench.session.connected(0);
+    bench.run_ms(60);
+    bench.stand();
+    bench.run_ms(500);
+    // Torque was wanted before this driver was there: by somebody who knows nothing of the arm as it is.
+    assert!(bench.session.phase == Phase::Idle && !bench.session.torque_on());
+    bench.disarm();
+    bench.run_ms(50);
+    bench.stand();
+    bench.run_until(1000, "following", |bench| bench.session.phase == Phase::Servo);
+}
+
+#[test]
+fn last_words_stop_the_arm_and_switch_it_off_and_there_are_none_for_one_that_is_off() {
+    let mut bench = Bench::armed();
+    let taken = bench.measured();
+    bench.orders =
+        Box::new(move |now_ms, _| Some(Order { lead_through: true, ..order(true, now_ms, &taken) }));
+    bench.run_until(1000, "led", |bench| bench.session.phase == Phase::LeadThrough);
+    let [stop, off] = bench.session.last_words().expect("it is on");
+    let words = [bench.session.take_output(), stop, off].concat();
+    bench.station.arm_input(bench.client, &words, bench.now_ns);
+    bench.station.advance(bench.now_ns + MS);
+    let now = bench.station.control().snapshot();
+    assert_eq!((now.arm.mode, now.arm.state), (2, 4));
+    assert!(now.torque_on[..6].iter().all(|on| !on));
+    let mut off = self::bench();
+    off.run_ms(100);
+    assert!(off.session.last_words().is_none(), "nothing of it is on");
+}
+
+#[test]
+fn an_arm_that_a_failed_driver_left_on_is_stopped_and_switched_off_by_the_next() {
+    for is_taken_over in [true, false] {
+        let mut bench = bench();
+        // It yields to hands, and nobody is there any more.
+        bench.by_another(&Command::MotionEnable { joint: 8, on: 1 });
+        bench.by_another(&Command::SetMode { mode: 2, detection: None });
+        bench.by_another(&Command::SetState { state: 0 });
+        if is_taken_over {
+            bench.session.take_over();
+        }
+        bench.run_ms(1500);
+        let now = bench.station.control().snapshot();
+        assert_eq!(bench.session.link().1.contains("yields to hands"), !is_taken_over);
+        // What another program has switched on is not this one's to switch off.
+        assert_eq!((now.arm.state == 4, now.torque_on[0]), (is_taken_over, !is_taken_over));
+    }
 }
 
 #[test]
