@@ -14,10 +14,11 @@ mod serve;
 mod session;
 mod station;
 
-use std::process::ExitCode;
+use std::{io::IsTerminal as _, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 use palpate_server::{Error, chain};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 
 /// Calibration and teleoperation studio for tactile dexterous hands
 #[derive(Parser)]
@@ -60,7 +61,7 @@ enum Command {
 /// Runs the command; exit code 0 done, 1 failed, 2 bad arguments or bad input.
 pub(crate) fn main() -> ExitCode {
     let args = Args::parse();
-    init_log(matches!(args.command, Command::Serve(_)));
+    let _log = init_log(matches!(args.command, Command::Serve(_)));
     let result = match args.command {
         Command::Emulate(args) => emulate::run(&args),
         Command::Import(args) => import::run(&args),
@@ -86,12 +87,19 @@ pub(crate) fn main() -> ExitCode {
 /// What a command gives: its exit code, or why it could not be done.
 type Outcome = Result<ExitCode, Error>;
 
-/// Logs go to standard error; `RUST_LOG` chooses what.
-fn init_log(is_server: bool) {
+/// Logs go to standard error; `RUST_LOG` chooses what. A thread of its own writes them: nothing else stands still because a
+/// terminal or a pipe does, and lines that find it too far behind are dropped. What waits is written when the guard is dropped.
+fn init_log(is_server: bool) -> WorkerGuard {
     let default_level = if is_server { "info" } else { "warn" };
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default_level));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let (writer, guard) = NonBlockingBuilder::default().lossy(true).finish(std::io::stderr());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(writer)
+        .init();
+    guard
 }
 
 #[cfg(test)]

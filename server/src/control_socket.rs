@@ -1,79 +1,234 @@
 //! The command socket: one for each operator's page or policy, apart from the stream, so that no telemetry delays a stop.
+//!
+//! A stop or a heartbeat is handed to the control loop the moment it is read, whatever else this connection or others have
+//! asked for: nothing on its way is shared with requests that take time.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering},
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Instant,
 };
 
 use axum::{
     body::Bytes,
     extract::{
-        State, WebSocketUpgrade,
+        Extension, State, WebSocketUpgrade,
         ws::{CloseFrame, Message, WebSocket, close_code},
     },
     response::{IntoResponse as _, Response},
 };
-use palpate_control::Handle;
-use palpate_wire::proto::{ControlReply, ControlRequest};
+use futures_util::{SinkExt as _, StreamExt as _};
+use palpate_control::{Caller, Handle};
+use palpate_wire::proto::{ControlReply, ControlRequest, control_request::Request};
 use prost::Message as _;
+use tokio::sync::{mpsc, oneshot};
 
-use crate::{AppState, Error, routes::Problem};
+use crate::{
+    AppState, Error,
+    bucket::Bucket,
+    listener::KeepOpen,
+    routes::{Peer, Problem},
+};
 
 /// Numbers the connections of this process.
 static CONNECTIONS: AtomicU64 = AtomicU64::new(1);
 
 /// Longest request, bytes: targets for a few hundred joints.
 const MAX_REQUEST: usize = 16 * 1024;
+/// Requests a second of one connection. A page sends 20 heartbeats and 60 targets; a policy may send some hundreds.
+const REQUESTS_PER_S: f64 = 500.0;
+const REQUESTS_BURST: f64 = 500.0;
+/// Requests of one connection that wait for the reply to the one before.
+const MAX_WAITING: usize = 128;
+/// Replies that wait to be sent; a client that lets more wait does not read them.
+const MAX_REPLIES: usize = 1024;
 
 /// `GET /api/v1/control`.
-pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSocketUpgrade) -> Response {
+pub(crate) async fn upgrade(
+    State(state): State<Arc<AppState>>,
+    Peer(peer): Peer,
+    open: Option<Extension<KeepOpen>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
     let Some(live) = state.live() else {
         return Problem(Error::no_station()).into_response();
     };
     let handle = live.handle().clone();
-    upgrade.max_message_size(MAX_REQUEST).on_upgrade(move |mut socket| async move {
-        let connection = CONNECTIONS.fetch_add(1, Ordering::Relaxed);
+    upgrade.max_message_size(MAX_REQUEST).on_upgrade(move |socket| async move {
+        let _open = open;
+        let caller = Caller { connection: CONNECTIONS.fetch_add(1, Ordering::Relaxed), peer };
         let mut shutdown = state.shutdown();
-        let ends = tokio::select! {
-            () = converse(&mut socket, &handle, connection) => false,
-            _ = shutdown.wait_for(|&ends| ends) => true,
+        let gone = Gone { handle: handle.clone(), connection: caller.connection };
+        let ends = async move {
+            let _ = shutdown.wait_for(|&ends| ends).await;
         };
-        handle.connection_lost(connection);
-        if ends {
-            let close = CloseFrame { code: close_code::AWAY, reason: "the studio is shutting down".into() };
-            // The client may be gone already.
-            let _ = socket.send(Message::Close(Some(close))).await;
-        }
+        converse(socket, &handle, &caller, ends).await;
+        drop(gone);
     })
 }
 
-/// Answers requests, in order, until the client leaves.
-async fn converse(socket: &mut WebSocket, handle: &Handle, connection: u64) {
-    while let Some(Ok(message)) = socket.recv().await {
-        let reply = match message {
-            Message::Binary(bytes) => match ControlRequest::decode(bytes) {
-                Ok(request) => answer(handle, connection, request).await,
-                Err(err) => refused(format!("not a ControlRequest: {err}")),
-            },
-            Message::Text(_) => refused("expected a binary message with a ControlRequest".to_owned()),
-            Message::Close(_) => return,
-            Message::Ping(_) | Message::Pong(_) => continue,
+/// Tells the control loop, however the conversation ends, that nobody is there any more.
+struct Gone {
+    handle: Handle,
+    connection: u64,
+}
+
+impl Drop for Gone {
+    fn drop(&mut self) {
+        self.handle.connection_lost(self.connection);
+    }
+}
+
+/// Answers requests until the client leaves or the server `ends`.
+async fn converse(socket: WebSocket, handle: &Handle, caller: &Caller, ends: impl Future<Output = ()>) {
+    let (mut sink, mut requests) = socket.split();
+    let (replies, mut outgoing) = mpsc::channel::<ControlReply>(MAX_REPLIES);
+    let send = async {
+        while let Some(reply) = outgoing.recv().await {
+            if sink.send(Message::Binary(Bytes::from(reply.encode_to_vec()))).await.is_err() {
+                return;
+            }
+        }
+    };
+    let receive = async {
+        let mut reader = Reader {
+            handle,
+            caller,
+            replies,
+            bucket: Bucket::new(REQUESTS_PER_S, REQUESTS_BURST, Instant::now()),
+            waiting: VecDeque::new(),
+            under_way: None,
         };
-        if socket.send(Message::Binary(Bytes::from(reply.encode_to_vec()))).await.is_err() {
-            return;
+        loop {
+            tokio::select! {
+                biased;
+                message = requests.next() => {
+                    let Some(Ok(message)) = message else { return };
+                    if !reader.message(message) {
+                        return;
+                    }
+                }
+                // An answer that was dropped has sent its own reply.
+                _ = answered(&mut reader.under_way) => reader.next(),
+            }
+        }
+    };
+    let is_ending = tokio::select! {
+        () = send => false,
+        () = receive => false,
+        () = ends => true,
+    };
+    if is_ending {
+        let close = CloseFrame { code: close_code::AWAY, reason: "the studio is shutting down".into() };
+        // The client may be gone already, or never read it.
+        let _ =
+            tokio::time::timeout(crate::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close)))).await;
+    }
+}
+
+/// Completes when the request under way is answered; never without one.
+async fn answered(under_way: &mut Option<oneshot::Receiver<()>>) {
+    match under_way {
+        Some(done) => {
+            let _ = done.await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+/// Hands requests on: stops and heartbeats at once, others one after the other.
+struct Reader<'a> {
+    handle: &'a Handle,
+    caller: &'a Caller,
+    replies: mpsc::Sender<ControlReply>,
+    bucket: Bucket,
+    waiting: VecDeque<(u64, ControlRequest)>,
+    /// Completes when the control loop has answered the request before.
+    under_way: Option<oneshot::Receiver<()>>,
+}
+
+impl Reader<'_> {
+    /// Takes a message; says whether the conversation goes on.
+    fn message(&mut self, message: Message) -> bool {
+        let received_ns = self.handle.now_ns();
+        let request = match message {
+            Message::Binary(bytes) => match ControlRequest::decode(bytes) {
+                Ok(request) => request,
+                Err(err) => return self.refuse(0, format!("not a ControlRequest: {err}")),
+            },
+            Message::Text(_) => {
+                return self.refuse(0, "expected a binary message with a ControlRequest".to_owned());
+            }
+            Message::Close(_) => return false,
+            Message::Ping(_) | Message::Pong(_) => return true,
+        };
+        let is_stop = matches!(request.request, Some(Request::Stop(_)));
+        let passes = self.bucket.take(Instant::now());
+        if !passes && !is_stop {
+            let problem =
+                format!("more than {REQUESTS_PER_S} requests a second came on this connection; send fewer");
+            return self.refuse(request.sequence, problem);
+        }
+        if is_stop || matches!(request.request, Some(Request::Heartbeat(_))) {
+            self.submit(received_ns, request, None);
+        } else if self.waiting.len() >= MAX_WAITING {
+            let problem =
+                format!("{MAX_WAITING} requests of this connection wait already; await their replies");
+            return self.refuse(request.sequence, problem);
+        } else {
+            self.waiting.push_back((received_ns, request));
+            if self.under_way.is_none() {
+                self.next();
+            }
+        }
+        true
+    }
+
+    /// Hands in the next request that waits.
+    fn next(&mut self) {
+        self.under_way = None;
+        if let Some((received_ns, request)) = self.waiting.pop_front() {
+            let (done, under_way) = oneshot::channel();
+            self.under_way = Some(under_way);
+            self.submit(received_ns, request, Some(done));
+        }
+    }
+
+    fn submit(&self, received_ns: u64, request: ControlRequest, done: Option<oneshot::Sender<()>>) {
+        let mut reply =
+            Reply { sequence: request.sequence, replies: Some(self.replies.clone()), _done: done };
+        self.handle.submit(self.caller, received_ns, request, Box::new(move |answer| reply.send(answer)));
+    }
+
+    /// Refuses a request that the control loop does not see; says whether the conversation goes on.
+    fn refuse(&self, sequence: u64, problem: String) -> bool {
+        // A client that reads no replies is cut off.
+        self.replies.try_send(ControlReply { sequence, problem, ..ControlReply::default() }).is_ok()
+    }
+}
+
+/// The way back of one reply. Dropped unused, it says that the control loop did not answer.
+struct Reply {
+    sequence: u64,
+    replies: Option<mpsc::Sender<ControlReply>>,
+    _done: Option<oneshot::Sender<()>>,
+}
+
+impl Reply {
+    fn send(&mut self, reply: ControlReply) {
+        if let Some(replies) = self.replies.take() {
+            // A client that reads no replies misses this one; the control loop waits for nobody.
+            let _ = replies.try_send(reply);
         }
     }
 }
 
-/// The control loop answers within a period of its own; waiting for it must not hold a thread that serves others.
-async fn answer(handle: &Handle, connection: u64, request: ControlRequest) -> ControlReply {
-    let (handle, sequence) = (handle.clone(), request.sequence);
-    match tokio::task::spawn_blocking(move || handle.request(connection, request)).await {
-        Ok(reply) => reply,
-        Err(err) => ControlReply { sequence, ..refused(format!("the control loop did not answer: {err}")) },
+impl Drop for Reply {
+    fn drop(&mut self) {
+        let problem = "the control loop did not take the request: it has ended, or too many wait".to_owned();
+        self.send(ControlReply { sequence: self.sequence, problem, ..ControlReply::default() });
     }
-}
-
-fn refused(problem: String) -> ControlReply {
-    ControlReply { problem, ..ControlReply::default() }
 }

@@ -14,7 +14,7 @@ use std::{
 use palpate_control::PlaceObject;
 use palpate_drivers::{PortOverride, Ports, priority};
 use palpate_emulator::devices::{
-    ArmPorts, DevicePorts, EmulatedStation, Faults, PortsConfig, StationControl, serve_devices,
+    ArmPorts, DevicePorts, EmulatedStation, PortsConfig, StationControl, serve_devices,
 };
 use palpate_robot_model::{DeviceKind, Station};
 use tempfile::TempDir;
@@ -22,7 +22,7 @@ use tempfile::TempDir;
 use crate::{Error, chain};
 
 /// Devices that run until this is dropped.
-pub(crate) struct EmulatedDevices {
+pub struct EmulatedDevices {
     station: Arc<Station>,
     ports: Ports,
     control: StationControl,
@@ -33,7 +33,7 @@ pub(crate) struct EmulatedDevices {
 
 impl EmulatedDevices {
     /// Starts the devices of the truth file at `truth`.
-    pub(crate) fn start(truth: &Path, seed: u64) -> Result<Self, Error> {
+    pub fn start(truth: &Path, seed: u64) -> Result<Self, Error> {
         let mut emulated = EmulatedStation::new(truth, seed)?;
         let station = Arc::new(emulated.station().clone());
         let control = emulated.control();
@@ -45,7 +45,7 @@ impl EmulatedDevices {
         };
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
-        let (found_there, found) = mpsc::channel();
+        let (found_there, found) = mpsc::sync_channel(1);
         let run = move || {
             // Real devices wait for nobody.
             priority::real_time();
@@ -55,12 +55,12 @@ impl EmulatedDevices {
                 &config,
                 &stopped,
                 // Nobody waits any more if the start was given up.
-                &mut |ports| drop(ready.send(Ok(ports.clone()))),
+                &mut |ports| drop(ready.try_send(Ok(ports.clone()))),
                 &mut |notice| tracing::warn!("{notice}"),
             );
             if let Err(err) = served {
                 tracing::error!(err = chain(&err), "the emulated devices ended");
-                drop(found_there.send(Err(chain(&err))));
+                drop(found_there.try_send(Err(chain(&err))));
             }
         };
         let thread = thread::Builder::new()
@@ -80,17 +80,18 @@ impl EmulatedDevices {
         Ok(Self { station, ports, control, stop, thread: Some(thread), _links: links })
     }
 
-    pub(crate) fn station(&self) -> &Arc<Station> {
+    /// The station that they are of.
+    pub fn station(&self) -> &Arc<Station> {
         &self.station
     }
 
     /// What is truly going on.
-    pub(crate) fn control(&self) -> &StationControl {
+    pub fn control(&self) -> &StationControl {
         &self.control
     }
 
     /// Where the drivers find them.
-    pub(crate) fn ports(&self) -> &Ports {
+    pub fn ports(&self) -> &Ports {
         &self.ports
     }
 
@@ -98,25 +99,6 @@ impl EmulatedDevices {
     pub(crate) fn object_placer(&self) -> PlaceObject {
         let control = self.control.clone();
         Box::new(move |object| control.place_object(Some(object)).map_err(|err| chain(&err)))
-    }
-
-    /// Puts an object in place, or takes it away.
-    pub(crate) fn place_object(&self, object: Option<&str>) -> Result<(), Error> {
-        self.control.place_object(object).map_err(|err| Error::Content(chain(&err)))
-    }
-
-    /// What is wrong, as a file of faults.
-    pub(crate) fn faults_toml(&self) -> Result<String, Error> {
-        self.control
-            .faults()
-            .to_toml()
-            .map_err(|err| Error::Internal(format!("the faults have no text: {err}")))
-    }
-
-    /// Says what is wrong from now on.
-    pub(crate) fn set_faults_toml(&self, text: &str) -> Result<(), Error> {
-        let faults = Faults::parse("faults", text, &self.station)?;
-        self.control.set_faults(faults).map_err(|err| Error::Content(chain(&err)))
     }
 }
 

@@ -61,6 +61,20 @@ pub enum Error {
     /// More than the server takes.
     #[error("{0}")]
     TooLarge(String),
+    /// Too much of it at once; later it will work.
+    #[error("{0}")]
+    Busy(String),
+    /// The disk has no room for it.
+    #[error("{0}")]
+    DiskFull(String),
+    /// Another error as a client may read it, who knows no path of this computer.
+    #[error("{message}")]
+    Shown {
+        /// Class of the error that it was.
+        class: Class,
+        /// The error and its causes.
+        message: String,
+    },
     /// The operating system refused.
     #[error("failed to {action} {path:?}")]
     Io {
@@ -93,6 +107,12 @@ pub enum Class {
     Conflict,
     /// The caller's: less of it.
     TooLarge,
+    /// The caller's: later.
+    Busy,
+    /// The operator's of the station: nobody else may.
+    NotOperator,
+    /// The operator's of this machine: it needs space.
+    DiskFull,
     /// Nobody's.
     Cancelled,
     /// The operator's of this machine.
@@ -131,6 +151,8 @@ impl Error {
             }
             Self::NotFound { .. } | Self::Control(ControlError::Unknown(_)) => Class::NotFound,
             Self::Control(ControlError::Refused(_)) => Class::Conflict,
+            Self::Control(ControlError::NotOperator(_)) => Class::NotOperator,
+            Self::Control(ControlError::Busy) => Class::Busy,
             Self::Control(ControlError::Plan(_)) => Class::BadContent,
             Self::Control(ControlError::Io { action, source, .. }) => io_class(action, source),
             Self::Devices(err) | Self::Control(ControlError::Devices(err)) => match err {
@@ -139,6 +161,9 @@ impl Error {
             },
             Self::Conflict(_) => Class::Conflict,
             Self::TooLarge(_) => Class::TooLarge,
+            Self::Busy(_) => Class::Busy,
+            Self::DiskFull(_) => Class::DiskFull,
+            Self::Shown { class, .. } => *class,
             Self::Io { action, source, .. } => io_class(action, source),
             // The enums of other crates may grow.
             Self::Emulation(_)
@@ -152,7 +177,7 @@ impl Error {
     /// Exit code of the command line: 2 where the caller can mend it, 1 otherwise.
     pub fn exit_code(&self) -> u8 {
         match self.class() {
-            Class::Cancelled | Class::Failed => 1,
+            Class::Cancelled | Class::Failed | Class::Busy | Class::DiskFull => 1,
             _ => 2,
         }
     }

@@ -1,37 +1,22 @@
-//! Files that appear whole or not at all, and names that stay in their folder.
+//! Targets of files that are written, and names that stay in their folder.
 
 use std::{
-    fs::{self, File},
+    fs::File,
     io::{BufWriter, Write as _},
-    path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
+    path::Path,
 };
+
+use palpate_recording::files::{check_name, replace_file_with};
 
 use crate::Error;
 
-/// Names of more bytes than this do not fit into a file name together with a suffix.
-const MAX_ID_BYTES: usize = 120;
-
-/// Writes `path` through `write`: a hidden file beside it first, which then takes its place. After an error the folder is
-/// as it was.
-pub fn write_with<E: Into<Error>>(
+/// Writes `path` through `write`; see [`replace_file_with`]. Refuses a `path` that names no file first.
+pub fn write_with(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
+    write: impl FnOnce(&mut BufWriter<File>) -> Result<(), Error>,
 ) -> Result<(), Error> {
-    let partial = partial_of(path)?;
-    let result = (|| {
-        let file = File::create_new(&partial).map_err(Error::io("write", path))?;
-        let mut sink = BufWriter::new(file);
-        write(&mut sink).map_err(Into::into)?;
-        sink.flush().map_err(Error::io("write", path))?;
-        sink.get_ref().sync_all().map_err(Error::io("write", path))?;
-        fs::rename(&partial, path).map_err(Error::io("write", path))
-    })();
-    if result.is_err() {
-        // The error is what matters; a hidden leftover harms nothing.
-        let _ = fs::remove_file(&partial);
-    }
-    result
+    check_target(path)?;
+    replace_file_with(path, write)
 }
 
 /// Writes `bytes` to `path`, atomically.
@@ -55,31 +40,9 @@ pub fn check_target(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// A hidden name beside `path` that nobody else uses.
-fn partial_of(path: &Path) -> Result<PathBuf, Error> {
-    static COUNT: AtomicU64 = AtomicU64::new(0);
-    check_target(path)?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let unique = COUNT.fetch_add(1, Ordering::Relaxed);
-    Ok(path.with_file_name(format!(".{name}.{}-{unique}.partial", std::process::id())))
-}
-
 /// Refuses what is not the plain name of an entry in a folder.
 pub fn check_id(what: &str, id: &str) -> Result<(), Error> {
-    let problem = if id.is_empty() {
-        "is empty"
-    } else if id.len() > MAX_ID_BYTES {
-        "is too long"
-    } else if id.starts_with('.') {
-        "begins with a dot"
-    } else if id.contains(['/', '\\', ':']) || id.chars().any(char::is_control) {
-        "contains a slash, a colon or a control character"
-    } else {
-        return Ok(());
-    };
-    Err(Error::Argument(format!(
-        "{what} {id:?} {problem}; expected a plain name such as \"sphere-1\", of at most {MAX_ID_BYTES} bytes"
-    )))
+    check_name(id).map_err(|problem| Error::Argument(format!("{what} {id:?} {problem}")))
 }
 
 /// A file name made from a name for people: small letters, digits and dashes.
@@ -105,22 +68,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-
-    #[test]
-    fn failed_write_leaves_the_folder_as_it_was() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("model.toml");
-        write(&path, b"old").unwrap();
-        let result = write_with(&path, |sink| {
-            sink.write_all(b"half").map_err(Error::io("write", &path))?;
-            Err(Error::Cancelled)
-        });
-        assert!(matches!(result, Err(Error::Cancelled)));
-        assert_eq!(fs::read(&path).unwrap(), b"old");
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-        write(&path, b"new").unwrap();
-        assert_eq!(fs::read(&path).unwrap(), b"new");
-    }
 
     #[test]
     fn folder_is_no_file_to_write() {

@@ -108,7 +108,7 @@ pub fn write_replay(
         software: format!("palpate {}, replay with model {:?}", env!("CARGO_PKG_VERSION"), model.name),
         ..take.meta.clone()
     };
-    files::write_with(out, |sink| -> Result<(), Error> {
+    files::write_with(out, |sink| {
         let mut writer = TakeWriter::new(sink, &take.station, &meta, take.start_unix_ns)?;
         for span in &take.spans {
             writer.span(span)?;

@@ -41,12 +41,18 @@
 //! | PUT | `/api/v1/live/model` | body `LiveModel`: what the live twin simulates with |
 //! | GET | `/api/v1/control` | WebSocket; binary protobuf `ControlRequest`, each answered by a `ControlReply` |
 //! | GET | `/api/v1/recording` | `RecordingDocument` |
-//! | POST | `/api/v1/recording` | body `StartRecording`; `RecordingDocument` |
-//! | POST | `/api/v1/recording/act` | body `RecordingAction`; `RecordingDocument` |
-//! | GET | `/api/v1/audit` | who moved or stopped the station: JSON lines |
-//! | GET, PUT | `/api/v1/emulator/faults` | what is wrong with emulated devices, TOML (`docs/emulated_devices.md`) |
-//! | POST | `/api/v1/emulator/object` | body `PlaceObject` |
+//! | POST | `/api/v1/recording` | body `StartRecording`; `RecordingDocument`; operator |
+//! | POST | `/api/v1/recording/act` | body `RecordingAction`; `RecordingDocument`; operator |
+//! | POST | `/api/v1/recording/wanted` | body `WantedTake`; `RecordingDocument`; operator, if there is one |
+//! | DELETE | `/api/v1/recording/wanted/{object}/{primitive}` | takes it back; `RecordingDocument`; operator, if there is one |
+//! | GET | `/api/v1/audit` | the newest part of who moved or stopped the station: JSON lines |
+//! | GET, PUT | `/api/v1/emulator/faults` | what is wrong with emulated devices, TOML (`docs/emulated_devices.md`); PUT: operator, if there is one |
+//! | POST | `/api/v1/emulator/object` | body `PlaceObject`; operator, if there is one |
 //! | GET | everything else | the page |
+//!
+//! "Operator" means that the request carries the lease of an open control connection in the header `Palpate-Lease`; it is
+//! refused with 403 otherwise. Every request passes the door, which checks Host and Origin (421, 403). 503 with
+//! `Retry-After` means that too much work of that kind waits, 429 that a connection asks too often.
 //!
 //! Errors are RFC 9457 `application/problem+json` (`ProblemDetails`); `detail` says what happened, where, and what to
 //! do. The types are those of [`palpate_wire`].
@@ -61,15 +67,18 @@
 
 pub mod assets;
 pub mod bars;
+mod bucket;
 mod cache;
 mod client_queue;
 mod control_socket;
+mod door;
 mod emulated;
 mod error;
 pub mod files;
 mod hub;
 pub mod jobs;
 pub mod library;
+mod listener;
 mod live;
 mod objects;
 mod pacing;
@@ -77,13 +86,17 @@ mod page;
 mod routes;
 mod runs;
 mod serve;
+mod state;
 mod store;
 mod stream;
 mod upload;
+mod work;
 
+pub use emulated::EmulatedDevices;
 pub use error::{Class, Error, chain};
 pub use hub::Hub;
-pub use live::LiveStation;
-pub use routes::app;
-pub use serve::{AppState, ServeConfig, serve, serve_on};
+pub use live::{LiveStation, RunningStation};
+pub use routes::{Needs, Route, app, routes};
+pub use serve::{ServeConfig, Served, serve, serve_on};
+pub use state::{Access, AppState, Studio};
 pub use store::Store;

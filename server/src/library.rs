@@ -1,6 +1,6 @@
 //! Takes and their replays, kept in memory so that scrubbing and calibrating again cost nothing.
 
-use std::{path::Path, sync::Arc};
+use std::sync::Arc;
 
 use palpate_calibration::PairedTake;
 use palpate_recording::{Session, Take};
@@ -84,10 +84,14 @@ impl Library {
         Ok(SessionDetail { summary, takes })
     }
 
-    /// An entry of the list of sessions: what `dir` holds, or why it cannot be opened.
-    pub fn list_entry(&self, id: &str, dir: &Path) -> SessionSummary {
-        let detail = Session::open(dir).map_err(Error::from).and_then(|session| self.detail(&session));
-        match detail {
+    /// An entry of the list of sessions: what session `id` holds, or why it could not be `opened`.
+    pub(crate) fn list_entry(
+        &self,
+        id: &str,
+        opened: Result<Session, Error>,
+        show: impl FnOnce(Error) -> Error,
+    ) -> SessionSummary {
+        match opened.and_then(|session| self.detail(&session)) {
             Ok(detail) => detail.summary,
             Err(err) => SessionSummary {
                 id: id.to_owned(),
@@ -97,7 +101,7 @@ impl Library {
                 duration_s: 0.0,
                 objects: Vec::new(),
                 recorded: String::new(),
-                error: Some(crate::chain(&err)),
+                error: Some(crate::chain(&show(err))),
             },
         }
     }

@@ -1,13 +1,17 @@
 //! Objects that the binary carries and those of the data folder, as bodies.
 
-use std::{collections::BTreeMap, fs, sync::LazyLock};
+use std::{collections::BTreeMap, path::Path, sync::LazyLock};
 
 use base64::Engine as _;
+use palpate_recording::{
+    RecordingError,
+    files::{MAX_STATION_FILE_BYTES, MAX_TEXT_BYTES, read_file, resolve_in},
+};
 use palpate_robot_model::{ObjectGroup, ObjectModel};
 use palpate_sim::body::{RestPose, Solid};
 use palpate_wire::api::{ObjectDocument, ObjectEntry, ObjectTake, RestPoseDocument};
 
-use crate::{AppState, Error, assets};
+use crate::{AppState, Error, assets, chain};
 
 /// Those of the binary never change.
 static SHIPPED: LazyLock<Vec<ObjectEntry>> = LazyLock::new(|| {
@@ -27,9 +31,11 @@ pub(crate) fn list(state: &AppState) -> Result<Vec<ObjectEntry>, Error> {
     let mut objects = SHIPPED.clone();
     for (name, path) in state.store().object_files()? {
         let folder = path.parent().map(ToOwned::to_owned).unwrap_or_default();
-        let text = fs::read(&path).map_err(Error::io("read", &path))?;
-        let read_mesh = |mesh: &str| fs::read(folder.join(mesh)).map_err(|err| err.to_string());
-        let own = entry(&name, text, true, read_mesh);
+        let read_mesh = |mesh: &str| read_own(&folder, &folder.join(mesh), MAX_STATION_FILE_BYTES);
+        let own = match read_own(&folder, &path, MAX_TEXT_BYTES) {
+            Ok(text) => entry(&name, text, true, read_mesh),
+            Err(problem) => unusable(&name, true, format!("{name}: {problem}")),
+        };
         // One's own replaces the binary's of the same id.
         objects.retain(|object| object.own || object.id != own.id);
         objects.push(own);
@@ -41,9 +47,20 @@ pub(crate) fn list(state: &AppState) -> Result<Vec<ObjectEntry>, Error> {
     Ok(objects)
 }
 
+/// Reads a file of one's own objects: a regular one that lies in their `folder`, links followed.
+fn read_own(folder: &Path, path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
+    let read = resolve_in(folder, path).and_then(|_| read_file(path, max_bytes));
+    read.map_err(|err| match err {
+        // The file is named by who asks, as its object names it.
+        RecordingError::Content { problem, .. } => problem,
+        RecordingError::Io { source, .. } => source.to_string(),
+        other => chain(&other),
+    })
+}
+
 fn takes_by_object(state: &AppState) -> Result<BTreeMap<String, Vec<ObjectTake>>, Error> {
     let mut takes: BTreeMap<String, Vec<ObjectTake>> = BTreeMap::new();
-    for (session, _) in state.store().sessions()? {
+    for session in state.store().sessions()? {
         // What cannot be opened is listed with its error on the screen of sessions.
         let Ok(detail) = state.store().session(&session).and_then(|opened| state.library().detail(&opened))
         else {
@@ -63,11 +80,15 @@ fn entry(
     own: bool,
     read_mesh: impl Fn(&str) -> Result<Vec<u8>, String>,
 ) -> ObjectEntry {
-    let stem = file.strip_suffix(".toml").unwrap_or(file).to_owned();
     match document(file, text, read_mesh) {
         Ok((id, document)) => ObjectEntry { id, own, content: Ok(document), takes: Vec::new() },
-        Err(problem) => ObjectEntry { id: stem, own, content: Err(problem), takes: Vec::new() },
+        Err(problem) => unusable(file, own, problem),
     }
+}
+
+fn unusable(file: &str, own: bool, problem: String) -> ObjectEntry {
+    let id = file.strip_suffix(".toml").unwrap_or(file).to_owned();
+    ObjectEntry { id, own, content: Err(problem), takes: Vec::new() }
 }
 
 fn document(

@@ -11,69 +11,128 @@ mod recording;
 mod sessions;
 mod takes;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use axum::{
     Json, Router,
     extract::State,
     http::{Method, StatusCode, Uri},
+    middleware::from_fn_with_state,
     response::{IntoResponse as _, Response},
-    routing::{delete, get, post, put},
+    routing::{MethodRouter, delete, get, post, put},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
 use palpate_wire::api::{Info, Source, StationDocument};
+use tower_http::timeout::RequestBodyTimeoutLayer;
 
-use crate::{AppState, Error, assets, control_socket, page, stream};
-pub(crate) use problem::Problem;
-use problem::{Answer, problem_response};
+use crate::{AppState, Error, assets, control_socket, door::guard, page, stream};
+pub(crate) use extract::Peer;
+use problem::Answer;
+pub(crate) use problem::{Detail, Problem, problem_response};
+
+/// A body of which nothing more comes in for this long is given up.
+const BODY_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// What a request must show to be carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Needs {
+    /// Nothing beyond what the door asks.
+    Nothing,
+    /// The lease in force.
+    Operator,
+    /// The lease in force, while somebody has one or a session is being recorded.
+    OperatorIfAny,
+}
+
+/// A route of the API.
+#[derive(Clone, Debug)]
+pub struct Route {
+    /// Its method.
+    pub method: Method,
+    /// Its path below `/api/v1`, with parameters in braces.
+    pub path: &'static str,
+    /// What a request must show.
+    pub needs: Needs,
+    handler: MethodRouter<Arc<AppState>>,
+}
+
+fn route(method: Method, path: &'static str, needs: Needs, handler: MethodRouter<Arc<AppState>>) -> Route {
+    Route { method, path, needs, handler }
+}
+
+/// Every route of the API that `state` serves: the service is built from this table, and tests walk it.
+pub fn routes(state: &AppState) -> Vec<Route> {
+    let mut routes = vec![
+        route(Method::GET, "/info", Needs::Nothing, get(info)),
+        route(Method::GET, "/station", Needs::Nothing, get(station)),
+        route(Method::GET, "/stations", Needs::Nothing, get(async || Json(assets::station_ids()))),
+        route(Method::GET, "/sessions", Needs::Nothing, get(sessions::list)),
+        route(Method::POST, "/sessions", Needs::Nothing, post(sessions::upload)),
+        route(Method::GET, "/sessions/{session}", Needs::Nothing, get(sessions::detail)),
+        route(Method::DELETE, "/sessions/{session}", Needs::Nothing, delete(sessions::discard)),
+        route(Method::POST, "/sessions/{session}/restore", Needs::Nothing, post(sessions::restore)),
+        route(Method::GET, "/sessions/{session}/check", Needs::Nothing, get(sessions::check)),
+        route(Method::GET, "/sessions/{session}/station", Needs::Nothing, get(sessions::station)),
+        route(Method::GET, "/sessions/{session}/takes/{take}/trace", Needs::Nothing, get(takes::trace)),
+        route(Method::GET, "/sessions/{session}/takes/{take}/replay", Needs::Nothing, get(takes::replay)),
+        route(Method::GET, "/models", Needs::Nothing, get(models::list)),
+        route(Method::GET, "/models/{model}", Needs::Nothing, get(models::text)),
+        route(Method::DELETE, "/models/{model}", Needs::Nothing, delete(models::discard)),
+        route(Method::POST, "/models/{model}/restore", Needs::Nothing, post(models::restore)),
+        route(Method::GET, "/objects", Needs::Nothing, get(objects::list)),
+        route(Method::GET, "/calibrations", Needs::Nothing, get(calibrations::list)),
+        route(Method::POST, "/calibrations", Needs::Nothing, post(calibrations::start)),
+        route(Method::GET, "/calibrations/{run}", Needs::Nothing, get(calibrations::detail)),
+        route(Method::POST, "/calibrations/{run}/cancel", Needs::Nothing, post(calibrations::cancel)),
+        route(Method::POST, "/calibrations/{run}/save", Needs::Nothing, post(calibrations::save)),
+        route(Method::GET, "/calibrations/{run}/report.html", Needs::Nothing, get(calibrations::report)),
+        route(Method::POST, "/models/{model}/undo", Needs::Nothing, post(models::undo)),
+        route(Method::GET, "/diagnoses", Needs::Nothing, get(diagnoses::list)),
+        route(Method::POST, "/diagnoses", Needs::Nothing, post(diagnoses::start)),
+        route(Method::GET, "/diagnoses/{run}", Needs::Nothing, get(diagnoses::detail)),
+        route(Method::POST, "/diagnoses/{run}/cancel", Needs::Nothing, post(diagnoses::cancel)),
+        route(Method::POST, "/diagnoses/{run}/save", Needs::Nothing, post(diagnoses::save)),
+        route(Method::GET, "/diagnoses/{run}/report.html", Needs::Nothing, get(diagnoses::report)),
+        route(Method::GET, "/stream", Needs::Nothing, get(stream::upgrade)),
+        route(Method::GET, "/live", Needs::Nothing, get(live::document)),
+        route(Method::PUT, "/live/model", Needs::Nothing, put(live::set_model)),
+        route(Method::GET, "/control", Needs::Nothing, get(control_socket::upgrade)),
+        route(Method::GET, "/recording", Needs::Nothing, get(recording::document)),
+        route(Method::POST, "/recording", Needs::Operator, post(recording::start)),
+        route(Method::POST, "/recording/act", Needs::Operator, post(recording::act)),
+        route(Method::POST, "/recording/wanted", Needs::OperatorIfAny, post(recording::want)),
+        route(
+            Method::DELETE,
+            "/recording/wanted/{object}/{primitive}",
+            Needs::OperatorIfAny,
+            delete(recording::unwant),
+        ),
+        route(Method::GET, "/audit", Needs::Nothing, get(live::audit)),
+    ];
+    // A real station has no such routes at all.
+    if state.live().is_none_or(|live| live.source() != Source::Real) {
+        routes.extend([
+            route(Method::GET, "/emulator/faults", Needs::Nothing, get(live::faults)),
+            route(Method::PUT, "/emulator/faults", Needs::OperatorIfAny, put(live::set_faults)),
+            route(Method::POST, "/emulator/object", Needs::OperatorIfAny, post(live::place_object)),
+        ]);
+    }
+    routes
+}
 
 /// The whole service.
 pub fn app(state: Arc<AppState>) -> Router {
-    let api = Router::new()
-        .route("/info", get(info))
-        .route("/station", get(station))
-        .route("/stations", get(async || Json(assets::station_ids())))
-        .route("/sessions", get(sessions::list).post(sessions::upload))
-        .route("/sessions/{session}", get(sessions::detail).delete(sessions::discard))
-        .route("/sessions/{session}/restore", post(sessions::restore))
-        .route("/sessions/{session}/check", get(sessions::check))
-        .route("/sessions/{session}/station", get(sessions::station))
-        .route("/sessions/{session}/takes/{take}/trace", get(takes::trace))
-        .route("/sessions/{session}/takes/{take}/replay", get(takes::replay))
-        .route("/models", get(models::list))
-        .route("/models/{model}", get(models::text).delete(models::discard))
-        .route("/models/{model}/restore", post(models::restore))
-        .route("/objects", get(objects::list))
-        .route("/calibrations", get(calibrations::list).post(calibrations::start))
-        .route("/calibrations/{run}", get(calibrations::detail))
-        .route("/calibrations/{run}/cancel", post(calibrations::cancel))
-        .route("/calibrations/{run}/save", post(calibrations::save))
-        .route("/calibrations/{run}/report.html", get(calibrations::report))
-        .route("/models/{model}/undo", post(models::undo))
-        .route("/diagnoses", get(diagnoses::list).post(diagnoses::start))
-        .route("/diagnoses/{run}", get(diagnoses::detail))
-        .route("/diagnoses/{run}/cancel", post(diagnoses::cancel))
-        .route("/diagnoses/{run}/save", post(diagnoses::save))
-        .route("/diagnoses/{run}/report.html", get(diagnoses::report))
-        .route("/stream", get(stream::upgrade))
-        .route("/live", get(live::document))
-        .route("/live/model", put(live::set_model))
-        .route("/control", get(control_socket::upgrade))
-        .route("/recording", get(recording::document).post(recording::start))
-        .route("/recording/act", post(recording::act))
-        .route("/recording/wanted", post(recording::want))
-        .route("/recording/wanted/{object}/{primitive}", delete(recording::unwant))
-        .route("/audit", get(live::audit))
-        .route("/emulator/faults", get(live::faults).put(live::set_faults))
-        .route("/emulator/object", post(live::place_object))
-        .fallback(no_such_route)
-        .method_not_allowed_fallback(no_such_method)
-        .with_state(state);
+    let api =
+        routes(&state).into_iter().fold(Router::new(), |api, route| api.route(route.path, route.handler));
+    let api = api.fallback(no_such_route).method_not_allowed_fallback(no_such_method);
+    let door = from_fn_with_state(state.door().clone(), guard);
     Router::new()
-        .nest("/api/v1", api)
+        .nest("/api/v1", api.with_state(state))
         .route("/api/{*rest}", get(no_such_route))
         .fallback_service(get(page::serve))
+        .layer(RequestBodyTimeoutLayer::new(BODY_TIMEOUT))
+        .layer(door)
 }
 
 async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
@@ -82,6 +141,7 @@ async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         station: state.live().map(|live| live.station().label.clone()),
         source: state.live().map_or(Source::Replay, |live| live.source()),
+        insecure: state.insecure(),
     })
 }
 
@@ -105,14 +165,4 @@ async fn no_such_route(uri: Uri) -> Response {
 async fn no_such_method(method: Method, uri: Uri) -> Response {
     let detail = format!("{} does not take {method}", uri.path());
     problem_response(StatusCode::METHOD_NOT_ALLOWED, &detail).into_response()
-}
-
-/// Runs what reads files or computes away from the threads that answer requests.
-async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T, Error> + Send + 'static) -> Answer<T> {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(result) => result.map_err(Problem),
-        Err(err) => {
-            Err(Problem(Error::Internal(format!("the request's work did not end: {err}; see the log"))))
-        }
-    }
 }

@@ -33,6 +33,9 @@ use crate::{Class, Error, Hub, Store, cache::lock, chain, files, library::Librar
 /// Progress is published this often at most; a change of state or stage at once.
 const UPDATE_PERIOD: Duration = Duration::from_millis(50);
 
+/// Highest number of a run that is listed: nobody starts so many, and the numbers after it must not wrap.
+const MAX_NUMBER: u64 = 1_000_000_000_000;
+
 /// What a kind of run does.
 pub(crate) trait RunKind: 'static {
     /// What is asked.
@@ -100,7 +103,11 @@ impl<K: RunKind> Runs<K> {
         let mut entries = BTreeMap::new();
         for (id, mut run) in store.runs::<Run<K::Request, K::Report>>(K::PREFIX)? {
             let Some(number) = number_of::<K>(&id).filter(|_| run.id == id) else {
-                tracing::warn!(file = id, id = run.id, "left out a run of another id");
+                tracing::warn!(
+                    file = id,
+                    id = run.id,
+                    "left out a run whose file has another name, or a number above {MAX_NUMBER}"
+                );
                 continue;
             };
             if run.is_unfinished() {
@@ -121,6 +128,12 @@ impl<K: RunKind> Runs<K> {
         let run = {
             let mut entries = lock(&self.table.entries);
             let number = entries.last_key_value().map_or(1, |(number, _)| number + 1);
+            if number > MAX_NUMBER {
+                return Err(Error::Conflict(format!(
+                    "a run has the highest number that there is, {MAX_NUMBER}; take its file out of runs/ and restart the \
+                     studio"
+                )));
+            }
             let run = Run {
                 id: format!("{}{number}", K::PREFIX),
                 request,
@@ -372,7 +385,7 @@ fn hold_out(ids: Option<&[String]>, session: &Session) -> Result<HoldOut, Error>
 }
 
 fn number_of<K: RunKind>(id: &str) -> Option<u64> {
-    id.strip_prefix(K::PREFIX)?.parse().ok()
+    id.strip_prefix(K::PREFIX)?.parse().ok().filter(|&number| number <= MAX_NUMBER)
 }
 
 fn state_name(state: JobState) -> &'static str {

@@ -1,22 +1,26 @@
-//! What requests share, and the socket.
+//! Serving, from the first connection to an end that always ends.
 
 use std::{
     net::SocketAddr,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::Arc,
+    time::{Duration, Instant},
 };
 
-use axum::serve::ListenerExt as _;
-use palpate_emulator::devices::StationControl;
-use tokio::{net::TcpListener, sync::watch};
+use palpate_control::Ending;
+use tokio::{net::TcpListener, sync::oneshot};
 
 use crate::{
-    Error, Hub, Store, app,
-    library::Library,
-    live::{Live, LiveStation},
+    Error, LiveStation, app, listener,
+    live::RunningStation,
     page,
-    runs::{Calibrations, Diagnoses, Queue, Runs},
+    state::{Access, AppState, Studio},
 };
+
+/// The control loop takes 1.6 s at most to end all motion; one that has not said how it went after this has died.
+const MOTION_PATIENCE: Duration = Duration::from_millis(1900);
+/// What is recorded and the audit log get this long to be written, after motion has ended.
+const FINISH_PATIENCE: Duration = Duration::from_millis(500);
 
 /// How to serve.
 #[derive(Clone, Debug)]
@@ -27,120 +31,102 @@ pub struct ServeConfig {
     pub data: PathBuf,
     /// The station to run, if one is.
     pub station: Option<LiveStation>,
+    /// Host names by which the server is known, besides `localhost` and addresses.
+    pub hosts: Vec<String>,
+    /// Listen beyond this computer though there is no login.
+    pub insecure: bool,
 }
 
-/// What requests share.
-pub struct AppState {
-    store: Arc<Store>,
-    library: Arc<Library>,
-    hub: Arc<Hub>,
-    calibrations: Runs<Calibrations>,
-    diagnoses: Runs<Diagnoses>,
-    live: Option<Live>,
-    shutdown: watch::Sender<bool>,
+/// How serving ended.
+#[derive(Clone, Debug, Default)]
+pub struct Served {
+    /// How the motion of the station ended; `None` without one.
+    pub motion: Option<Ending>,
+    /// Whether everything that was recorded and logged is on disk.
+    pub is_written: bool,
 }
 
-impl AppState {
-    /// Opens the data folder `data`, and the live station if there is one.
-    pub fn open(data: &Path, station: Option<&LiveStation>) -> Result<Arc<Self>, Error> {
-        let store = Arc::new(Store::open(data)?);
-        let library = Arc::new(Library::default());
-        let hub = Arc::new(Hub::default());
-        let queue = Queue::start()?;
-        let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue.clone())?;
-        let diagnoses = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
-        let live = station.map(|station| Live::start(station, 0, &store, hub.clone())).transpose()?;
-        Ok(Arc::new(Self {
-            store,
-            library,
-            hub,
-            calibrations,
-            diagnoses,
-            live,
-            shutdown: watch::Sender::new(false),
-        }))
-    }
-
-    /// Where live frames and job updates go.
-    pub fn hub(&self) -> &Hub {
-        &self.hub
-    }
-
-    /// What is truly going on at an emulated station; `None` for a real one or none.
-    pub fn emulated_station(&self) -> Option<&StationControl> {
-        Some(self.live()?.emulated()?.control())
-    }
-
-    pub(crate) fn store(&self) -> &Arc<Store> {
-        &self.store
-    }
-
-    pub(crate) fn library(&self) -> &Library {
-        &self.library
-    }
-
-    pub(crate) fn calibrations(&self) -> &Runs<Calibrations> {
-        &self.calibrations
-    }
-
-    pub(crate) fn diagnoses(&self) -> &Runs<Diagnoses> {
-        &self.diagnoses
-    }
-
-    pub(crate) fn live(&self) -> Option<&Live> {
-        self.live.as_ref()
-    }
-
-    /// Becomes true when the server ends.
-    pub(crate) fn shutdown(&self) -> watch::Receiver<bool> {
-        self.shutdown.subscribe()
-    }
-
-    /// Ends streams and runs, so that the server can end.
-    pub fn begin_shutdown(&self) {
-        self.shutdown.send_replace(true);
-        self.calibrations.cancel_all();
-        self.diagnoses.cancel_all();
-    }
-}
-
-/// Serves until `stop` completes. `ready` learns the real address.
+/// Serves until `stop` completes. Then motion ends before anything else does, whatever clients are up to; `motion_ended` is
+/// told how. `ready` learns the real address.
 pub async fn serve(
     config: ServeConfig,
     ready: impl FnOnce(SocketAddr),
     stop: impl Future<Output = ()> + Send + 'static,
-) -> Result<(), Error> {
-    let ServeConfig { listen, data, station } = config;
-    let state = AppState::open(&data, station.as_ref())?;
+    motion_ended: impl FnOnce(Option<&Ending>) + Send + 'static,
+) -> Result<Served, Error> {
+    let ServeConfig { listen, data, station, hosts, insecure } = config;
+    let is_exposed = !listen.ip().is_loopback();
+    if is_exposed && !insecure {
+        return Err(Error::Argument(format!(
+            "{listen} can be reached from other computers, and there is no login yet: anybody there could move the \
+             robot. Listen on 127.0.0.1 and forward the port (ssh -L 8080:127.0.0.1:8080 THIS_COMPUTER), or say --insecure"
+        )));
+    }
     let failed_to = |action: &'static str| {
         move |err: std::io::Error| {
             Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))
         }
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
+    let access = Access { hosts, insecure: is_exposed };
+    let Studio { state, station } = Studio::open(&data, station.as_ref(), access)?;
+    if is_exposed {
+        tracing::warn!(%listen, "no login: anybody who reaches this address may take control of the robot");
+    }
     if !page::is_built() {
         tracing::warn!("built without the page; `cargo xtask build` builds a binary that has it");
     }
     ready(listener.local_addr().map_err(failed_to("listen on"))?);
+    let (tell, told) = oneshot::channel();
     let ending = state.clone();
     let stop = async move {
         stop.await;
+        let ended = end_motion(station).await;
+        motion_ended(ended.as_ref().map(|(motion, _)| motion));
         ending.begin_shutdown();
+        // Whoever asked for the end waits for this.
+        let _ = tell.send(ended);
     };
-    serve_on(listener, state, stop).await.map_err(|err| Error::Internal(format!("the server stopped: {err}")))
+    listener::listen(listener, app(state), stop).await;
+    let Ok(Some((motion, station))) = told.await else {
+        return Ok(Served { motion: None, is_written: true });
+    };
+    let finish = move || station.finish(FINISH_PATIENCE);
+    let is_written = on_own_thread("finish", finish).await.unwrap_or(false);
+    Ok(Served { motion: Some(motion), is_written })
 }
 
 /// Serves `state` on `listener` until `stop` completes.
-pub async fn serve_on(
-    listener: TcpListener,
-    state: Arc<AppState>,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> std::io::Result<()> {
-    // Replies and frames are small, and late if they wait for more to be sent.
-    let listener = listener.tap_io(|connection| {
-        if let Err(err) = connection.set_nodelay(true) {
-            tracing::debug!(%err, "a connection may delay small messages");
-        }
-    });
-    axum::serve(listener, app(state)).with_graceful_shutdown(stop).await
+pub async fn serve_on(listener: TcpListener, state: Arc<AppState>, stop: impl Future<Output = ()>) {
+    listener::listen(listener, app(state), stop).await;
+}
+
+/// Ends the motion of a station, if there is one. On a thread of its own: the runtime's may all be busy.
+async fn end_motion(station: Option<RunningStation>) -> Option<(Ending, RunningStation)> {
+    let station = station?;
+    let begun = Instant::now();
+    let ended = on_own_thread("end of motion", move || (station.end_motion(MOTION_PATIENCE), station)).await;
+    let (motion, station) = ended?;
+    let seconds = begun.elapsed().as_secs_f64();
+    match motion.is_safe() {
+        true => tracing::info!(seconds, "all motion has ended: {motion}"),
+        false => tracing::error!(seconds, "the end of motion is not confirmed: {motion}"),
+    }
+    Some((motion, station))
+}
+
+/// Runs `work` on a new thread; `None` if there is none to be had or it panics.
+async fn on_own_thread<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Option<T> {
+    let (tell, told) = oneshot::channel();
+    let run = move || {
+        // Whoever waits is this program's own end.
+        let _ = tell.send(work());
+    };
+    if let Err(err) = std::thread::Builder::new().name(name.to_owned()).spawn(run) {
+        tracing::error!(%err, name, "failed to start a thread");
+    }
+    told.await.ok()
 }

@@ -1,24 +1,36 @@
 //! The data folder: sessions, models, runs, and a trash from which they come back.
 
 use std::{
-    fs,
+    fs::{self, File, TryLockError},
+    io::{ErrorKind, Read as _, Seek as _, SeekFrom, Write as _},
     path::{Path, PathBuf},
     sync::Mutex,
 };
 
-use palpate_recording::Session;
+use palpate_recording::{
+    GrowingSession, RecordingError, Session, SessionHold,
+    files::{MAX_TEXT_BYTES, open_file, read_file, read_text, resolve_in},
+};
 use palpate_sim::SensorModel;
 use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport};
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Error, cache::lock, files};
+use crate::{Error, cache::lock, chain, files, upload};
 
-/// Plain files below one folder.
+/// Locked by the studio that has the folder open; it holds the number of its process.
+const LOCK_FILE: &str = "studio.lock";
+/// Largest file of a run that is read, bytes: a report of a long session has some megabytes.
+const MAX_RUN_BYTES: u64 = 256 << 20;
+
+/// Plain files below one folder, which one studio at a time has open.
 #[derive(Debug)]
 pub struct Store {
     root: PathBuf,
     /// Held while a name is looked for and taken.
     naming: Mutex<()>,
+    uploads: upload::Slots,
+    /// Unlocked by the operating system, however this process ends. `None` where the file system knows no locks.
+    _lock: Option<File>,
 }
 
 /// What the trash keeps apart.
@@ -52,13 +64,22 @@ impl Kind {
 }
 
 impl Store {
-    /// Opens `root`, making what is missing.
+    /// Opens `root`, making what is missing and removing what a killed studio left of uploads. Refused while another studio
+    /// has it open: both would give the same names to different runs and models.
     pub fn open(root: &Path) -> Result<Self, Error> {
+        fs::create_dir_all(root).map_err(Error::io("make", root))?;
+        let lock = lock_folder(root)?;
+        upload::remove_leftovers(root)?;
         for folder in ["sessions", "models", "objects", "runs", "trash/sessions", "trash/models"] {
             let path = root.join(folder);
             fs::create_dir_all(&path).map_err(Error::io("make", &path))?;
         }
-        Ok(Self { root: root.to_owned(), naming: Mutex::default() })
+        Ok(Self {
+            root: root.to_owned(),
+            naming: Mutex::default(),
+            uploads: upload::Slots::default(),
+            _lock: lock,
+        })
     }
 
     /// The data folder.
@@ -66,9 +87,24 @@ impl Store {
         &self.root
     }
 
+    /// Places for uploads that are under way.
+    pub(crate) fn uploads(&self) -> &upload::Slots {
+        &self.uploads
+    }
+
+    /// `err` for a client, who knows sessions and files by their names and not by the folders of this computer.
+    pub(crate) fn for_client(&self, err: Error) -> Error {
+        upload::as_client_knows(err, &[&self.sessions_dir(), &self.root])
+    }
+
     /// Where sessions are recorded to.
     pub(crate) fn sessions_dir(&self) -> PathBuf {
         self.root.join("sessions")
+    }
+
+    /// Remembers a latched stop of the live station over a restart.
+    pub(crate) fn latch_path(&self) -> PathBuf {
+        self.root.join("stop.txt")
     }
 
     /// The log of who moved or stopped the live station.
@@ -76,21 +112,47 @@ impl Store {
         self.root.join("audit.jsonl")
     }
 
+    /// The last whole lines of that log, `max_bytes` of it at most.
+    pub(crate) fn audit_tail(&self, max_bytes: u64) -> Result<Vec<u8>, Error> {
+        let path = self.audit_path();
+        let mut file = match open_file(&path) {
+            Ok(file) => file,
+            // Nothing has happened yet.
+            Err(RecordingError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
+                return Ok(Vec::new());
+            }
+            Err(err) => return Err(err.into()),
+        };
+        let len = file.metadata().map_err(Error::io("read", &path))?.len();
+        let skipped = len.saturating_sub(max_bytes);
+        // The byte before tells whether a line begins there.
+        let mut tail = Vec::new();
+        file.seek(SeekFrom::Start(skipped.saturating_sub(1)))
+            .and_then(|_| file.take(max_bytes.saturating_add(1)).read_to_end(&mut tail))
+            .map_err(Error::io("read", &path))?;
+        if skipped > 0 {
+            let begin = tail.iter().position(|&byte| byte == b'\n').map_or(tail.len(), |end| end + 1);
+            tail.drain(..begin);
+        }
+        Ok(tail)
+    }
+
     /// The takes that the live station's operator wants and that wait for a session.
     pub(crate) fn wanted_path(&self) -> PathBuf {
         self.root.join("wanted.json")
     }
 
-    /// `(id, folder)` of every session, by id.
-    pub(crate) fn sessions(&self) -> Result<Vec<(String, PathBuf)>, Error> {
-        let entries = self.entries("sessions")?;
-        Ok(entries.into_iter().filter(|(_, path)| path.is_dir()).collect())
+    /// Ids of all sessions. What is neither a folder nor a plain file is among them, so that opening it says why not.
+    pub(crate) fn sessions(&self) -> Result<Vec<String>, Error> {
+        let entries = self.entries("sessions")?.into_iter();
+        let is_listed = |path: &Path| path.symlink_metadata().is_ok_and(|meta| !meta.is_file());
+        Ok(entries.filter(|(_, path)| is_listed(path)).map(|(id, _)| id).collect())
     }
 
-    /// `(file name, path)` of every object file of one's own, by name.
+    /// `(file name, path)` of every object file of one's own, by name. Reading it says whether it is one.
     pub(crate) fn object_files(&self) -> Result<Vec<(String, PathBuf)>, Error> {
         let entries = self.entries("objects")?;
-        Ok(entries.into_iter().filter(|(name, path)| name.ends_with(".toml") && path.is_file()).collect())
+        Ok(entries.into_iter().filter(|(name, path)| name.ends_with(".toml") && !path.is_dir()).collect())
     }
 
     /// The session called `id`.
@@ -111,7 +173,8 @@ impl Store {
     pub(crate) fn free_session_dir(&self, id: &str) -> Result<PathBuf, Error> {
         files::check_id("session", id)?;
         let target = self.path(Kind::Session, id);
-        if target.exists() {
+        // Also true of a link that leads nowhere, unlike `exists`.
+        if target.symlink_metadata().is_ok() {
             return Err(Error::Conflict(format!("there is a session {id:?} already; choose another name")));
         }
         Ok(target)
@@ -135,7 +198,7 @@ impl Store {
     /// The model called `id`, and its text.
     pub(crate) fn model(&self, id: &str) -> Result<(SensorModel, String), Error> {
         let path = self.existing(Kind::Model, id)?;
-        let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+        let text = read_text(&path, MAX_TEXT_BYTES)?;
         let model = SensorModel::from_toml(&path.display().to_string(), &text)?;
         Ok((model, text))
     }
@@ -169,7 +232,7 @@ impl Store {
         let path = self.existing(Kind::Model, id)?;
         {
             let _naming = lock(&self.naming);
-            let text = fs::read(&path).map_err(Error::io("read", &path))?;
+            let text = read_file(&path, MAX_TEXT_BYTES)?;
             let dir = self.earlier_dir(id);
             fs::create_dir_all(&dir).map_err(Error::io("make", &dir))?;
             let number = self.earlier_versions(id)?.len() + 1;
@@ -241,16 +304,17 @@ impl Store {
         Ok(versions)
     }
 
-    /// Moves an entry to the trash.
+    /// Moves an entry to the trash; refused for a session that is being recorded, by whatever process.
     pub(crate) fn discard(&self, kind: Kind, id: &str) -> Result<(), Error> {
-        let path = self.existing(kind, id)?;
+        let path = self.named(kind, id)?;
         let _naming = lock(&self.naming);
+        let _held = hold(kind, id, &path, "delete it")?;
         let target = self.trash_path(kind, id);
-        if target.exists() {
+        if target.symlink_metadata().is_ok() {
             // An older one of that name steps aside and can be brought back by hand.
             let aside = (2..)
                 .map(|number| target.with_file_name(format!(".{number}-{}", kind.file_name(id))))
-                .find(|aside| !aside.exists())
+                .find(|aside| aside.symlink_metadata().is_err())
                 .unwrap_or_else(|| target.clone());
             fs::rename(&target, &aside).map_err(Error::io("move", &target))?;
         }
@@ -262,14 +326,15 @@ impl Store {
         files::check_id(kind.what(), id)?;
         let _naming = lock(&self.naming);
         let (path, target) = (self.trash_path(kind, id), self.path(kind, id));
-        if !path.exists() {
+        if path.symlink_metadata().is_err() {
             return Err(Error::NotFound {
                 what: kind.what(),
                 id: id.to_owned(),
                 hint: "it is not in the trash",
             });
         }
-        if target.exists() {
+        if target.symlink_metadata().is_ok() {
+            hold(kind, id, &target, "restore the other one under another name")?;
             let what = kind.what();
             return Err(Error::Conflict(format!(
                 "there is another {what} {id:?} now; rename or delete that one first"
@@ -285,10 +350,12 @@ impl Store {
             let Some(id) = file_name.strip_suffix(".json").filter(|id| id.starts_with(prefix)) else {
                 continue;
             };
-            let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
-            match serde_json::from_str::<R>(&text) {
+            let read = self.own_text("runs", &path, MAX_RUN_BYTES).and_then(|text| {
+                serde_json::from_str::<R>(&text).map_err(|err| Error::Content(err.to_string()))
+            });
+            match read {
                 Ok(run) => runs.push((id.to_owned(), run)),
-                Err(err) => tracing::warn!(path = %path.display(), %err, "left out a run"),
+                Err(err) => tracing::warn!(path = %path.display(), err = chain(&err), "left out a run"),
             }
         }
         Ok(runs)
@@ -309,11 +376,21 @@ impl Store {
     pub(crate) fn run_file(&self, id: &str, suffix: &str) -> Result<Option<String>, Error> {
         files::check_id("run", id)?;
         let path = self.run_path(id, suffix);
-        match fs::read_to_string(&path) {
+        match self.own_text("runs", &path, MAX_RUN_BYTES) {
             Ok(text) => Ok(Some(text)),
-            Err(err) if err.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(source) => Err(Error::Io { action: "read", path, source }),
+            Err(Error::Recording(RecordingError::Io { source, .. }))
+                if source.kind() == ErrorKind::NotFound =>
+            {
+                Ok(None)
+            }
+            Err(err) => Err(err),
         }
+    }
+
+    /// The text of the file at `path`, which must lie in `folder`.
+    fn own_text(&self, folder: &str, path: &Path, max_bytes: u64) -> Result<String, Error> {
+        resolve_in(&self.root.join(folder), path)?;
+        Ok(read_text(path, max_bytes)?)
     }
 
     fn run_path(&self, id: &str, suffix: &str) -> PathBuf {
@@ -328,10 +405,18 @@ impl Store {
         self.root.join("trash").join(kind.folder()).join(kind.file_name(id))
     }
 
+    /// The entry called `id`, which may be opened.
     fn existing(&self, kind: Kind, id: &str) -> Result<PathBuf, Error> {
+        let path = self.named(kind, id)?;
+        resolve_in(&self.root.join(kind.folder()), &path)?;
+        Ok(path)
+    }
+
+    /// The entry called `id`. It may be a link that leads elsewhere.
+    fn named(&self, kind: Kind, id: &str) -> Result<PathBuf, Error> {
         files::check_id(kind.what(), id)?;
         let path = self.path(kind, id);
-        if !path.exists() {
+        if path.symlink_metadata().is_err() {
             let hint = match kind {
                 Kind::Session => "GET /api/v1/sessions lists them",
                 Kind::Model => "GET /api/v1/models lists them; \"nominal\" is the station's own",
@@ -354,5 +439,59 @@ impl Store {
         }
         entries.sort();
         Ok(entries)
+    }
+}
+
+/// Locks the data folder for this process.
+fn lock_folder(root: &Path) -> Result<Option<File>, Error> {
+    let path = root.join(LOCK_FILE);
+    if path.symlink_metadata().is_ok() {
+        // Opening a named pipe for writing would wait for its reader.
+        open_file(&path)?;
+    }
+    let mut file = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path)
+        .map_err(Error::io("make", &path))?;
+    match file.try_lock() {
+        Ok(()) => {
+            file.set_len(0)
+                .and_then(|()| writeln!(file, "{}", std::process::id()))
+                .map_err(Error::io("write", &path))?;
+            Ok(Some(file))
+        }
+        Err(TryLockError::WouldBlock) => {
+            let holder = read_text(&path, 100).unwrap_or_default();
+            let holder = match holder.trim() {
+                "" => "another process".to_owned(),
+                pid => format!("process {pid}"),
+            };
+            Err(Error::Conflict(format!(
+                "the data folder {root:?} is in use by a studio already ({holder}); use that one, end it first, or start \
+                 this one with another folder (--data)"
+            )))
+        }
+        Err(TryLockError::Error(err)) => {
+            tracing::warn!(path = %path.display(), %err, "no lock: start no second studio on this data folder");
+            Ok(None)
+        }
+    }
+}
+
+/// Keeps a session from being recorded while it is moved; refused while it is. `then` is what may be done once it is left.
+fn hold(kind: Kind, id: &str, path: &Path, then: &str) -> Result<Option<SessionHold>, Error> {
+    if kind != Kind::Session {
+        return Ok(None);
+    }
+    match GrowingSession::hold(path) {
+        Ok(hold) => Ok(Some(hold)),
+        Err(RecordingError::Content { place, .. }) if place == "session" => Err(Error::Conflict(format!(
+            "session {id:?} is being recorded; leave it on the Record screen, or end the process that records it, then \
+             {then}"
+        ))),
+        // What cannot be locked cannot be recorded into either.
+        Err(_) => Ok(None),
     }
 }

@@ -8,7 +8,7 @@ use std::{
 use axum::{
     body::Bytes,
     extract::{
-        State, WebSocketUpgrade,
+        Extension, State, WebSocketUpgrade,
         ws::{CloseFrame, Message, WebSocket, close_code},
     },
     response::Response,
@@ -16,14 +16,26 @@ use axum::{
 use futures_util::SinkExt as _;
 use prost::Message as _;
 
-use crate::{AppState, hub::Client, pacing::Pacing};
+use crate::{AppState, hub::Client, listener::KeepOpen, pacing::Pacing};
 
+/// Clients answer pings and otherwise send nothing, bytes.
+const MAX_MESSAGE: usize = 1024;
 /// A client that does not read is not waited for longer than this.
-const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
+pub(crate) const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// `GET /api/v1/stream`.
-pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSocketUpgrade) -> Response {
-    upgrade.on_upgrade(move |socket| async move {
+pub(crate) async fn upgrade(
+    State(state): State<Arc<AppState>>,
+    open: Option<Extension<KeepOpen>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    upgrade.max_message_size(MAX_MESSAGE).on_upgrade(move |socket| async move {
+        let gives_way = async {
+            match &open {
+                Some(Extension(open)) => open.gives_way().await,
+                None => std::future::pending().await,
+            }
+        };
         let client = state.hub().join();
         let unfinished = [state.calibrations().unfinished_updates(), state.diagnoses().unfinished_updates()];
         for update in unfinished.into_iter().flatten() {
@@ -33,6 +45,7 @@ pub(crate) async fn upgrade(State(state): State<Arc<AppState>>, upgrade: WebSock
         let mut socket = socket;
         let ends = tokio::select! {
             () = converse(&mut socket, &client) => false,
+            () = gives_way => false,
             _ = shutdown.wait_for(|&ends| ends) => true,
         };
         if ends {

@@ -125,6 +125,8 @@ pub struct HttpRequest {
     pub path: String,
     /// Content type and bytes, for requests that carry some.
     pub body: Option<(&'static str, Vec<u8>)>,
+    /// Value of the header [`LEASE_HEADER`](palpate_wire::api::LEASE_HEADER), on requests that only the operator may make.
+    pub lease: Option<u64>,
 }
 
 impl HttpRequest {
@@ -135,12 +137,23 @@ impl HttpRequest {
 }
 
 impl Request {
-    /// The request as HTTP.
-    pub fn to_http(&self) -> HttpRequest {
-        let get = |path: String| HttpRequest { method: "GET", path: format!("/api/v1{path}"), body: None };
-        let post = |path: String, body| HttpRequest { method: "POST", path: format!("/api/v1{path}"), body };
-        let delete =
-            |path: String| HttpRequest { method: "DELETE", path: format!("/api/v1{path}"), body: None };
+    /// Whether only the operator may make it, at least while somebody has control.
+    pub fn needs_lease(&self) -> bool {
+        matches!(
+            self,
+            Self::StartRecording(_) | Self::ActOnRecording(_) | Self::Want(_) | Self::Unwant { .. }
+        )
+    }
+
+    /// The request as HTTP. `lease` is that of the page, 0 for none: only requests that need it carry it, because it is a
+    /// secret.
+    pub fn to_http(&self, lease: u64) -> HttpRequest {
+        let lease = Some(lease).filter(|&lease| lease != 0 && self.needs_lease());
+        let http =
+            |method, path: String, body| HttpRequest { method, path: format!("/api/v1{path}"), body, lease };
+        let get = |path: String| http("GET", path, None);
+        let post = |path: String, body| http("POST", path, body);
+        let delete = |path: String| http("DELETE", path, None);
         match self {
             Self::Info => get("/info".into()),
             Self::Sessions => get("/sessions".into()),
@@ -186,9 +199,7 @@ impl Request {
             Self::Unwant { object, primitive } => {
                 delete(format!("/recording/wanted/{}/{}", segment(object), segment(primitive)))
             }
-            Self::SetLiveModel(body) => {
-                HttpRequest { method: "PUT", path: "/api/v1/live/model".into(), body: json(body) }
-            }
+            Self::SetLiveModel(body) => http("PUT", "/live/model".into(), json(body)),
         }
     }
 }
@@ -233,12 +244,14 @@ pub enum ApiEvent {
     ControlClosed,
     /// A binary message on the socket of commands.
     ControlMessage(Vec<u8>),
+    /// A stop left as this number when it was pressed, before a frame was drawn.
+    StopSent(u64),
 }
 
 /// The outside world of the page's data. Nothing here waits.
 pub trait Api {
-    /// Sends a request; its answer comes from [`Api::poll`] some day.
-    fn send(&mut self, request: Request);
+    /// Sends a request, under `lease` if it needs one (0 for none); its answer comes from [`Api::poll`] some day.
+    fn send(&mut self, lease: u64, request: Request);
 
     /// Opens the stream socket. It reports with [`ApiEvent::SocketOpen`] or [`ApiEvent::SocketClosed`].
     fn open_socket(&mut self);
@@ -278,6 +291,8 @@ pub struct FakeApi {
     pub bodies: BTreeMap<String, Vec<u8>>,
     /// Requests that were sent, in order.
     pub sent: Vec<Request>,
+    /// The same as HTTP.
+    pub http: Vec<HttpRequest>,
     /// Requests are left without an answer while this is set.
     pub silent: bool,
     /// What [`Api::poll`] gives next.
@@ -292,17 +307,19 @@ pub struct FakeApi {
 impl FakeApi {
     /// Answers `request` with `body` from now on.
     pub fn answer(&mut self, request: &Request, body: Vec<u8>) {
-        self.bodies.insert(request.to_http().name(), body);
+        self.bodies.insert(request.to_http(0).name(), body);
     }
 }
 
 impl Api for FakeApi {
-    fn send(&mut self, request: Request) {
+    fn send(&mut self, lease: u64, request: Request) {
+        let http = request.to_http(lease);
+        let name = http.name();
         self.sent.push(request.clone());
+        self.http.push(http);
         if self.silent {
             return;
         }
-        let name = request.to_http().name();
         let result = self.bodies.get(&name).cloned().ok_or_else(|| format!("nothing at {name}"));
         self.events.push_back(ApiEvent::Answer { request, result });
     }
@@ -339,7 +356,31 @@ mod tests {
     #[test]
     fn ids_cannot_leave_their_segment() {
         let request = Request::Take { session: "../x y".into(), take: "a/b?c".into() };
-        assert_eq!(request.to_http().path, "/api/v1/sessions/%2E%2E%2Fx%20y/takes/a%2Fb%3Fc/trace");
+        assert_eq!(request.to_http(0).path, "/api/v1/sessions/%2E%2E%2Fx%20y/takes/a%2Fb%3Fc/trace");
+    }
+
+    #[test]
+    fn only_what_the_operator_alone_may_do_carries_the_lease() {
+        let start = StartRecording {
+            plan: "p".into(),
+            session: "s".into(),
+            operator: "Ada".into(),
+            only_wanted: false,
+        };
+        let wanted = WantedTake { object: "o".into(), primitive: "p".into(), because: String::new() };
+        let guarded = [
+            Request::StartRecording(start),
+            Request::ActOnRecording(RecordingAction::Accept),
+            Request::Want(wanted),
+            Request::Unwant { object: "o".into(), primitive: "p".into() },
+        ];
+        for request in guarded {
+            assert_eq!(request.to_http(u64::MAX).lease, Some(u64::MAX), "{request:?}");
+            assert_eq!(request.to_http(0).lease, None, "{request:?}: there is no lease 0");
+        }
+        for request in [Request::Info, Request::Recording, Request::DeleteSession("s".into())] {
+            assert_eq!(request.to_http(7).lease, None, "{request:?} would give the secret away");
+        }
     }
 
     #[test]

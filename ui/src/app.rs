@@ -1,8 +1,16 @@
 //! The frame around the screens: rail, top bar, address bar, shortcuts, and what comes in from the server.
 
 mod bars;
+mod frame_rate;
+mod name;
+mod notes;
 mod overlays;
+mod stop;
 mod strip;
+
+#[cfg(target_arch = "wasm32")]
+pub(crate) use stop::STOP_NAME;
+pub(crate) use stop::is_narrow;
 
 use crate::{
     api_client::Api,
@@ -73,6 +81,8 @@ pub struct StudioApp {
     surface: Option<Surface>,
     overlays: overlays::Overlays,
     strip: strip::StripState,
+    name_question: Option<name::NameQuestion>,
+    frame_rate: frame_rate::FrameRate,
     record: screens::record::RecordState,
     timelines: screens::timelines::TimelinesState,
     calibrate: screens::calibrate::CalibrateState,
@@ -108,6 +118,8 @@ impl StudioApp {
             surface,
             overlays: overlays::Overlays::default(),
             strip: strip::StripState::default(),
+            name_question: None,
+            frame_rate: frame_rate::FrameRate::default(),
             record: screens::record::RecordState::default(),
             timelines: screens::timelines::TimelinesState::default(),
             calibrate: screens::calibrate::CalibrateState::default(),
@@ -149,39 +161,57 @@ impl StudioApp {
             self.last_armed_s = now_s;
         }
         let space_stops = now_s - self.last_armed_s < STOP_AFTER_ARMED_S;
-        if Command::stop_pressed(&ctx, commandable && space_stops) {
+        if Command::stop_pressed(&ctx, commandable && space_stops) || (commandable && stop::is_pressed(&ctx))
+        {
             self.store.control.stop();
+            // Before anything is drawn: that may take long.
+            self.send_commands();
         }
+        let counts = self.store.control.lease() != 0 && self.platform.is_watched();
+        self.frame_rate.frame(now_s, counts);
         let mut commands =
             if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx, commandable) };
         commands.extend(self.overlays.take_chosen());
 
-        self.rail_ui(ui, &mut go_to);
         self.top_bar_ui(ui, now_s);
+        self.rail_ui(ui, &mut go_to);
         for command in commands {
             self.run_command(&ctx, command, &mut go_to);
         }
         egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
+        if self.store.control.take_control_wanted() {
+            self.ask_for_control();
+        }
         self.overlays.ui(&ctx, commandable);
         self.take_over_ui(&ctx);
+        self.name_ui(&ctx);
+        if commandable {
+            self.stop_ui(&ctx);
+        }
 
         if let Some(route) = go_to {
             self.go(route);
         }
         self.write_address_bar(now_s);
         self.write_title();
+        self.send_commands();
+        self.keep_control(&ctx);
+        let lease = self.store.control.lease();
         for request in self.store.take_outbox() {
-            self.api.send(request);
+            self.api.send(lease, request);
         }
-        self.send_commands(&ctx);
     }
 
-    /// Sends what the operator commanded in this frame, and keeps the lease alive.
-    fn send_commands(&mut self, ctx: &egui::Context) {
+    /// Sends what the operator commanded in this frame, a stop first.
+    fn send_commands(&mut self) {
         for (lease, request) in self.store.control.take_outbox() {
             let sequence = self.api.send_control(lease, request.clone());
             self.store.control.sent(sequence, &request);
         }
+    }
+
+    /// Keeps the lease alive.
+    fn keep_control(&mut self, ctx: &egui::Context) {
         let lease = self.store.control.lease();
         self.api.beat((lease != 0).then_some(lease));
         if lease != 0 {

@@ -5,6 +5,7 @@
 
 pub mod control;
 mod live;
+pub mod notice;
 mod runs;
 #[cfg(test)]
 mod tests;
@@ -25,7 +26,7 @@ use palpate_wire::{
 };
 use prost::Message as _;
 
-use self::{control::ControlLink, runs::RunTable, touch_history::TouchHistory};
+use self::{control::ControlLink, notice::Notice, runs::RunTable, touch_history::TouchHistory};
 
 use crate::{
     api_client::{ApiEvent, Request},
@@ -126,6 +127,8 @@ pub struct Store {
     pub deleted_model: Loadable<String>,
     /// The socket of commands and what it said.
     pub control: ControlLink,
+    /// Why the station holds, stopped or disarmed, since when, and who had control then.
+    pub notice: Notice,
     /// Why the last thing that was done in a recording did not work; `None` when all is well.
     pub recording_problem: Option<String>,
     /// Why the list of what is recorded next could not be changed; `None` when all is well.
@@ -383,6 +386,7 @@ impl Store {
             ApiEvent::ControlOpen => self.control.opened(),
             ApiEvent::ControlClosed => self.control.closed(now_s, time_of_day),
             ApiEvent::ControlMessage(bytes) => self.control.receive(&bytes, time_of_day),
+            ApiEvent::StopSent(sequence) => self.control.stop_left(sequence),
         }
     }
 
@@ -499,7 +503,7 @@ impl Store {
                 time_of_day.clone_into(&mut self.live_at);
                 self.touch_history.take_in(&frame);
                 self.live = Some(frame);
-                self.follow_live(now_s);
+                self.follow_live(now_s, time_of_day);
             }
             Some(stream_message::Message::Job(update)) => {
                 let Some(state) = job_state(&update.state) else { return };

@@ -26,6 +26,11 @@ fn start() {
     });
 }
 
+/// Sends a stop at once: see [`control::stop_now`].
+pub(crate) fn stop_now() {
+    control::stop_now();
+}
+
 async fn run() -> Result<(), String> {
     let canvas = window::document()
         .and_then(|document| document.get_element_by_id(CANVAS_ID))

@@ -19,14 +19,25 @@ pub(crate) fn assemble(bound: &Path, page_dir: &Path) -> anyhow::Result<PathBuf>
     let wasm_name = hashed_name("palpate_ui", "wasm", &wasm);
     let script = script.replace("palpate_ui_bg.wasm", &wasm_name);
     let script_name = hashed_name("palpate_ui", "js", script.as_bytes());
-    let html_template = paths::root().join("ui").join("index.html");
-    let html = fs::read_to_string(&html_template)
-        .with_context(|| format!("failed to read {html_template:?}"))?
-        .replace("{{script}}", &script_name)
-        .replace("{{wasm}}", &wasm_name);
+    let fill = |name: &str| -> anyhow::Result<String> {
+        let path = paths::root().join("ui").join(name);
+        let text = fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+        Ok(text.replace("{{script}}", &script_name).replace("{{wasm}}", &wasm_name))
+    };
+    // The page's policy allows scripts from files only, so that the HTML holds none.
+    let (theme, boot) = (fill("theme.js")?, fill("boot.js")?);
+    let theme_name = hashed_name("theme", "js", theme.as_bytes());
+    let boot_name = hashed_name("boot", "js", boot.as_bytes());
+    let html = fill("index.html")?.replace("{{theme}}", &theme_name).replace("{{boot}}", &boot_name);
 
     fs::create_dir_all(page_dir).with_context(|| format!("failed to create {page_dir:?}"))?;
-    let fresh = [("index.html", html.into_bytes()), (&script_name, script.into_bytes()), (&wasm_name, wasm)];
+    let fresh = [
+        ("index.html", html.into_bytes()),
+        (&theme_name, theme.into_bytes()),
+        (&boot_name, boot.into_bytes()),
+        (&script_name, script.into_bytes()),
+        (&wasm_name, wasm),
+    ];
     remove_stale(page_dir, &fresh.iter().map(|(name, _)| *name).collect::<Vec<_>>())?;
     for (name, content) in &fresh {
         write_with_copies(page_dir, name, content)?;

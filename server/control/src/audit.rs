@@ -23,16 +23,42 @@ const MOST_WAITING: usize = 4096;
 pub struct AuditLine {
     /// When, RFC 3339 with milliseconds, UTC.
     pub time: String,
-    /// Who: the operator, or `station`.
+    /// Who: the operator, or `station` for what the station did by itself.
     pub who: String,
+    /// From where it was asked for: the connection and the peer's address; empty for what nobody asked for.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub connection: String,
     /// What happened, in words.
     pub what: String,
+}
+
+/// Whoever asked for something, as the log names them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Who {
+    /// The operator's name, or what is known instead.
+    pub(crate) name: String,
+    /// The connection; empty for what nobody asked for.
+    pub(crate) connection: String,
+}
+
+impl Who {
+    /// Nobody: the station by itself, or a part of it called `name`.
+    pub(crate) fn part(name: &str) -> Self {
+        Self { name: name.to_owned(), connection: String::new() }
+    }
+}
+
+/// A line and how loudly it is logged.
+#[derive(Debug)]
+struct Entry {
+    line: AuditLine,
+    is_trouble: bool,
 }
 
 /// Writes lines from a thread of its own, so that a slow disk holds nobody up.
 #[derive(Debug)]
 pub(crate) struct AuditLog {
-    lines: Option<SyncSender<AuditLine>>,
+    lines: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
     problem: Arc<Mutex<String>>,
     num_lost: u64,
@@ -60,21 +86,29 @@ impl AuditLog {
 
     /// Notes that `who` did `what` at the station's time `at_ns`. Never waits.
     pub(crate) fn note(&mut self, at_ns: u64, who: &str, what: &str) {
-        tracing::info!(who, what, "audit");
-        self.append(at_ns, who, what);
+        self.append(at_ns, &Who::part(who), what, false);
+    }
+
+    /// Notes what somebody did from a connection at the station's time `at_ns`. Never waits.
+    pub(crate) fn note_by(&mut self, at_ns: u64, who: &Who, what: &str) {
+        self.append(at_ns, who, what, false);
     }
 
     /// Notes trouble at the station's time `at_ns`. Never waits.
     pub(crate) fn warn(&mut self, at_ns: u64, who: &str, what: &str) {
-        tracing::warn!(who, what, "audit");
-        self.append(at_ns, who, what);
+        self.append(at_ns, &Who::part(who), what, true);
     }
 
-    fn append(&mut self, at_ns: u64, who: &str, what: &str) {
+    fn append(&mut self, at_ns: u64, who: &Who, what: &str, is_trouble: bool) {
         let time = rfc3339_utc(self.began + Duration::from_nanos(at_ns));
-        let line = AuditLine { time, who: who.to_owned(), what: what.to_owned() };
+        let line = AuditLine {
+            time,
+            who: who.name.clone(),
+            connection: who.connection.clone(),
+            what: what.to_owned(),
+        };
         if let Some(Err(TrySendError::Full(_) | TrySendError::Disconnected(_))) =
-            self.lines.as_ref().map(|lines| lines.try_send(line))
+            self.lines.as_ref().map(|lines| lines.try_send(Entry { line, is_trouble }))
         {
             self.num_lost += 1;
         }
@@ -105,16 +139,24 @@ impl Drop for AuditLog {
     }
 }
 
-fn write_lines(file: File, path: &PathBuf, lines: &Receiver<AuditLine>, problem: &Mutex<String>) {
+fn write_lines(file: File, path: &PathBuf, lines: &Receiver<Entry>, problem: &Mutex<String>) {
     let mut sink = BufWriter::new(file);
-    while let Ok(line) = lines.recv() {
-        let written = std::iter::once(line)
-            .chain(lines.try_iter())
-            .try_for_each(|line| {
-                serde_json::to_writer(&mut sink, &line).map_err(io::Error::from)?;
+    while let Ok(first) = lines.recv() {
+        let entries: Vec<Entry> = std::iter::once(first).chain(lines.try_iter()).collect();
+        let written = entries
+            .iter()
+            .try_for_each(|entry| {
+                serde_json::to_writer(&mut sink, &entry.line).map_err(io::Error::from)?;
                 sink.write_all(b"\n")
             })
             .and_then(|()| sink.flush());
+        // Logged here and not where they are made: whatever prints the log may be slow, and the control loop must not be.
+        for Entry { line: AuditLine { who, connection, what, .. }, is_trouble } in &entries {
+            match is_trouble {
+                true => tracing::warn!(who, connection, what, "audit"),
+                false => tracing::info!(who, connection, what, "audit"),
+            }
+        }
         let now = match written {
             Ok(()) => String::new(),
             Err(err) => format!(

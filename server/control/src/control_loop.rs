@@ -1,11 +1,7 @@
 //! The thread that runs a station.
 
 use std::{
-    collections::VecDeque,
-    sync::{
-        Arc,
-        mpsc::{Receiver, RecvTimeoutError},
-    },
+    sync::{Arc, mpsc::Receiver},
     time::Duration,
 };
 
@@ -18,13 +14,18 @@ use palpate_wire::{
 };
 
 use crate::{
-    audit::AuditLog,
+    audit::{AuditLog, Who},
+    error::ControlError,
     guided::Guided,
     handle::Message,
+    inbox::{Answer, Inbox, Urgent},
+    latch::Latch,
     pace::Pace,
     rates::RateMeter,
-    requests::{Busy, Desk, Effect},
+    refusals::Refusals,
+    requests::{Busy, Caller, Claim, Desk, Effect, Refused, Times, describe, is_stop},
     senses::{Sensed, Senses},
+    shutdown::{Ending, ShuttingDown},
     snapshot::Snapshot,
     streams::StreamSample,
     twin::{Twin, TwinFrame},
@@ -41,31 +42,51 @@ pub(crate) const TARE_NS: u64 = 500_000_000;
 /// Who does what nobody asked for, in the audit log.
 const STATION: &str = "station";
 /// Requests that are answered before the next turn is looked at, so that a flood of them cannot stop the loop.
-const MOST_AT_ONCE: usize = 256;
+const MAX_AT_ONCE: usize = 256;
+/// The reply to a stop does not wait longer than this for readings that confirm it, ns.
+const STOP_REPLY_NS: u64 = 1_000_000_000;
+/// Replies to stops that may wait; more of them are answered at once, unconfirmed.
+const MAX_STOP_REPLIES: usize = 256;
+/// What is refused while the loop ends.
+const ENDING: &str = "the studio is shutting down";
 
-/// Hands a message to every page.
+/// Hands a message to every page. It is called on a thread of its own and may take its time: what it has not got to when
+/// the next message is there is left out.
 pub type Publish = Box<dyn Fn(LiveFrame) + Send>;
+
+/// A stop whose reply waits for readings.
+pub(crate) struct StopReply {
+    connection: u64,
+    sequence: u64,
+    since_ns: u64,
+    answer: Answer<ControlReply>,
+}
 
 pub(crate) struct ControlLoop {
     pub(crate) station: Arc<Station>,
     pub(crate) supervisor: Supervisor,
     pub(crate) devices: Devices,
     pub(crate) events: Receiver<DeviceEvent>,
-    pub(crate) messages: Receiver<Message>,
+    pub(crate) inbox: Inbox,
     pub(crate) clock: HostClock,
-    pub(crate) publish: Publish,
+    pub(crate) frames: crossbeam_channel::Sender<LiveFrame>,
     pub(crate) senses: Senses,
     pub(crate) guided: Guided,
     pub(crate) twin: Twin,
     pub(crate) audit: AuditLog,
     pub(crate) desk: Desk,
+    pub(crate) refusals: Refusals,
+    pub(crate) latch: Latch,
+    pub(crate) stop_replies: Vec<StopReply>,
+    /// Torque was on at some time.
+    pub(crate) was_armed: bool,
     /// Counts everything that sets targets.
     pub(crate) commands: u64,
     pub(crate) loop_rate: RateMeter,
     /// Positions that are commanded now; empty while disarmed.
     pub(crate) commanded: Vec<f64>,
     /// Who asked for the tare that is under way.
-    pub(crate) tare_for: String,
+    pub(crate) tare_for: Option<Who>,
     /// What was wrong with the last tare; empty when all was well.
     pub(crate) tare_problem: String,
     /// How far each joint may be behind a guided motion, rad or m.
@@ -73,30 +94,16 @@ pub(crate) struct ControlLoop {
 }
 
 impl ControlLoop {
-    /// Until it is told to end, or nobody is left who could tell it anything.
-    pub(crate) fn run(mut self) {
+    /// Until it is told to end. Motion ends first; what it gives says how.
+    pub(crate) fn run(&mut self) -> Ending {
         let mut turns = Pace::new(self.clock.now_ns(), TURN_NS);
         let mut frames = Pace::new(self.clock.now_ns(), FRAME_NS);
-        let mut inbox: VecDeque<Message> = VecDeque::new();
+        let mut ending: Option<ShuttingDown> = None;
         loop {
-            let wait_ns = match inbox.is_empty() {
-                true => turns.next_ns().saturating_sub(self.clock.now_ns()),
-                false => 0,
-            };
-            match self.messages.recv_timeout(Duration::from_nanos(wait_ns)) {
-                Ok(message) => inbox.push_back(message),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
-            }
-            inbox.extend(self.messages.try_iter().take(MOST_AT_ONCE));
-            if inbox.iter().any(|message| matches!(message, Message::End)) {
-                break;
-            }
-            self.stops_first(&mut inbox);
-            for _ in 0..inbox.len().min(MOST_AT_ONCE) {
-                if let Some(message) = inbox.pop_front() {
-                    self.message(message);
-                }
+            let wait_ns = turns.next_ns().saturating_sub(self.clock.now_ns());
+            self.inbox.wait(Duration::from_nanos(wait_ns));
+            if self.take_messages(ending.is_some()) && ending.is_none() {
+                ending = Some(self.begin_shutdown(self.clock.now_ns()));
             }
             let now_ns = self.clock.now_ns();
             if turns.due(now_ns) {
@@ -104,76 +111,213 @@ impl ControlLoop {
                 if frames.due(now_ns) {
                     self.publish_frame();
                 }
-            }
-        }
-        self.end();
-    }
-
-    /// Answers every stop that waits, before anything that came earlier.
-    fn stops_first(&mut self, inbox: &mut VecDeque<Message>) {
-        let is_stop =
-            |message: &Message| matches!(message, Message::Request { request, .. } if Desk::is_stop(request));
-        while let Some(idx) = inbox.iter().position(is_stop) {
-            if let Some(message) = inbox.remove(idx) {
-                self.message(message);
-                // Not at the next turn: now.
-                self.drive(self.clock.now_ns());
+                if let Some(ended) = ending.as_mut().and_then(|ending| self.shut_down(now_ns, ending)) {
+                    return ended;
+                }
             }
         }
     }
 
-    fn message(&mut self, message: Message) {
+    /// Answers what waits, urgent messages before every other one; says whether the loop has to end. While it does,
+    /// everything but stops is refused.
+    fn take_messages(&mut self, is_ending: bool) -> bool {
+        let mut must_end = self.take_kept();
+        for _ in 0..MAX_AT_ONCE {
+            match self.inbox.urgent() {
+                Some(Urgent::Request { caller, request, received_ns, answer }) => {
+                    self.urgent(&caller, &request, received_ns, answer, is_ending);
+                }
+                Some(Urgent::End) => must_end = true,
+                None => match self.inbox.ordinary() {
+                    Some(message) => self.message(message, is_ending),
+                    None => break,
+                },
+            }
+        }
+        must_end
+    }
+
+    /// Does what was kept while the urgent queue was full; says whether the loop has to end.
+    fn take_kept(&mut self) -> bool {
+        let Some(kept) = self.inbox.kept() else { return false };
+        let now_ns = self.clock.now_ns();
+        if kept.stop {
+            self.supervisor.stop(now_ns, "a connection that found the queue full");
+            self.drive(now_ns);
+        }
+        for connection in kept.lost {
+            self.desk.lost(now_ns, &mut self.supervisor, connection);
+        }
+        kept.end
+    }
+
+    fn urgent(
+        &mut self,
+        caller: &Caller,
+        request: &ControlRequest,
+        received_ns: u64,
+        answer: Answer<ControlReply>,
+        is_ending: bool,
+    ) {
+        if !is_stop(request) {
+            return answer(self.request(caller, request, received_ns, is_ending));
+        }
+        let reply = self.request(caller, request, received_ns, false);
+        let now_ns = self.clock.now_ns();
+        // Not at the next turn: now.
+        self.drive(now_ns);
+        if self.stop_replies.len() >= MAX_STOP_REPLIES {
+            return answer(reply);
+        }
+        let (connection, sequence) = (caller.connection, request.sequence);
+        self.stop_replies.push(StopReply { connection, sequence, since_ns: now_ns, answer });
+    }
+
+    /// Answers stops that are confirmed now, and those that have waited long enough.
+    fn answer_stops(&mut self, now_ns: u64) {
+        if self.stop_replies.is_empty() {
+            return;
+        }
+        let status = self.supervisor.status(now_ns);
+        let is_stopped = status.phase == palpate_safety::Phase::Stopped;
+        let is_due = |reply: &StopReply| {
+            status.stop_confirmed || !is_stopped || now_ns.saturating_sub(reply.since_ns) >= STOP_REPLY_NS
+        };
+        let (due, waiting) = std::mem::take(&mut self.stop_replies).into_iter().partition(is_due);
+        self.stop_replies = waiting;
+        let due: Vec<StopReply> = due;
+        for StopReply { connection, sequence, answer, .. } in due {
+            let reply = self.desk.reply(now_ns, &self.supervisor, connection, sequence, Ok(()));
+            let problem = match (status.stop_confirmed, is_stopped) {
+                (true, _) => String::new(),
+                (false, true) => format!("{}; check the robot", status.reason),
+                (false, false) => "the stop was reset before readings confirmed it".to_owned(),
+            };
+            answer(ControlReply { problem, stop_confirmed: status.stop_confirmed, ..reply });
+        }
+    }
+
+    fn message(&mut self, message: Message, is_ending: bool) {
         // Whoever asked may have gone meanwhile; then nobody needs the answer.
+        let ended = || Err(ControlError::Refused(ENDING.to_owned()));
         match message {
-            Message::Request { connection, request, reply } => {
-                let answer = self.request(connection, &request);
-                let _ = reply.send(answer);
+            Message::Request { caller, request, received_ns, answer } => {
+                answer(self.request(&caller, &request, received_ns, is_ending));
             }
             Message::ConnectionLost(connection) => {
                 self.desk.lost(self.clock.now_ns(), &mut self.supervisor, connection);
+                self.stop_replies.retain(|reply| reply.connection != connection);
             }
             Message::Recording(reply) => {
                 let _ = reply.send(self.guided.document());
             }
-            Message::Begin(prepared, reply) => {
-                let _ = reply.send(self.begin_session(*prepared));
+            Message::Authorise { claim, what, unless_free, reply } => {
+                let authorised = self.authorise(&claim, &what, unless_free);
+                if let Ok(who) = &authorised {
+                    self.audit.note_by(self.clock.now_ns(), who, &what);
+                }
+                let _ = reply.send(authorised.map(|_| ()));
             }
-            Message::Act(action, reply) => {
-                let _ = reply.send(self.act(&action));
+            Message::Begin(claim, prepared, reply) => {
+                let _ = reply.send(if is_ending { ended() } else { self.begin_session(&claim, *prepared) });
             }
-            Message::Want(wanted, reply) => {
-                let _ = reply.send(self.want(wanted));
+            Message::Act(claim, action, reply) => {
+                let _ = reply.send(if is_ending { ended() } else { self.act(&claim, &action) });
             }
-            Message::AddStep(step, reply) => {
-                let _ = reply.send(self.add_step(*step));
+            Message::Want(claim, wanted, reply) => {
+                let _ = reply.send(self.want(&claim, wanted));
             }
-            Message::Unwant { object, primitive, reply } => {
-                let _ = reply.send(self.unwant(&object, &primitive));
+            Message::AddStep(claim, step, reply) => {
+                let _ = reply.send(self.add_step(&claim, *step));
             }
-            Message::End => {}
+            Message::Unwant { claim, object, primitive, reply } => {
+                let _ = reply.send(self.unwant(&claim, &object, &primitive));
+            }
         }
     }
 
-    fn request(&mut self, connection: u64, request: &ControlRequest) -> ControlReply {
+    /// Who makes a claim that only the operator may make; the audit log learns of everybody else. With `unless_free`
+    /// anybody may while nobody has control and no session is under way.
+    pub(crate) fn authorise(
+        &mut self,
+        claim: &Claim,
+        what: &str,
+        unless_free: bool,
+    ) -> Result<Who, ControlError> {
         let now_ns = self.clock.now_ns();
-        let busy = Busy { guided_motion: self.guided.moves(), recording: self.guided.recorder.recording() };
-        let handled =
-            self.desk.handle(now_ns, &mut self.supervisor, &mut self.commands, busy, connection, request);
-        let ended = handled.and_then(|effect| self.effect(now_ns, effect));
-        self.desk.reply(now_ns, &self.supervisor, connection, request.sequence, ended)
+        let nobody = Who { name: "somebody without control".to_owned(), connection: claim.label() };
+        let is_free = self.supervisor.status(now_ns).lease.is_none() && self.guided.guide.is_none();
+        if unless_free && is_free {
+            return Ok(nobody);
+        }
+        self.desk.operator(now_ns, &self.supervisor, claim, what).map(|operator| operator.who).map_err(
+            |problem| {
+                self.refused(now_ns, &nobody, what, &problem);
+                ControlError::NotOperator(problem)
+            },
+        )
     }
 
-    fn effect(&mut self, now_ns: u64, effect: Effect) -> Result<(), String> {
+    fn refused(&mut self, now_ns: u64, who: &Who, what: &str, problem: &str) {
+        for (who, line) in self.refusals.note(now_ns, who, what, problem) {
+            self.audit.note_by(now_ns, &who, &line);
+        }
+    }
+
+    fn request(
+        &mut self,
+        caller: &Caller,
+        request: &ControlRequest,
+        received_ns: u64,
+        is_ending: bool,
+    ) -> ControlReply {
+        let now_ns = self.clock.now_ns();
+        let sequence = request.sequence;
+        if is_ending {
+            return self.desk.reply(
+                now_ns,
+                &self.supervisor,
+                caller.connection,
+                sequence,
+                Err(ENDING.to_owned()),
+            );
+        }
+        let busy = Busy { guided_motion: self.guided.moves(), recording: self.guided.recorder.recording() };
+        let times = Times { now_ns, received_ns };
+        // What happened by itself until now is nobody's doing.
+        self.note_audit("");
+        let handled =
+            self.desk.handle(times, &mut self.supervisor, &mut self.commands, busy, caller, request);
+        self.note_audit(&caller.label());
+        if let Err(Refused::ByDesk(problem)) = &handled {
+            let who = self.desk.who(now_ns, &self.supervisor, caller);
+            self.refused(now_ns, &who, describe(request), problem);
+        }
+        let ended =
+            handled.map_err(Refused::into_text).and_then(|effect| self.effect(now_ns, caller, effect));
+        self.desk.reply(now_ns, &self.supervisor, caller.connection, sequence, ended)
+    }
+
+    /// Writes down what the safety layer has noted; what somebody did, as done from `connection`.
+    fn note_audit(&mut self, connection: &str) {
+        for entry in self.supervisor.drain_audit() {
+            let connection = if entry.who == STATION { "" } else { connection };
+            let who = Who { name: entry.who.clone(), connection: connection.to_owned() };
+            self.audit.note_by(entry.at_ns, &who, &entry.to_string());
+        }
+    }
+
+    fn effect(&mut self, now_ns: u64, caller: &Caller, effect: Effect) -> Result<(), String> {
         match effect {
             Effect::Nothing => Ok(()),
             Effect::ClearFault(device) => {
                 self.devices.clear_fault(&device).map_err(|error| error.to_string())?;
-                let who = self.supervisor.status(now_ns).holder;
-                self.audit.note(now_ns, &who, &format!("asked {device} to clear its faults"));
+                let who = self.desk.who(now_ns, &self.supervisor, caller);
+                self.audit.note_by(now_ns, &who, &format!("asked {device} to clear its faults"));
                 Ok(())
             }
             Effect::Tare => {
-                self.tare_for = self.supervisor.status(now_ns).holder;
+                self.tare_for = Some(self.desk.who(now_ns, &self.supervisor, caller));
                 self.senses.streams.tare(now_ns, TARE_NS);
                 Ok(())
             }
@@ -190,14 +334,18 @@ impl ControlLoop {
         self.supervisor.measured(now_ns, &self.senses.measured);
         self.guide(now_ns);
         self.drive(now_ns);
-        for entry in self.supervisor.drain_audit() {
-            self.audit.note(entry.at_ns, &entry.who, &entry.to_string());
+        self.answer_stops(now_ns);
+        self.note_audit("");
+        for (who, line) in self.refusals.due(now_ns) {
+            self.audit.note_by(now_ns, &who, &line);
         }
     }
 
-    fn drive(&mut self, now_ns: u64) {
+    pub(crate) fn drive(&mut self, now_ns: u64) {
         let setpoint = self.supervisor.tick(now_ns);
         self.devices.set(&setpoint);
+        self.latch.set(self.supervisor.stopped_by());
+        self.was_armed |= setpoint.torque();
         self.commanded.clear();
         if setpoint.torque() {
             self.commanded.extend_from_slice(setpoint.positions());
@@ -226,13 +374,13 @@ impl ControlLoop {
 
     fn finish_tare(&mut self, now_ns: u64) {
         let Some(outcome) = self.senses.streams.finish_tare(now_ns) else { return };
-        let who = std::mem::take(&mut self.tare_for);
+        let who = self.tare_for.take().unwrap_or_else(|| Who::part(STATION));
         let mut what = format!("took the zero of {}", counted(outcome.num_boards as u64, "tactile board"));
         for problem in &outcome.problems {
             what.push_str("; ");
             what.push_str(problem);
         }
-        self.audit.note(now_ns, &who, &what);
+        self.audit.note_by(now_ns, &who, &what);
         self.tare_problem = outcome.problems.join("; ");
         self.tared(now_ns, &outcome.problems);
     }
@@ -267,7 +415,8 @@ impl ControlLoop {
             recording,
             twin: Some(twin.status),
         };
-        (self.publish)(frame.message());
+        // Publishing takes locks that slow threads share; a publisher that is behind misses this one.
+        let _ = self.frames.try_send(frame.message());
     }
 
     /// Lets the twin look at this moment, if it is time.
@@ -283,16 +432,5 @@ impl ControlLoop {
             readings: self.senses.streams.readings(now_ns),
             object: object.map(|(id, pose)| (id.to_owned(), pose)),
         });
-    }
-
-    /// Lets go of the robot in an orderly way, and says so.
-    fn end(&mut self) {
-        let now_ns = self.clock.now_ns();
-        self.supervisor.stop(now_ns, STATION);
-        self.drive(now_ns);
-        for entry in self.supervisor.drain_audit() {
-            self.audit.note(entry.at_ns, &entry.who, &entry.to_string());
-        }
-        self.audit.note(now_ns, STATION, "the control loop has ended");
     }
 }

@@ -12,6 +12,12 @@ pub enum ControlError {
     /// It cannot be done now; says why and what to do.
     #[error("{0}")]
     Refused(String),
+    /// Only the operator may do it; says who that is and what to do.
+    #[error("{0}")]
+    NotOperator(String),
+    /// Too many requests wait.
+    #[error("the control loop has too many requests to answer; try again in a moment")]
+    Busy,
     /// There is no such thing; says what there is.
     #[error("{0}")]
     Unknown(String),
@@ -50,6 +56,6 @@ pub enum ControlError {
         seconds: u64,
     },
     /// The control loop has ended.
-    #[error("the control loop has ended; the robot is disarmed, start the studio again")]
+    #[error("the control loop has ended and let go of the robot; start the studio again")]
     Ended,
 }

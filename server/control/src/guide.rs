@@ -1,7 +1,7 @@
 //! The checklist of a guided session: what the operator may do next, and what has to happen for it.
 //!
 //! Pure: it is told what happens and what time it is, and answers with [`Effect`]s for the control loop to carry out. It
-//! starts no motion unless the station is armed under the lease it was asked with, and a take that is accepted is only
+//! starts no motion unless the station is armed under the operator's lease, and a take that is accepted is only
 //! ever set aside, by an action of its own, never replaced.
 //!
 //! ```text
@@ -257,8 +257,8 @@ impl Guide {
         }
         let effects = match action {
             RecordingAction::ConfirmObject { fixture_trusted } => self.confirm_object(*fixture_trusted),
-            RecordingAction::GoToStart { lease } => self.go_to_start(*lease, safety),
-            RecordingAction::Run { lease } => self.begin_run(now_ns, *lease, safety),
+            RecordingAction::GoToStart => self.go_to_start(safety),
+            RecordingAction::Run => self.begin_run(now_ns, safety),
             RecordingAction::Cancel => self.cancel(now_ns),
             RecordingAction::Accept => self.accept(),
             RecordingAction::Again => self.put_aside(Pending::Again),
@@ -361,9 +361,9 @@ impl Guide {
         Ok(vec![Effect::Audit(audit), Effect::PlaceObject { object }])
     }
 
-    fn go_to_start(&mut self, lease: u64, safety: &Safety<'_>) -> Result<Vec<Effect>, String> {
+    fn go_to_start(&mut self, safety: &Safety<'_>) -> Result<Vec<Effect>, String> {
         let step = self.step_in(&Phase::StartPose)?;
-        may_move(lease, safety)?;
+        let lease = may_move(safety)?;
         self.phase = Phase::GoingToStart { lease };
         let positions = self.plan.steps[step].start.clone();
         Ok(vec![
@@ -372,9 +372,9 @@ impl Guide {
         ])
     }
 
-    fn begin_run(&mut self, now_ns: u64, lease: u64, safety: &Safety<'_>) -> Result<Vec<Effect>, String> {
+    fn begin_run(&mut self, now_ns: u64, safety: &Safety<'_>) -> Result<Vec<Effect>, String> {
         let step = self.step_in(&Phase::StartPose)?;
-        may_move(lease, safety)?;
+        let lease = may_move(safety)?;
         if let Some(problem) = self.not_at_start(step, safety) {
             return Err(format!("{problem}; go to the start pose first"));
         }
@@ -577,9 +577,10 @@ impl Guide {
     }
 }
 
-/// Why the robot may not be moved under `lease`, if so.
-fn may_move(lease: u64, safety: &Safety<'_>) -> Result<(), String> {
-    if lease == 0 || lease != safety.lease {
+/// The lease under which the robot may be moved now, or why it may not be. Whoever asks holds that lease: the desk lets
+/// nobody else act.
+fn may_move(safety: &Safety<'_>) -> Result<u64, String> {
+    if safety.lease == 0 {
         return Err("take control first: what moves the robot needs the lease".to_owned());
     }
     if !safety.armed {
@@ -591,7 +592,7 @@ fn may_move(lease: u64, safety: &Safety<'_>) -> Result<(), String> {
     if safety.measured.is_none() {
         return Err("not every joint has said where it is; check the devices".to_owned());
     }
-    Ok(())
+    Ok(safety.lease)
 }
 
 #[cfg(test)]

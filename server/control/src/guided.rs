@@ -4,7 +4,7 @@ use std::{
     io,
     sync::{
         Arc,
-        mpsc::{Receiver, Sender, TryRecvError, channel},
+        mpsc::{Receiver, SyncSender, TryRecvError, sync_channel},
     },
     thread::{self, JoinHandle},
 };
@@ -36,6 +36,9 @@ const CALM_SHARE: f64 = 0.5;
 const NEAR_HAND: f64 = 0.12;
 const NEAR_CARRIER: f64 = 0.02;
 const NEAR_CARRIER_M: f64 = 0.002;
+
+/// Objects that may wait to be put in place.
+const MAX_PLACED: usize = 16;
 
 /// Puts an object of the station in place where that can be done without a person: on an emulated station.
 pub type PlaceObject = Box<dyn Fn(&str) -> Result<(), String> + Send>;
@@ -222,7 +225,7 @@ impl Guided {
             return Err("no step is under way; select one".to_owned());
         };
         let station = Arc::clone(&self.station);
-        let (say, planned) = channel();
+        let (say, planned) = sync_channel(1);
         let plan_it = move || {
             priority::ordinary();
             let mut limits = MotionLimits::of(&station);
@@ -287,20 +290,20 @@ struct Approach {
 
 /// Puts objects in place from a thread of its own: an emulated world takes a moment to be built anew.
 struct Placer {
-    objects: Option<Sender<String>>,
+    objects: Option<SyncSender<String>>,
     problems: Receiver<String>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Placer {
     fn start(place_object: PlaceObject) -> io::Result<Self> {
-        let (objects, wanted) = channel::<String>();
-        let (say, problems) = channel();
+        let (objects, wanted) = sync_channel::<String>(MAX_PLACED);
+        let (say, problems) = sync_channel(MAX_PLACED);
         let thread = thread::Builder::new().name("place-object".to_owned()).spawn(move || {
             for object in wanted {
                 if let Err(problem) = place_object(&object) {
                     // Nobody listens once the control loop has ended.
-                    let _ = say.send(format!("{object} could not be put in place: {problem}"));
+                    let _ = say.try_send(format!("{object} could not be put in place: {problem}"));
                 }
             }
         })?;
@@ -309,8 +312,14 @@ impl Placer {
 
     fn place(&self, object: &str) {
         if let Some(objects) = &self.objects {
-            // A thread that is gone has panicked, which was printed.
-            let _ = objects.send(object.to_owned());
+            // A thread that is gone has panicked, which was printed. One that is so far behind has newer wishes than this
+            // to come to; the operator sees that the object is not there.
+            if objects.try_send(object.to_owned()).is_err() {
+                tracing::warn!(
+                    object,
+                    "an object could not be put in place: too many wait, or the thread is gone"
+                );
+            }
         }
     }
 }

@@ -7,11 +7,13 @@ use palpate_safety::{Lease, Phase, Status};
 use palpate_wire::api::{RecordingAction, RecordingDocument, WantedTake};
 
 use crate::{
+    audit::Who,
     control_loop::{ControlLoop, TARE_NS},
     error::ControlError,
     follow::{Follow, Progress},
     guide::{Effect, Safety},
     prepare::{AddedStep, Prepared},
+    requests::Claim,
 };
 
 /// Who asks for what the guide does, in the audit log.
@@ -19,20 +21,32 @@ const GUIDE: &str = "guided session";
 
 impl ControlLoop {
     /// Begins a session whose motions are planned.
-    pub(crate) fn begin_session(&mut self, prepared: Prepared) -> Result<RecordingDocument, ControlError> {
+    pub(crate) fn begin_session(
+        &mut self,
+        claim: &Claim,
+        mut prepared: Prepared,
+    ) -> Result<RecordingDocument, ControlError> {
         let now_ns = self.clock.now_ns();
         let what = format!("began session {} by plan {}", prepared.id, prepared.plan.id);
-        let operator = prepared.operator.clone();
+        let who = self.authorise(claim, "begin a session", false)?;
+        if prepared.operator.is_empty() {
+            prepared.operator.clone_from(&who.name);
+        }
         let effects = self.guided.begin(prepared)?;
-        self.audit.note(now_ns, &operator, &what);
-        self.carry_out(now_ns, effects);
+        self.audit.note_by(now_ns, &who, &what);
+        self.carry_out(now_ns, &who, effects);
         Ok(self.guided.document())
     }
 
     /// What the operator does in the session.
-    pub(crate) fn act(&mut self, action: &RecordingAction) -> Result<RecordingDocument, ControlError> {
+    pub(crate) fn act(
+        &mut self,
+        claim: &Claim,
+        action: &RecordingAction,
+    ) -> Result<RecordingDocument, ControlError> {
         let now_ns = self.clock.now_ns();
-        if let RecordingAction::Run { .. } = action
+        let who = self.authorise(claim, describe(action), false)?;
+        if let RecordingAction::Run = action
             && let Some((device, problem)) = self.senses.missing().next()
         {
             return Err(ControlError::Refused(format!(
@@ -46,33 +60,45 @@ impl ControlLoop {
             return Err(ControlError::Refused("no session is under way; begin one first".to_owned()));
         };
         let effects = guide.act(now_ns, action, &safety).map_err(ControlError::Refused)?;
-        self.carry_out(now_ns, effects);
+        self.carry_out(now_ns, &who, effects);
         Ok(self.guided.document())
     }
 
     /// A take for the next session.
-    pub(crate) fn want(&mut self, wanted: WantedTake) -> Result<RecordingDocument, ControlError> {
+    pub(crate) fn want(
+        &mut self,
+        claim: &Claim,
+        wanted: WantedTake,
+    ) -> Result<RecordingDocument, ControlError> {
+        let who = self.authorise(claim, "ask for a take", true)?;
         let what = format!("{} on {} is wanted", wanted.primitive, wanted.object);
         self.guided.want(wanted)?;
-        self.audit.note(self.clock.now_ns(), GUIDE, &what);
+        self.audit.note_by(self.clock.now_ns(), &who, &what);
         Ok(self.guided.document())
     }
 
     /// A step for the session under way, whose motion is planned.
-    pub(crate) fn add_step(&mut self, step: AddedStep) -> Result<RecordingDocument, ControlError> {
+    pub(crate) fn add_step(
+        &mut self,
+        claim: &Claim,
+        step: AddedStep,
+    ) -> Result<RecordingDocument, ControlError> {
+        let who = self.authorise(claim, "add a step", false)?;
         let effects = self.guided.add_step(step)?;
-        self.carry_out(self.clock.now_ns(), effects);
+        self.carry_out(self.clock.now_ns(), &who, effects);
         Ok(self.guided.document())
     }
 
     /// What was wanted is not any more.
     pub(crate) fn unwant(
         &mut self,
+        claim: &Claim,
         object: &str,
         primitive: &str,
     ) -> Result<RecordingDocument, ControlError> {
+        let who = self.authorise(claim, "take back what was asked for", true)?;
         let effects = self.guided.unwant(object, primitive)?;
-        self.carry_out(self.clock.now_ns(), effects);
+        self.carry_out(self.clock.now_ns(), &who, effects);
         Ok(self.guided.document())
     }
 
@@ -81,7 +107,7 @@ impl ControlLoop {
         while let Some(event) = self.guided.recorder.poll() {
             if let Some(guide) = &mut self.guided.guide {
                 let effects = guide.recorder(event);
-                self.carry_out(now_ns, effects);
+                self.carry_out(now_ns, &Who::part(GUIDE), effects);
             }
         }
         self.guided.forget_finished();
@@ -102,7 +128,7 @@ impl ControlLoop {
         if let Some(guide) = &mut self.guided.guide {
             guide.touched(&self.senses.streams.touch(now_ns).active);
             let effects = guide.tick(now_ns, &safety(&status, measured.as_deref()));
-            self.carry_out(now_ns, effects);
+            self.carry_out(now_ns, &Who::part(GUIDE), effects);
         }
         match self.guided.approach() {
             Some((lease, Ok(way))) => self.start_motion(now_ns, lease, way),
@@ -137,7 +163,7 @@ impl ControlLoop {
                 self.guided.motion = None;
                 if let Some(guide) = &mut self.guided.guide {
                     let effects = guide.arrived(now_ns);
-                    self.carry_out(now_ns, effects);
+                    self.carry_out(now_ns, &Who::part(GUIDE), effects);
                 }
             }
         }
@@ -147,7 +173,7 @@ impl ControlLoop {
     pub(crate) fn tared(&mut self, now_ns: u64, problems: &[String]) {
         if let Some(guide) = &mut self.guided.guide {
             let effects = guide.tared(now_ns, problems);
-            self.carry_out(now_ns, effects);
+            self.carry_out(now_ns, &Who::part(GUIDE), effects);
         }
     }
 
@@ -155,11 +181,11 @@ impl ControlLoop {
     fn fail_motion(&mut self, now_ns: u64, problem: &str) {
         if let Some(guide) = &mut self.guided.guide {
             let effects = guide.motion_failed(now_ns, problem);
-            self.carry_out(now_ns, effects);
+            self.carry_out(now_ns, &Who::part(GUIDE), effects);
         }
     }
 
-    fn carry_out(&mut self, now_ns: u64, effects: Vec<Effect>) {
+    fn carry_out(&mut self, now_ns: u64, who: &Who, effects: Vec<Effect>) {
         let mut effects = VecDeque::from(effects);
         while let Some(effect) = effects.pop_front() {
             let refused = match effect {
@@ -189,7 +215,7 @@ impl ControlLoop {
                     None
                 }
                 Effect::Tare => {
-                    self.tare_for = GUIDE.to_owned();
+                    self.tare_for = Some(who.clone());
                     self.senses.streams.tare(now_ns, TARE_NS);
                     None
                 }
@@ -198,7 +224,7 @@ impl ControlLoop {
                     None
                 }
                 Effect::Audit(what) => {
-                    self.audit.note(now_ns, GUIDE, &what);
+                    self.audit.note_by(now_ns, who, &what);
                     None
                 }
             };
@@ -213,6 +239,23 @@ impl ControlLoop {
     fn start_motion(&mut self, now_ns: u64, lease: Lease, motion: Arc<TakeMotion>) {
         let tolerances = self.tolerances.clone();
         self.guided.motion = Some(Follow::new(Box::new(motion), now_ns, lease, tolerances));
+    }
+}
+
+/// What `action` does, in words for the audit log.
+fn describe(action: &RecordingAction) -> &'static str {
+    match action {
+        RecordingAction::ConfirmObject { .. } => "confirm an object",
+        RecordingAction::GoToStart => "go to the start pose",
+        RecordingAction::Run => "run a motion",
+        RecordingAction::Cancel => "cancel a motion",
+        RecordingAction::Accept => "accept a take",
+        RecordingAction::Again => "record a take again",
+        RecordingAction::Discard => "discard a take",
+        RecordingAction::Undo => "take a discarded take back",
+        RecordingAction::Select { .. } => "select a step",
+        RecordingAction::Note { .. } => "make a note",
+        RecordingAction::Leave => "leave the session",
     }
 }
 

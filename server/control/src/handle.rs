@@ -3,33 +3,37 @@
 use std::{
     sync::{
         Arc,
-        mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel},
+        mpsc::{RecvTimeoutError, SyncSender, sync_channel},
     },
     time::Duration,
 };
 
+use palpate_drivers::HostClock;
 use palpate_robot_model::Station;
 use palpate_sim::SensorModel;
 use palpate_wire::{
     api::{RecordingAction, RecordingDocument, Source, StartRecording, StepState, WantedTake},
-    proto::{ControlReply, ControlRequest},
+    proto::{ControlReply, ControlRequest, control_request::Request},
 };
 
 use crate::{
     error::ControlError,
+    inbox::{Answer, Mailbox, Rejected, Urgent},
     prepare::{AddedStep, Plans, Prepared},
+    requests::{Caller, Claim, is_stop, is_urgent},
     twin::TwinModel,
     wanted::WantedFile,
 };
 
-/// The loop answers within milliseconds; who waits for longer than this waits for a loop that is not there any more.
+/// The loop answers within milliseconds; after this long it is taken to have died.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Speaks to the control loop. Clones speak to the same one; every call is answered within a period of the loop, except
 /// that beginning a session takes as long as its motions take to be planned.
 #[derive(Clone, Debug)]
 pub struct Handle {
-    messages: Sender<Message>,
+    mailbox: Mailbox,
+    clock: HostClock,
     shared: Arc<Shared>,
 }
 
@@ -43,37 +47,41 @@ pub(crate) struct Shared {
     pub(crate) twin_model: TwinModel,
 }
 
-/// What the loop is asked. Commands are never dropped: every caller waits for its reply, so there are never more of
-/// them than callers.
-#[derive(Debug)]
+/// A message to the loop that may wait behind others.
 pub(crate) enum Message {
     Request {
-        connection: u64,
+        caller: Caller,
         request: ControlRequest,
-        reply: SyncSender<ControlReply>,
+        received_ns: u64,
+        answer: Answer<ControlReply>,
     },
     ConnectionLost(u64),
     Recording(SyncSender<RecordingDocument>),
-    Begin(Box<Prepared>, SyncSender<Result<RecordingDocument, ControlError>>),
-    Act(RecordingAction, SyncSender<Result<RecordingDocument, ControlError>>),
+    /// Whether the claim is the operator's; `unless_free`: or nobody has control.
+    Authorise {
+        claim: Claim,
+        what: String,
+        unless_free: bool,
+        reply: SyncSender<Result<(), ControlError>>,
+    },
+    Begin(Claim, Box<Prepared>, SyncSender<Result<RecordingDocument, ControlError>>),
+    Act(Claim, RecordingAction, SyncSender<Result<RecordingDocument, ControlError>>),
     /// A take for the next session.
-    Want(WantedTake, SyncSender<Result<RecordingDocument, ControlError>>),
+    Want(Claim, WantedTake, SyncSender<Result<RecordingDocument, ControlError>>),
     /// A step for the session under way.
-    AddStep(Box<AddedStep>, SyncSender<Result<RecordingDocument, ControlError>>),
+    AddStep(Claim, Box<AddedStep>, SyncSender<Result<RecordingDocument, ControlError>>),
     /// What is wanted is not wanted any more.
     Unwant {
+        claim: Claim,
         object: String,
         primitive: String,
         reply: SyncSender<Result<RecordingDocument, ControlError>>,
     },
-    /// The loop shall end.
-    End,
 }
 
 impl Handle {
-    pub(crate) fn new(shared: Shared) -> (Self, Receiver<Message>) {
-        let (messages, received) = channel();
-        (Self { messages, shared: Arc::new(shared) }, received)
+    pub(crate) fn new(mailbox: Mailbox, clock: HostClock, shared: Shared) -> Self {
+        Self { mailbox, clock, shared: Arc::new(shared) }
     }
 
     /// The station that is run.
@@ -86,12 +94,56 @@ impl Handle {
         self.shared.source
     }
 
-    /// Hands in a request of a connection. `connection` is a number that the caller chose for it and uses for no other;
-    /// the lease that it acquires is its own.
+    /// Time since the station was opened, ns; requests are stamped with it when they come in.
+    pub fn now_ns(&self) -> u64 {
+        self.clock.now_ns()
+    }
+
+    /// Hands in a request of a connection that came in at `received_ns`, without waiting. `caller` stands for that
+    /// connection alone; the lease that it acquires is its own. `answer` gets the reply on the loop's thread, so it must not
+    /// wait; it is dropped unused if the loop has ended. Stops and heartbeats go before everything else, and the reply to a
+    /// stop comes when readings confirm it, a second later at most.
+    pub fn submit(
+        &self,
+        caller: &Caller,
+        received_ns: u64,
+        request: ControlRequest,
+        answer: Answer<ControlReply>,
+    ) {
+        let (sequence, stop) = (request.sequence, is_stop(&request));
+        let caller = caller.clone();
+        let sent = match is_urgent(&request) {
+            true => self.mailbox.urgent(Urgent::Request { caller, request, received_ns, answer }),
+            false => self.mailbox.ordinary(Message::Request { caller, request, received_ns, answer }),
+        };
+        // The answer went with the message; callers learn from its loss that there was none.
+        if let Err(Rejected::Full) = sent
+            && stop
+        {
+            tracing::warn!(sequence, "the queue of the control loop is full; a stop overtakes it");
+            self.mailbox.keep(|kept| kept.stop = true);
+        }
+    }
+
+    /// The same, and waits for the reply: for callers that have a thread to themselves.
     pub fn request(&self, connection: u64, request: ControlRequest) -> ControlReply {
         let sequence = request.sequence;
-        self.ask(|reply| Message::Request { connection, request, reply }).unwrap_or_else(|error| {
-            ControlReply { sequence, accepted: false, problem: error.to_string(), lease: 0 }
+        let (reply, answer) = sync_channel(1);
+        let caller = Caller { connection, peer: "this process".into() };
+        let is_heartbeat = matches!(request.request, Some(Request::Heartbeat(_)));
+        let answer_it = move |answer| {
+            // A caller that has lost patience needs no answer.
+            let _ = reply.try_send(answer);
+        };
+        self.submit(&caller, self.now_ns(), request, Box::new(answer_it));
+        let answered = answer.recv_timeout(PATIENCE).map_err(unanswered);
+        answered.unwrap_or_else(|error| ControlReply {
+            sequence,
+            problem: match is_heartbeat {
+                true => format!("the heartbeat was not taken: {error}"),
+                false => error.to_string(),
+            },
+            ..ControlReply::default()
         })
     }
 
@@ -99,7 +151,16 @@ impl Handle {
     /// moved holds at once, and is disarmed soon after.
     pub fn connection_lost(&self, connection: u64) {
         // A loop that has ended has let go of the robot already.
-        let _ = self.messages.send(Message::ConnectionLost(connection));
+        if let Err(Rejected::Full) = self.mailbox.ordinary(Message::ConnectionLost(connection)) {
+            self.mailbox.keep(|kept| kept.lost.push(connection));
+        }
+    }
+
+    /// Refuses `what` to everybody but the operator; the audit log learns who asked. With `unless_free` anybody may while
+    /// nobody has control and no session is under way.
+    pub fn authorise(&self, claim: &Claim, what: &str, unless_free: bool) -> Result<(), ControlError> {
+        let (claim, what) = (claim.clone(), what.to_owned());
+        self.ask(|reply| Message::Authorise { claim, what, unless_free, reply })?
     }
 
     /// The guided session that is under way, and the plans that there are.
@@ -109,7 +170,12 @@ impl Handle {
 
     /// Begins a guided session, or goes on with one. The first time this takes as long as the plan's motions take to be
     /// planned; the loop goes on meanwhile.
-    pub fn start_recording(&self, start: StartRecording) -> Result<RecordingDocument, ControlError> {
+    pub fn start_recording(
+        &self,
+        claim: &Claim,
+        start: StartRecording,
+    ) -> Result<RecordingDocument, ControlError> {
+        self.authorise(claim, "begin a session", false)?;
         let RecordingDocument { session, wanted, .. } = self.recording()?;
         if let Some(running) = session {
             return Err(ControlError::Refused(format!(
@@ -118,12 +184,15 @@ impl Handle {
             )));
         }
         let prepared = Box::new(self.shared.plans.prepare(start, &wanted)?);
-        self.keeping(self.ask(|reply| Message::Begin(prepared, reply))?)
+        let claim = claim.clone();
+        self.keeping(self.ask(|reply| Message::Begin(claim, prepared, reply))?)
     }
 
     /// Asks for a take besides those of a plan: the last step of the session under way, or of the next one. The motion is
     /// planned first where a session is under way; the loop goes on meanwhile.
-    pub fn want(&self, wanted: WantedTake) -> Result<RecordingDocument, ControlError> {
+    pub fn want(&self, claim: &Claim, wanted: WantedTake) -> Result<RecordingDocument, ControlError> {
+        self.authorise(claim, "ask for a take", true)?;
+        let claim = claim.clone();
         let document = self.recording()?;
         let same = |object: &str, primitive: &str| object == wanted.object && primitive == wanted.primitive;
         let waits = document.wanted.iter().any(|other| same(&other.object, &other.primitive));
@@ -143,24 +212,30 @@ impl Handle {
         match &document.session {
             None => {
                 self.shared.plans.check_wanted(&wanted)?;
-                self.keeping(self.ask(|reply| Message::Want(wanted, reply))?)
+                self.keeping(self.ask(|reply| Message::Want(claim, wanted, reply))?)
             }
             Some(session) => {
                 let step = Box::new(self.shared.plans.add_step(session, wanted)?);
-                self.ask(|reply| Message::AddStep(step, reply))?
+                self.ask(|reply| Message::AddStep(claim, step, reply))?
             }
         }
     }
 
     /// Takes back what [`Handle::want`] asked for, as long as it has no take.
-    pub fn unwant(&self, object: &str, primitive: &str) -> Result<RecordingDocument, ControlError> {
-        let (object, primitive) = (object.to_owned(), primitive.to_owned());
-        self.keeping(self.ask(|reply| Message::Unwant { object, primitive, reply })?)
+    pub fn unwant(
+        &self,
+        claim: &Claim,
+        object: &str,
+        primitive: &str,
+    ) -> Result<RecordingDocument, ControlError> {
+        let (claim, object, primitive) = (claim.clone(), object.to_owned(), primitive.to_owned());
+        self.keeping(self.ask(|reply| Message::Unwant { claim, object, primitive, reply })?)
     }
 
     /// What the operator does in the guided session.
-    pub fn act(&self, action: RecordingAction) -> Result<RecordingDocument, ControlError> {
-        self.ask(|reply| Message::Act(action, reply))?
+    pub fn act(&self, claim: &Claim, action: RecordingAction) -> Result<RecordingDocument, ControlError> {
+        let claim = claim.clone();
+        self.ask(|reply| Message::Act(claim, action, reply))?
     }
 
     /// Sensor model that the live twin simulates with from now on, the station's own without one; gives its name. A model
@@ -169,8 +244,11 @@ impl Handle {
         self.shared.twin_model.set(&self.shared.station, model).map_err(ControlError::Refused)
     }
 
+    /// Tells the loop to end.
     pub(crate) fn end(&self) {
-        let _ = self.messages.send(Message::End);
+        if let Err(Rejected::Full) = self.mailbox.urgent(Urgent::End) {
+            self.mailbox.keep(|kept| kept.end = true);
+        }
     }
 
     /// Keeps on disk what is wanted by now.
@@ -187,10 +265,17 @@ impl Handle {
 
     fn ask<T>(&self, message: impl FnOnce(SyncSender<T>) -> Message) -> Result<T, ControlError> {
         let (reply, answer) = sync_channel(1);
-        self.messages.send(message(reply)).map_err(|_| ControlError::Ended)?;
-        answer.recv_timeout(PATIENCE).map_err(|error| match error {
-            RecvTimeoutError::Disconnected => ControlError::Ended,
-            RecvTimeoutError::Timeout => ControlError::NoAnswer { seconds: PATIENCE.as_secs() },
-        })
+        self.mailbox.ordinary(message(reply)).map_err(|rejected| match rejected {
+            Rejected::Full => ControlError::Busy,
+            Rejected::Ended => ControlError::Ended,
+        })?;
+        answer.recv_timeout(PATIENCE).map_err(unanswered)
+    }
+}
+
+fn unanswered(error: RecvTimeoutError) -> ControlError {
+    match error {
+        RecvTimeoutError::Disconnected => ControlError::Ended,
+        RecvTimeoutError::Timeout => ControlError::NoAnswer { seconds: PATIENCE.as_secs() },
     }
 }

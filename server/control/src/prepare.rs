@@ -11,7 +11,7 @@ use std::{
 };
 
 use palpate_motion::{MotionLimits, Plan, PlanError, Primitives, TakeMotion, plan_take};
-use palpate_recording::{GrowingSession, PlannedStep, SessionPlan};
+use palpate_recording::{GrowingSession, PlannedStep, SessionPlan, files::check_name};
 use palpate_robot_model::Station;
 use palpate_wire::api::{PlanSummary, RecordingSession, StartRecording, WantedTake};
 
@@ -95,7 +95,8 @@ impl Plans {
     ) -> Result<Prepared, ControlError> {
         let StartRecording { plan: plan_id, session: id, operator, only_wanted } = start;
         let plan_idx = self.plan_idx(&plan_id)?;
-        check_session_id(&id)?;
+        // Ids are names of folders: nothing that leads elsewhere.
+        check_name(&id).map_err(|problem| ControlError::Refused(format!("session {id:?} {problem}")))?;
         let dir = self.sessions_dir.join(&id);
         let known =
             GrowingSession::steps_of(&dir).map_err(|error| ControlError::Refused(with_causes(&error)))?;
@@ -253,18 +254,6 @@ fn plan_all(station: &Station, plan: &Plan) -> Result<Motions, PlanError> {
         work();
     });
     planned.into_inner().unwrap_or_else(PoisonError::into_inner).into_iter().flatten().collect()
-}
-
-/// Ids are names of folders: nothing that leads elsewhere.
-fn check_session_id(id: &str) -> Result<(), ControlError> {
-    let known = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let fits = !id.is_empty() && id.len() <= 80 && !id.starts_with('.') && id.chars().all(known);
-    if fits {
-        return Ok(());
-    }
-    Err(ControlError::Refused(format!(
-        "{id:?} cannot be the id of a session; use up to 80 letters, digits, '-', '_' and '.', not starting with '.'"
-    )))
 }
 
 /// An error with everything that led to it.

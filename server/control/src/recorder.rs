@@ -120,6 +120,9 @@ struct Queue {
     ended: bool,
 }
 
+/// Events that may wait for the loop, which takes them every 5 ms; the recorder's own thread waits for room.
+const MAX_EVENTS: usize = 1024;
+
 enum Item {
     Begin(Box<GrowingSession>),
     Command { command: RecorderCommand, unix_ns: u64 },
@@ -143,7 +146,7 @@ impl Recorder {
             lost_samples: AtomicU64::new(0),
             free_bytes: AtomicU64::new(0),
         });
-        let (sender, events) = mpsc::channel();
+        let (sender, events) = mpsc::sync_channel(MAX_EVENTS);
         let mut worker = Worker::new(Arc::clone(&shared), station, config, sender);
         let thread = thread::Builder::new().name("recorder".to_owned()).spawn(move || worker.run())?;
         Ok(Self { shared, events, thread: Some(thread) })

@@ -49,7 +49,6 @@ impl Snapshot<'_> {
             phase: phase(status.phase).into(),
             reason: joined(&status.reason, self.notices),
             holder: status.holder.clone(),
-            lease: status.lease.map_or(0, |lease| lease.0),
             lease_left_s: status.lease_left_s,
             stop_confirmed: status.stop_confirmed,
             lead_through: status.lead_through,

@@ -10,7 +10,7 @@ use std::{
     io,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel},
+        mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel},
     },
     thread::{self, JoinHandle},
 };
@@ -111,7 +111,7 @@ impl Twin {
     /// Starts the thread.
     pub(crate) fn start(station: Arc<Station>, model: TwinModel, now_ns: u64) -> io::Result<Self> {
         let (frames, shown) = sync_channel::<TwinFrame>(MOST_WAITING);
-        let (tell, views) = channel();
+        let (tell, views) = sync_channel(MOST_WAITING);
         let newest = TwinView {
             status: TwinStatus { model: model.get().name.clone(), ..TwinStatus::default() },
             warnings: Vec::new(),
@@ -162,9 +162,10 @@ impl Drop for Twin {
     }
 }
 
-fn watch(mut observer: Observer, shown: &Receiver<TwinFrame>, views: &Sender<TwinView>) {
+fn watch(mut observer: Observer, shown: &Receiver<TwinFrame>, views: &SyncSender<TwinView>) {
     for frame in shown {
-        if views.send(observer.look(&frame)).is_err() {
+        // A loop that has not taken the view before misses this one, and one that has ended all of them.
+        if let Err(TrySendError::Disconnected(_)) = views.try_send(observer.look(&frame)) {
             return;
         }
     }

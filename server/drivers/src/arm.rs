@@ -55,7 +55,13 @@ pub(crate) fn run(context: &DeviceContext, setup: &ArmSetup) {
     context.health.set_motors(setup.joints.iter().cloned());
     context.keep_connected(
         |context| Connection::open(&context.id, setup.commands, setup.reports, &context.clock),
-        |context, connection| Conversation::new(context, setup, &mut session, connection).run(),
+        |context, connection| {
+            let mut conversation = Conversation::new(context, setup, &mut session, connection);
+            let served = conversation.run();
+            // Told before the conversation's last words, which take a moment: the other joints are still moving.
+            context.lost(&served);
+            served
+        },
     );
 }
 

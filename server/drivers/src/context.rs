@@ -141,6 +141,13 @@ impl DeviceContext {
         self.clear_fault.swap(false, Ordering::Relaxed)
     }
 
+    /// Reports the device as lost if `served` says that it is.
+    pub(crate) fn lost(&self, served: &Result<(), String>) {
+        if let Err(problem) = served {
+            self.link(Link::Lost, problem.clone());
+        }
+    }
+
     /// Keeps the device connected until the thread shall end: connects, serves until that fails, waits, and again.
     /// Both give the problem in words, with what to do; `serve` returns `Ok` when the thread shall end.
     pub(crate) fn keep_connected<C>(

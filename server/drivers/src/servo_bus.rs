@@ -77,7 +77,12 @@ pub(crate) fn spawn(
     context.spawn(move |context| {
         context.keep_connected(
             |context| Bus::open(context, &plan),
-            |context, mut bus| bus.serve(context).map_err(|problem| bus.lost(&problem)),
+            |context, mut bus| {
+                let served = bus.serve(context).map_err(|problem| bus.lost(&problem));
+                // Told before the servos are told to let go, which takes a moment: the other joints are still moving.
+                context.lost(&served);
+                served
+            },
         );
     })
 }

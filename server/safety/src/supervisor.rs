@@ -222,17 +222,18 @@ impl Supervisor {
         Ok(())
     }
 
-    /// The operator is there. Keeps the lease, and motion going.
-    pub fn heartbeat(&mut self, now_ns: u64, lease: Lease) -> Result<(), Refusal> {
+    /// The operator was there at `received_ns`, when the heartbeat came in. Keeps the lease, and motion going, from then on
+    /// and not from `now_ns` on: one that waited in a queue says nothing about the present.
+    pub fn heartbeat(&mut self, now_ns: u64, received_ns: u64, lease: Lease) -> Result<(), Refusal> {
         self.settle(now_ns);
-        let held = self
-            .desk
-            .check(self.now_ns, lease)
-            .map(|holder| holder.renewed_ns = now_ns.max(holder.renewed_ns));
-        if held.is_ok() {
-            self.sign_of_life();
+        let received_ns = received_ns.min(self.now_ns);
+        self.desk.check(self.now_ns, lease).map(|holder| {
+            holder.renewed_ns = received_ns.max(holder.renewed_ns);
+        })?;
+        if received_ns >= self.heartbeat_ns {
+            (self.heartbeat_ns, self.operator_gone) = (received_ns, false);
         }
-        held
+        Ok(())
     }
 
     /// The operator's connection was closed: joints brake and hold at once, rather than when heartbeats are missed. The
@@ -293,6 +294,15 @@ impl Supervisor {
         self.stand_still();
         self.disarmed_because.clear();
         self.state = State::Stopped { since_ns: self.now_ns, who };
+    }
+
+    /// The program is about to end: nobody has the lease any more, joints brake, then torque goes off. Go on calling
+    /// [`Supervisor::tick`] until [`Supervisor::not_let_go`] is empty.
+    pub fn shut_down(&mut self, now_ns: u64) {
+        self.settle(now_ns);
+        self.desk.release();
+        self.log(STATION, "the studio shuts down", None);
+        self.begin_disarm(STATION, "the studio shuts down".to_owned());
     }
 
     /// Ends a latched stop. Joints stay disarmed.
@@ -406,6 +416,14 @@ impl Supervisor {
     /// What the layer is up to.
     pub fn status(&self, now_ns: u64) -> Status {
         self.describe(now_ns.max(self.now_ns))
+    }
+
+    /// Who stopped the station, while the stop is latched.
+    pub fn stopped_by(&self) -> Option<&str> {
+        match &self.state {
+            State::Stopped { who, .. } => Some(who),
+            _ => None,
+        }
     }
 
     /// Entries of the audit log since the last call.

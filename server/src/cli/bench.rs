@@ -1,5 +1,6 @@
 //! `palpate bench`: the paths that have to be fast, measured on a whole session or a live station.
 
+mod stop;
 mod stream;
 
 use std::{path::PathBuf, process::ExitCode, time::Instant};
@@ -27,6 +28,8 @@ pub(crate) enum BenchCommand {
     Replay(BenchArgs),
     /// An emulated station that records while many clients watch it
     Stream(stream::StreamArgs),
+    /// STOP under load: from a client's message to the bytes that switch the servos off
+    Stop(stop::StopArgs),
 }
 
 #[derive(Args)]
@@ -56,6 +59,7 @@ pub(super) fn run(command: &BenchCommand) -> Outcome {
         BenchCommand::Sweep(args) => sweep(args)?,
         BenchCommand::Replay(args) => replay(args)?,
         BenchCommand::Stream(args) => stream::run(args)?,
+        BenchCommand::Stop(args) => stop::run(args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

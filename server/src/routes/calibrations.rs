@@ -11,17 +11,16 @@ use axum::{
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, SaveModelRequest};
 
 use super::{
-    blocking,
     extract::{Body, Ids},
     problem::Answer,
 };
-use crate::AppState;
+use crate::{AppState, work::Kind};
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Body(request): Body<CalibrationRequest>,
 ) -> Answer<Response> {
-    let run = blocking(move || state.calibrations().start(request)).await?;
+    let run = state.run(Kind::Read, move |state| state.calibrations().start(request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }
@@ -41,7 +40,7 @@ pub(super) async fn cancel(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<CalibrationRun>> {
-    blocking(move || state.calibrations().cancel(&id).map(Json)).await
+    state.run(Kind::Read, move |state| state.calibrations().cancel(&id).map(Json)).await
 }
 
 pub(super) async fn save(
@@ -49,11 +48,12 @@ pub(super) async fn save(
     Ids(id): Ids<String>,
     Body(request): Body<SaveModelRequest>,
 ) -> Answer<Response> {
-    let saved = blocking(move || state.calibrations().save_model(&id, &request.name)).await?;
+    let saved =
+        state.run(Kind::Read, move |state| state.calibrations().save_model(&id, &request.name)).await?;
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((StatusCode::CREATED, location, Json(saved)).into_response())
 }
 
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
-    blocking(move || Ok(Html(state.calibrations().html(&id)?))).await
+    state.run(Kind::Read, move |state| Ok(Html(state.calibrations().html(&id)?))).await
 }

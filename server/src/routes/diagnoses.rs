@@ -11,17 +11,16 @@ use axum::{
 use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, SaveDiagnosisRequest};
 
 use super::{
-    blocking,
     extract::{Body, Ids},
     problem::Answer,
 };
-use crate::AppState;
+use crate::{AppState, work::Kind};
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Body(request): Body<DiagnosisRequest>,
 ) -> Answer<Response> {
-    let run = blocking(move || state.diagnoses().start(request)).await?;
+    let run = state.run(Kind::Read, move |state| state.diagnoses().start(request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }
@@ -41,7 +40,7 @@ pub(super) async fn cancel(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<DiagnosisRun>> {
-    blocking(move || state.diagnoses().cancel(&id).map(Json)).await
+    state.run(Kind::Read, move |state| state.diagnoses().cancel(&id).map(Json)).await
 }
 
 /// 201 for a new model, 200 for one that was added to.
@@ -51,11 +50,11 @@ pub(super) async fn save(
     Body(request): Body<SaveDiagnosisRequest>,
 ) -> Answer<Response> {
     let status = if request.to.is_some() { StatusCode::OK } else { StatusCode::CREATED };
-    let saved = blocking(move || state.diagnoses().save(&id, &request)).await?;
+    let saved = state.run(Kind::Read, move |state| state.diagnoses().save(&id, &request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((status, location, Json(saved)).into_response())
 }
 
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
-    blocking(move || Ok(Html(state.diagnoses().html(&id)?))).await
+    state.run(Kind::Read, move |state| Ok(Html(state.diagnoses().html(&id)?))).await
 }

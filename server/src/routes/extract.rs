@@ -1,14 +1,52 @@
 //! Extractors whose refusals are problem details like all others.
 
+use std::{convert::Infallible, net::SocketAddr, sync::Arc};
+
 use axum::{
     Json,
-    extract::{FromRequest, FromRequestParts, Path, Query, Request},
-    http::request::Parts,
+    extract::{ConnectInfo, FromRequest, FromRequestParts, Path, Query, Request},
+    http::{StatusCode, request::Parts},
     response::Response,
 };
+use palpate_control::Claim;
+use palpate_wire::api::LEASE_HEADER;
 use serde::de::DeserializeOwned;
 
 use super::problem::problem_response;
+
+/// Who is at the other end, as the audit log names them.
+pub(crate) struct Peer(pub(crate) Arc<str>);
+
+/// The claim of a request to come from the operator.
+pub(crate) struct Lease(pub(crate) Claim);
+
+impl<S: Send + Sync> FromRequestParts<S> for Peer {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
+        let info = parts.extensions.get::<ConnectInfo<SocketAddr>>();
+        Ok(Self(info.map_or_else(|| "an unknown address".into(), |info| info.0.to_string().into())))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Lease {
+    type Rejection = Response;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Response> {
+        let Ok(Peer(peer)) = Peer::from_request_parts(parts, state).await;
+        let lease = match parts.headers.get(LEASE_HEADER) {
+            None => Some(0),
+            Some(value) => value.to_str().ok().and_then(|value| value.trim().parse().ok()),
+        };
+        let Some(lease) = lease else {
+            let detail = format!(
+                "the header {LEASE_HEADER} is not the number of a lease, as the control socket gives it"
+            );
+            return Err(problem_response(StatusCode::BAD_REQUEST, &detail));
+        };
+        Ok(Self(Claim { lease, peer }))
+    }
+}
 
 /// Ids in the path.
 pub(crate) struct Ids<T>(pub(crate) T);

@@ -8,6 +8,8 @@ use axum::{
     http::header,
     response::{IntoResponse as _, Response},
 };
+use palpate_control::Claim;
+use palpate_emulator::devices::{Faults, StationControl};
 use palpate_robot_model::Station;
 use palpate_wire::{
     api::{LiveDevice, LiveDocument, LiveModel, PlaceObject},
@@ -16,11 +18,10 @@ use palpate_wire::{
 };
 
 use super::{
-    blocking,
-    extract::Body,
+    extract::{Body, Lease},
     problem::{Answer, Problem},
 };
-use crate::{AppState, Error, emulated::EmulatedDevices};
+use crate::{AppState, Error, chain, work::Kind};
 
 /// `GET /api/v1/live`.
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<LiveDocument>> {
@@ -29,39 +30,53 @@ pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<
     Ok(Json(live_document(live.station(), &frame)))
 }
 
-/// `GET /api/v1/audit`: who moved or stopped the station, a JSON document a line.
+/// Of the audit log, which only grows, this much is sent, bytes: days of work.
+const AUDIT_TAIL_BYTES: u64 = 1 << 20;
+
+/// `GET /api/v1/audit`: who moved or stopped the station lately, a JSON document a line.
 pub(super) async fn audit(State(state): State<Arc<AppState>>) -> Answer<Response> {
-    blocking(move || {
-        let path = state.store().audit_path();
-        let text = match std::fs::read(&path) {
-            Ok(text) => text,
-            // Nothing has happened yet.
-            Err(err) if err.kind() == std::io::ErrorKind::NotFound => Vec::new(),
-            Err(err) => return Err(Error::io("read", &path)(err)),
-        };
+    let tail = |state: &AppState| {
+        let text = state.store().audit_tail(AUDIT_TAIL_BYTES)?;
         Ok(([(header::CONTENT_TYPE, "application/jsonl")], text).into_response())
-    })
-    .await
+    };
+    state.run(Kind::Read, tail).await
 }
 
 /// `GET /api/v1/emulator/faults`: what is wrong with the emulated devices, as a file of faults.
 pub(super) async fn faults(State(state): State<Arc<AppState>>) -> Answer<Response> {
-    let text = emulated(&state)?.faults_toml()?;
+    let text = emulated(&state)?.faults().to_toml();
+    let text = text.map_err(|err| Error::Internal(format!("the faults have no text: {err}")))?;
     Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
 }
 
 /// `PUT /api/v1/emulator/faults`: says what is wrong from now on, in place of what was.
-pub(super) async fn set_faults(State(state): State<Arc<AppState>>, text: String) -> Answer<Response> {
-    emulated(&state)?.set_faults_toml(&text)?;
+pub(super) async fn set_faults(
+    State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
+    text: String,
+) -> Answer<Response> {
+    let set = move |state: &AppState| {
+        let emulated = emulated(state)?;
+        let faults = Faults::parse("faults", &text, emulated.station())?;
+        authorise(state, &claim, "give emulated devices other faults")?;
+        emulated.set_faults(faults).map_err(|err| Error::Content(chain(&err)))
+    };
+    state.run(Kind::Control, set).await?;
     faults(State(state)).await
 }
 
 /// `POST /api/v1/emulator/object`: puts an object where the plan has it, or takes it away.
 pub(super) async fn place_object(
     State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
     Body(request): Body<PlaceObject>,
 ) -> Answer<()> {
-    Ok(emulated(&state)?.place_object(request.object.as_deref())?)
+    let place = move |state: &AppState| {
+        let emulated = emulated(state)?;
+        authorise(state, &claim, "place an object on the emulated station")?;
+        emulated.place_object(request.object.as_deref()).map_err(|err| Error::Content(chain(&err)))
+    };
+    state.run(Kind::Control, place).await
 }
 
 /// `PUT /api/v1/live/model`: what the live twin simulates with from now on.
@@ -69,28 +84,31 @@ pub(super) async fn set_model(
     State(state): State<Arc<AppState>>,
     Body(request): Body<LiveModel>,
 ) -> Answer<()> {
-    blocking(move || {
-        let live = state.live().ok_or_else(Error::no_station)?;
-        let model = match request.model.as_str() {
-            "nominal" => None,
-            id => Some(state.store().model(id)?.0),
-        };
-        let name = live.handle().set_model(model)?;
-        tracing::info!(model = name, "the live twin has another sensor model");
-        Ok(())
-    })
-    .await
+    state
+        .run(Kind::Read, move |state| {
+            let live = state.live().ok_or_else(Error::no_station)?;
+            let model = match request.model.as_str() {
+                "nominal" => None,
+                id => Some(state.store().model(id)?.0),
+            };
+            let name = live.handle().set_model(model)?;
+            tracing::info!(model = name, "the live twin has another sensor model");
+            Ok(())
+        })
+        .await
 }
 
-fn emulated(state: &AppState) -> Answer<&EmulatedDevices> {
-    match state.live() {
-        Some(live) => live.emulated().ok_or_else(|| {
-            Problem(Error::Conflict(
-                "the station is real; only emulated devices can be given faults".to_owned(),
-            ))
-        }),
-        None => Err(Problem(Error::no_station())),
-    }
+fn emulated(state: &AppState) -> Result<&StationControl, Error> {
+    let live = state.live().ok_or_else(Error::no_station)?;
+    let not_emulated =
+        || Error::Conflict("the station is real; only emulated devices can be given faults".to_owned());
+    live.emulated().ok_or_else(not_emulated)
+}
+
+/// Refuses what would surprise an operator who has control, unless it is the operator who asks.
+fn authorise(state: &AppState, claim: &Claim, what: &str) -> Result<(), Error> {
+    let live = state.live().ok_or_else(Error::no_station)?;
+    Ok(live.handle().authorise(claim, what, true)?)
 }
 
 fn live_document(station: &Station, frame: &LiveFrame) -> LiveDocument {

@@ -10,50 +10,54 @@ use axum::{
 };
 use palpate_wire::api::ModelSummary;
 
-use super::{blocking, extract::Ids, problem::Answer};
-use crate::{AppState, store::Kind};
+use super::{extract::Ids, problem::Answer};
+use crate::{AppState, store, work::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
-    blocking(move || Ok(Json(state.store().models()?))).await
+    state.run(Kind::Read, move |state| Ok(Json(state.store().models()?))).await
 }
 
 pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
-    blocking(move || {
-        let (_, text) = state.store().model(&id)?;
-        Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
-    })
-    .await
+    state
+        .run(Kind::Read, move |state| {
+            let (_, text) = state.store().model(&id)?;
+            Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
+        })
+        .await
 }
 
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
-    blocking(move || {
-        state.store().discard(Kind::Model, &id)?;
-        state.calibrations().forget_saved(&id, None)?;
-        state.diagnoses().forget_saved(&id, None)?;
-        Ok(StatusCode::NO_CONTENT)
-    })
-    .await
+    state
+        .run(Kind::Read, move |state| {
+            state.store().discard(store::Kind::Model, &id)?;
+            state.calibrations().forget_saved(&id, None)?;
+            state.diagnoses().forget_saved(&id, None)?;
+            Ok(StatusCode::NO_CONTENT)
+        })
+        .await
 }
 
 pub(super) async fn undo(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<ModelSummary>> {
-    blocking(move || {
-        let (summary, by) = state.store().undo_model(&id)?;
-        state.diagnoses().forget_saved(&id, Some(&by))?;
-        Ok(Json(summary))
-    })
-    .await
+    state
+        .run(Kind::Read, move |state| {
+            let (summary, by) = state.store().undo_model(&id)?;
+            state.diagnoses().forget_saved(&id, Some(&by))?;
+            Ok(Json(summary))
+        })
+        .await
 }
 
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<ModelSummary>> {
-    blocking(move || {
-        state.store().restore(Kind::Model, &id)?;
-        Ok(Json(state.store().model_summary(&id)?))
-    })
-    .await
+    state
+        .run(Kind::Read, move |state| {
+            state.store().restore(store::Kind::Model, &id)?;
+            Ok(Json(state.store().model_summary(&id)?))
+        })
+        .await
 }

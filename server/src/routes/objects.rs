@@ -5,9 +5,9 @@ use std::sync::Arc;
 use axum::{Json, extract::State};
 use palpate_wire::api::ObjectEntry;
 
-use super::{blocking, problem::Answer};
-use crate::{AppState, objects};
+use super::problem::Answer;
+use crate::{AppState, objects, work::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ObjectEntry>>> {
-    blocking(move || Ok(Json(objects::list(&state)?))).await
+    state.run(Kind::Read, move |state| Ok(Json(objects::list(state)?))).await
 }

@@ -1,12 +1,15 @@
 //! Errors as RFC 9457 problem details.
 
 use axum::{
-    http::{StatusCode, header},
+    http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use palpate_wire::api::ProblemDetails;
 
 use crate::{Class, Error, chain};
+
+/// When a client that came at a busy moment may try again, s.
+const RETRY_AFTER_S: &str = "10";
 
 /// An error on its way to a client.
 pub(crate) struct Problem(pub(crate) Error);
@@ -28,15 +31,26 @@ impl IntoResponse for Problem {
             Class::NotFound => StatusCode::NOT_FOUND,
             Class::Conflict | Class::Cancelled => StatusCode::CONFLICT,
             Class::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            Class::NotOperator => StatusCode::FORBIDDEN,
+            Class::Busy => StatusCode::SERVICE_UNAVAILABLE,
+            Class::DiskFull => StatusCode::INSUFFICIENT_STORAGE,
             Class::Failed => StatusCode::INTERNAL_SERVER_ERROR,
         };
         let detail = chain(&self.0);
-        if status.is_server_error() {
+        if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(err = detail, "a request failed");
         }
-        problem_response(status, &detail)
+        let mut response = problem_response(status, &detail);
+        if status == StatusCode::SERVICE_UNAVAILABLE {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));
+        }
+        response
     }
 }
+
+/// The text of an error response, kept beside it so that the door can leave out paths of this computer.
+#[derive(Clone, Debug)]
+pub(crate) struct Detail(pub(crate) String);
 
 /// `detail` as problem details.
 pub(crate) fn problem_response(status: StatusCode, detail: &str) -> Response {
@@ -48,5 +62,7 @@ pub(crate) fn problem_response(status: StatusCode, detail: &str) -> Response {
     };
     // Strings and a number always serialise.
     let body = serde_json::to_vec(&problem).unwrap_or_default();
-    (status, [(header::CONTENT_TYPE, "application/problem+json")], body).into_response()
+    let mut response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body).into_response();
+    response.extensions_mut().insert(Detail(detail.to_owned()));
+    response
 }

@@ -6,11 +6,10 @@ use axum::{Json, extract::State};
 use palpate_wire::api::{RecordingAction, RecordingDocument, StartRecording, WantedTake};
 
 use super::{
-    blocking,
-    extract::{Body, Ids},
-    problem::{Answer, Problem},
+    extract::{Body, Ids, Lease},
+    problem::Answer,
 };
-use crate::{AppState, Error, files};
+use crate::{AppState, Error, files, work::Kind};
 
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<RecordingDocument>> {
     with_station(&state, |handle| Ok(handle.recording()?)).await
@@ -18,38 +17,44 @@ pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
     Body(request): Body<StartRecording>,
 ) -> Answer<Json<RecordingDocument>> {
     files::check_id("session", &request.session)?;
-    with_station(&state, move |handle| Ok(handle.start_recording(request)?)).await
+    with_station(&state, move |handle| Ok(handle.start_recording(&claim, request)?)).await
 }
 
 pub(super) async fn act(
     State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
     Body(action): Body<RecordingAction>,
 ) -> Answer<Json<RecordingDocument>> {
-    with_station(&state, move |handle| Ok(handle.act(action)?)).await
+    with_station(&state, move |handle| Ok(handle.act(&claim, action)?)).await
 }
 
 pub(super) async fn want(
     State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
     Body(wanted): Body<WantedTake>,
 ) -> Answer<Json<RecordingDocument>> {
-    with_station(&state, move |handle| Ok(handle.want(wanted)?)).await
+    with_station(&state, move |handle| Ok(handle.want(&claim, wanted)?)).await
 }
 
 pub(super) async fn unwant(
     State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
     Ids((object, primitive)): Ids<(String, String)>,
 ) -> Answer<Json<RecordingDocument>> {
-    with_station(&state, move |handle| Ok(handle.unwant(&object, &primitive)?)).await
+    with_station(&state, move |handle| Ok(handle.unwant(&claim, &object, &primitive)?)).await
 }
 
 async fn with_station(
-    state: &AppState,
+    state: &Arc<AppState>,
     work: impl FnOnce(&palpate_control::Handle) -> Result<RecordingDocument, Error> + Send + 'static,
 ) -> Answer<Json<RecordingDocument>> {
-    let Some(live) = state.live() else { return Err(Problem(Error::no_station())) };
-    let handle = live.handle().clone();
-    blocking(move || work(&handle).map(Json)).await
+    let speak = move |state: &AppState| {
+        let live = state.live().ok_or_else(Error::no_station)?;
+        work(live.handle()).map(Json)
+    };
+    state.run(Kind::Control, speak).await
 }

@@ -1,6 +1,9 @@
 //! Sessions: list, detail, check, station; in by upload, out to the trash and back.
 
-use std::sync::Arc;
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use axum::{
     Json,
@@ -16,17 +19,18 @@ use serde::Deserialize;
 use tokio::io::AsyncWriteExt as _;
 
 use super::{
-    blocking,
     extract::{Ids, Params},
     problem::{Answer, Problem},
     station_document,
 };
-use crate::{AppState, Error, store::Kind, upload};
+use crate::{AppState, Error, store, upload, work::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<SessionSummary>>> {
-    blocking(move || {
+    with_store(&state, Kind::Read, |state| {
         let sessions = state.store().sessions()?;
-        let entries = sessions.iter().map(|(id, dir)| state.library().list_entry(id, dir));
+        let entries = sessions.iter().map(|id| {
+            state.library().list_entry(id, state.store().session(id), |err| state.store().for_client(err))
+        });
         Ok(Json(entries.collect()))
     })
     .await
@@ -36,21 +40,25 @@ pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<SessionDetail>> {
-    blocking(move || Ok(Json(state.library().detail(&state.store().session(&id)?)?))).await
+    with_store(&state, Kind::Read, move |state| {
+        Ok(Json(state.library().detail(&state.store().session(&id)?)?))
+    })
+    .await
 }
 
 pub(super) async fn check(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<CheckReport>> {
-    blocking(move || Ok(Json(check_session(&state.store().session(&id)?)?))).await
+    with_store(&state, Kind::Compute, move |state| Ok(Json(check_session(&state.store().session(&id)?)?)))
+        .await
 }
 
 pub(super) async fn station(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<StationDocument>> {
-    blocking(move || {
+    with_store(&state, Kind::Read, move |state| {
         let session = state.store().session(&id)?;
         Ok(Json(station_document(&state.library().take(&session, 0)?.station.files)))
     })
@@ -58,19 +66,29 @@ pub(super) async fn station(
 }
 
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
-    blocking(move || state.store().discard(Kind::Session, &id).map(|()| StatusCode::NO_CONTENT)).await
+    with_store(&state, Kind::Read, move |state| {
+        state.store().discard(store::Kind::Session, &id).map(|()| StatusCode::NO_CONTENT)
+    })
+    .await
 }
 
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<SessionDetail>> {
-    blocking(move || {
-        state.store().restore(Kind::Session, &id)?;
+    with_store(&state, Kind::Read, move |state| {
+        state.store().restore(store::Kind::Session, &id)?;
         Ok(Json(state.library().detail(&state.store().session(&id)?)?))
     })
     .await
 }
+
+/// While an upload comes in, free space is asked for after so many bytes.
+const LOOK_AT_DISK_BYTES: u64 = 16 << 20;
+
+/// An upload comes in at this rate at least, after a while.
+const MIN_UPLOAD_BYTES_PER_S: u64 = 20_000;
+const UPLOAD_GRACE: Duration = Duration::from_secs(20);
 
 #[derive(Deserialize)]
 pub(super) struct UploadParams {
@@ -92,10 +110,15 @@ pub(super) async fn upload(
     }
     // Refused before half a gigabyte is sent.
     state.store().free_session_dir(&params.name)?;
-    let incoming = upload::incoming(state.store())?;
+    let announced = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    let for_client = |err: Error| state.store().for_client(err);
+    if announced.is_some_and(|announced| announced > upload::MAX_ARCHIVE_BYTES) {
+        return Err(Problem(archive_too_large()));
+    }
+    let incoming = upload::incoming(state.store(), announced).map_err(for_client)?;
     let archive = incoming.path().join("upload.zip");
-    receive(body, &archive).await?;
-    blocking(move || {
+    receive(body, &archive).await.map_err(|err| upload::as_client_knows(err, &[incoming.path()]))?;
+    with_store(&state, Kind::Compute, move |state| {
         let UploadParams { name, station } = params;
         let session = upload::add_session(state.store(), &incoming, &archive, &name, station.as_deref())?;
         let detail = state.library().detail(&session)?;
@@ -105,23 +128,48 @@ pub(super) async fn upload(
     .await
 }
 
-/// Writes `body` to `path` as it comes in.
+/// Runs `work` within the limits of its kind; errors name files as clients know them.
+async fn with_store<T: Send + 'static>(
+    state: &Arc<AppState>,
+    kind: Kind,
+    work: impl FnOnce(&AppState) -> Result<T, Error> + Send + 'static,
+) -> Answer<T> {
+    state.run(kind, move |state| work(state).map_err(|err| state.store().for_client(err))).await
+}
+
+/// Writes `body` to `path` as it comes in, as long as the disk has space.
 async fn receive(mut body: Body, path: &std::path::Path) -> Result<(), Error> {
     let mut file = tokio::fs::File::create(path).await.map_err(Error::io("write", path))?;
     let mut received: u64 = 0;
+    let begun = Instant::now();
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|err| Error::Content(format!("the upload broke off: {err}; try again")))?;
         let Ok(data) = frame.into_data() else { continue };
         received += data.len() as u64;
         if received > upload::MAX_ARCHIVE_BYTES {
-            return Err(Error::TooLarge(format!(
-                "the archive is larger than {} MB; upload fewer takes at a time, or use `palpate import`",
-                upload::MAX_ARCHIVE_BYTES / 1_000_000
+            return Err(archive_too_large());
+        }
+        // There is room for few uploads at a time, which nobody may keep for ever.
+        let expected = begun.elapsed().saturating_sub(UPLOAD_GRACE).as_secs() * MIN_UPLOAD_BYTES_PER_S;
+        if received < expected {
+            return Err(Error::Content(format!(
+                "the upload came in at less than {} kB/s; try again from a better connection",
+                MIN_UPLOAD_BYTES_PER_S / 1000
             )));
+        }
+        if received / LOOK_AT_DISK_BYTES != (received - data.len() as u64) / LOOK_AT_DISK_BYTES {
+            upload::check_space(upload::free_bytes(path), 0)?;
         }
         file.write_all(&data).await.map_err(Error::io("write", path))?;
     }
     file.flush().await.map_err(Error::io("write", path))
+}
+
+fn archive_too_large() -> Error {
+    Error::TooLarge(format!(
+        "the archive is larger than {} MB; upload fewer takes at a time, or use `palpate import`",
+        upload::MAX_ARCHIVE_BYTES / 1_000_000
+    ))
 }
 
 /// Percent-encodes a path segment (RFC 3986, unreserved characters stay).

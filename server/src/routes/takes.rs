@@ -12,25 +12,26 @@ use prost::Message;
 use serde::Deserialize;
 
 use super::{
-    blocking,
     extract::{Ids, Params},
     problem::Answer,
 };
 use crate::{
     AppState, Error,
     library::{nominal_model, replay_trace, take_index, take_trace},
+    work::Kind,
 };
 
 pub(super) async fn trace(
     State(state): State<Arc<AppState>>,
     Ids((session, take)): Ids<(String, String)>,
 ) -> Answer<Response> {
-    blocking(move || {
-        let session = state.store().session(&session)?;
-        let take = state.library().take(&session, take_index(&session, &take)?)?;
-        Ok(protobuf(&take_trace(&take)))
-    })
-    .await
+    state
+        .run(Kind::Compute, move |state| {
+            let session = state.store().session(&session)?;
+            let take = state.library().take(&session, take_index(&session, &take)?)?;
+            Ok(protobuf(&take_trace(&take)))
+        })
+        .await
 }
 
 #[derive(Deserialize)]
@@ -48,21 +49,22 @@ pub(super) async fn replay(
     Ids((session, take)): Ids<(String, String)>,
     Params(ReplayParams { model }): Params<ReplayParams>,
 ) -> Answer<Response> {
-    blocking(move || {
-        let session = state.store().session(&session)?;
-        let take_idx = take_index(&session, &take)?;
-        let take = state.library().take(&session, take_idx)?;
-        let model: SensorModel = match model.split_once(':') {
-            None if model == "nominal" => nominal_model(&take)?,
-            Some(("run", run)) => state.calibrations().model(run)?,
-            Some(("diagnosis", run)) => state.diagnoses().model(run)?,
-            Some(("calibrated", run)) => state.diagnoses().calibrated(run)?,
-            _ => state.store().model(&model)?.0,
-        };
-        let paired = state.library().paired(&session, take_idx)?;
-        Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)?))
-    })
-    .await
+    state
+        .run(Kind::Compute, move |state| {
+            let session = state.store().session(&session)?;
+            let take_idx = take_index(&session, &take)?;
+            let take = state.library().take(&session, take_idx)?;
+            let model: SensorModel = match model.split_once(':') {
+                None if model == "nominal" => nominal_model(&take)?,
+                Some(("run", run)) => state.calibrations().model(run)?,
+                Some(("diagnosis", run)) => state.diagnoses().model(run)?,
+                Some(("calibrated", run)) => state.diagnoses().calibrated(run)?,
+                _ => state.store().model(&model)?.0,
+            };
+            let paired = state.library().paired(&session, take_idx)?;
+            Ok::<_, Error>(protobuf(&replay_trace(&take, &paired, &model)?))
+        })
+        .await
 }
 
 fn protobuf(message: &impl Message) -> Response {

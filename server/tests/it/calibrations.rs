@@ -70,8 +70,8 @@ async fn calibration_is_started_watched_saved_and_kept() {
     assert_eq!(of_run.active, replay("bench-no-1").await.active);
     assert_eq!(of_run.thresholds[9], report.theta.lambda_con_m as f32);
 
-    // Another server on the same folder knows all of it.
-    let again = data.app();
+    // Another studio on the same folder, started later, knows all of it.
+    let again = data.restart(app).await;
     let runs: Vec<CalibrationRun> = get(&again, "/api/v1/calibrations").await.json();
     assert_eq!((runs.len(), runs[0].state, &runs[0].report), (1, JobState::Done, &None));
     assert_eq!(runs[0].saved_as.as_deref(), Some("nominal-2"));

@@ -250,7 +250,9 @@ fn serve_prints_its_address_and_ends_when_asked() {
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
     let address = line.trim().strip_prefix("listening on http://").unwrap_or_else(|| panic!("{line:?}"));
     let mut socket = TcpStream::connect(address).unwrap();
-    socket.write_all(b"GET /api/v1/sessions HTTP/1.1\r\nhost: studio\r\nconnection: close\r\n\r\n").unwrap();
+    socket
+        .write_all(b"GET /api/v1/sessions HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n")
+        .unwrap();
     let mut response = String::new();
     socket.read_to_string(&mut response).unwrap();
     assert!(response.starts_with("HTTP/1.1 200") && response.contains("\"taps\""), "{response}");

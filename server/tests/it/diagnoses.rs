@@ -128,7 +128,7 @@ async fn diagnosis_without_a_model_makes_a_new_one_and_survives_a_restart() {
     let detail = post(&app, &save, &json!({"to": "bench-diagnosed"})).await.problem(409);
     assert!(detail.contains("did not start from"), "{detail}");
 
-    let again = data.app();
+    let again = data.restart(app).await;
     let runs: Vec<DiagnosisRun> = get(&again, "/api/v1/diagnoses").await.json();
     assert_eq!((runs.len(), runs[0].state, &runs[0].report), (1, JobState::Done, &None));
     assert_eq!(runs[0].saved_as.as_deref(), Some("bench-diagnosed"));

@@ -8,6 +8,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Command, Output},
     sync::Arc,
+    time::{Duration, Instant},
 };
 
 use axum::{
@@ -18,7 +19,7 @@ use axum::{
 use http_body_util::BodyExt as _;
 use palpate_emulator::record_session;
 use palpate_recording::{Session, import::import_csv};
-use palpate_server::{AppState, app, assets};
+use palpate_server::{Access, AppState, Studio, app, assets};
 use palpate_sim::job::{Cancel, NoProgress};
 use palpate_wire::api::ProblemDetails;
 use serde::de::DeserializeOwned;
@@ -160,11 +161,25 @@ impl Data {
     }
 
     pub(crate) fn state(&self) -> Arc<AppState> {
-        AppState::open(self.root(), None).unwrap()
+        Studio::open(self.root(), None, Access::default()).unwrap().state
     }
 
     pub(crate) fn app(&self) -> Router {
         app(self.state())
+    }
+
+    /// Ends the studio `app` and starts another on the same folder.
+    pub(crate) async fn restart(&self, app: Router) -> Router {
+        drop(app);
+        // The thread of runs lets go of the folder a moment after a run has ended.
+        let patience = Instant::now();
+        loop {
+            match Studio::open(self.root(), None, Access::default()) {
+                Ok(studio) => return palpate_server::app(studio.state),
+                Err(err) => assert!(patience.elapsed() < Duration::from_secs(60), "{err}"),
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
     }
 
     /// Cuts the last third off the session's second take.
@@ -254,7 +269,7 @@ pub(crate) async fn post(app: &Router, path: &str, body: &serde_json::Value) -> 
 }
 
 pub(crate) async fn send(app: &Router, method: &str, path: &str, body: Option<(&str, Vec<u8>)>) -> Answer {
-    let mut request = Request::builder().method(method).uri(path);
+    let mut request = Request::builder().method(method).uri(path).header(header::HOST, "localhost");
     if let Some((content_type, _)) = &body {
         request = request.header(header::CONTENT_TYPE, *content_type);
     }

@@ -1,9 +1,13 @@
 //! Sessions that come in over HTTP: good ones stay, bad ones leave nothing.
 
-use std::fs;
+use std::{
+    fs,
+    io::{Cursor, Write as _},
+};
 
 use axum::http::header;
 use palpate_wire::api::SessionDetail;
+use zip::{ZipWriter, write::SimpleFileOptions};
 
 use crate::support::{
     Answer, Data, NUM_FRAMES, NUM_TAKES, STATION, get, send, tree, write_recording, zip_folder,
@@ -124,4 +128,47 @@ async fn bad_upload_leaves_nothing() {
     let wrong_type = send(&app, "POST", "/api/v1/sessions?name=new", Some(("text/plain", archive))).await;
     wrong_type.problem(400);
     assert_eq!(tree(data.root()), before);
+}
+
+#[tokio::test]
+async fn odd_names_in_an_archive_are_the_senders_to_mend_and_tell_no_path() {
+    let data = Data::empty();
+    write_recording(data.csv());
+    let app = data.app();
+    let zip = |entries: &[(&str, &str)]| {
+        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+        for (name, text) in entries {
+            writer.start_file(*name, SimpleFileOptions::default()).unwrap();
+            writer.write_all(text.as_bytes()).unwrap();
+        }
+        writer.finish().unwrap().into_inner()
+    };
+    let long = format!("take-01/{}", "n".repeat(300));
+    for (entries, words) in [
+        (vec![(long.as_str(), "x")], "(308 bytes) of the archive has a name"),
+        (vec![("a", "x"), ("a/b", "x")], "entry \"a/b\" of the archive is both a file and a folder"),
+        (vec![("take-01/take.toml", "object = 1"), ("take-01/joints.csv", "")], "take-01/take.toml: line 1"),
+        (vec![("session.toml", "format = 7"), ("x", "")], "session.toml: "),
+    ] {
+        let answer = upload(&app, &format!("name=odd&station={STATION}"), zip(&entries)).await;
+        let detail = answer.problem(422);
+        assert!(detail.contains(words), "{detail}");
+        assert!(!detail.contains("incoming") && !detail.contains(data.root().to_str().unwrap()), "{detail}");
+    }
+    assert_eq!(tree(&data.root().join("sessions")).len(), 0);
+}
+
+#[tokio::test]
+async fn messages_about_sessions_tell_no_path_of_the_server() {
+    let data = Data::with_session();
+    data.truncate_take();
+    let app = data.app();
+    let root = data.root().to_str().unwrap();
+    let detail = get(&app, "/api/v1/sessions/taps").await.problem(422);
+    assert!(detail.starts_with("taps/take-02.mcap: ") && !detail.contains(root), "{detail}");
+    let list = String::from_utf8(get(&app, "/api/v1/sessions").await.body.to_vec()).unwrap();
+    assert!(list.contains("taps/take-02.mcap: ") && !list.contains(root), "{list}");
+    fs::remove_file(data.session().join("session.toml")).unwrap();
+    let detail = get(&app, "/api/v1/sessions/taps").await.problem(400);
+    assert!(detail.contains("failed to read \"taps/session.toml\"") && !detail.contains(root), "{detail}");
 }

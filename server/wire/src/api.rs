@@ -13,6 +13,9 @@ pub use objects::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 
+/// Header of HTTP requests that only the operator may make: the lease's number, decimal, as `ControlReply` gives it.
+pub const LEASE_HEADER: &str = "palpate-lease";
+
 /// `GET /api/v1/info`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Info {
@@ -24,6 +27,9 @@ pub struct Info {
     pub station: Option<String>,
     /// Where live data comes from.
     pub source: Source,
+    /// The server listens beyond this computer without a login (`--insecure`): anybody in the network may take control.
+    #[serde(default)]
+    pub insecure: bool,
 }
 
 /// Where data comes from.

@@ -52,9 +52,11 @@ export async function openStation(url, shots) {
     });
   }
 
+  /** Takes control; a browser that does not know who sits there asks first. */
   async function takeControl(name) {
-    await page.getByRole("textbox", { name: "Your name" }).fill(name);
     await button("Take control").click();
+    await page.getByRole("textbox", { name: "Your name" }).fill(name);
+    await button("Continue").click();
     await page.getByText("You have control").waitFor();
   }
 

@@ -52,7 +52,7 @@ impl Bench {
         let control = emulated.control();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
-        let (found_there, found) = mpsc::channel();
+        let (found_there, found) = mpsc::sync_channel(1);
         let thread = thread::spawn(move || {
             // Real devices wait for nobody.
             priority::real_time();

@@ -6,7 +6,7 @@ use std::{
     net::TcpStream,
     os::unix::process::CommandExt as _,
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Child, ChildStderr, Command, Stdio},
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -20,6 +20,8 @@ use crate::Tools;
 pub struct Studio {
     process: Child,
     log: Arc<Mutex<String>>,
+    /// Its standard error, where nobody reads it.
+    _unread: Option<ChildStderr>,
     /// Where the page is.
     pub url: String,
 }
@@ -47,6 +49,17 @@ impl Studio {
         Self::spawn(command)
     }
 
+    /// The same where nobody ever reads its standard error: the pipe fills up.
+    pub fn serve_unread(
+        tools: &Tools,
+        data: &Path,
+        station: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    ) -> anyhow::Result<Self> {
+        let mut command = tools.palpate();
+        command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).args(station);
+        Self::spawn_read(command, false)
+    }
+
     /// The same where no file can grow beyond `most_kib`: writing more fails, as on a disk that is full.
     pub fn serve_on_little_space(
         tools: &Tools,
@@ -71,7 +84,11 @@ impl Studio {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn spawn(mut command: Command) -> anyhow::Result<Self> {
+    fn spawn(command: Command) -> anyhow::Result<Self> {
+        Self::spawn_read(command, true)
+    }
+
+    fn spawn_read(mut command: Command, reads_stderr: bool) -> anyhow::Result<Self> {
         let mut process = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -82,14 +99,12 @@ impl Studio {
         let stderr = process.stderr.take().context("the studio has no standard error")?;
         let log = Arc::<Mutex<String>>::default();
         let kept = Arc::clone(&log);
-        std::thread::spawn(move || {
-            for line in BufReader::new(stderr).lines().map_while(Result::ok) {
-                eprintln!("{line}");
-                let mut log = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                log.push_str(&line);
-                log.push('\n');
-            }
-        });
+        let mut unread = None;
+        if reads_stderr {
+            std::thread::spawn(move || read_log(stderr, &kept));
+        } else {
+            unread = Some(stderr);
+        }
         let stdout = process.stdout.take().context("the studio has no standard output")?;
         let mut lines = BufReader::new(stdout).lines();
         let url = loop {
@@ -100,7 +115,7 @@ impl Studio {
         };
         // Whatever else it prints must not fill the pipe.
         std::thread::spawn(move || lines.for_each(drop));
-        Ok(Self { process, log, url })
+        Ok(Self { process, log, _unread: unread, url })
     }
 
     /// Kills it, as when the machine loses its power: it has no time for a last word.
@@ -112,22 +127,65 @@ impl Studio {
 
     /// `GET` of a JSON document.
     pub fn get(&self, path: &str) -> anyhow::Result<Value> {
-        self.exchange("GET", path, "")
+        self.exchange("GET", path, 0, "")
     }
 
     /// `POST` of a JSON document, answered by another one (or by nothing).
     pub fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
-        self.exchange("POST", path, &body.to_string())
+        self.exchange("POST", path, 0, &body.to_string())
     }
 
-    fn exchange(&self, method: &str, path: &str, body: &str) -> anyhow::Result<Value> {
+    /// The same under a lease, as the operator's page sends it.
+    pub fn post_under(&self, lease: u64, path: &str, body: &Value) -> anyhow::Result<Value> {
+        self.exchange("POST", path, lease, &body.to_string())
+    }
+
+    /// `POST` of nothing by a client that calls the studio `host`; gives the status line.
+    pub fn post_as(&self, host: &str, path: &str) -> anyhow::Result<String> {
+        let mut stream = TcpStream::connect(self.url.trim_start_matches("http://"))?;
+        write!(stream, "POST /api/v1{path} HTTP/1.0\r\nHost: {host}\r\nContent-Length: 0\r\n\r\n")?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer)?;
+        Ok(answer.lines().next().unwrap_or_default().to_owned())
+    }
+
+    /// The process.
+    pub fn pid(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// Sends it a signal, e.g. `TERM`.
+    pub fn signal(&self, name: &str) -> anyhow::Result<()> {
+        let status =
+            Command::new("kill").args([&format!("-{name}"), &self.process.id().to_string()]).status()?;
+        if !status.success() {
+            bail!("kill -{name} failed: {status}");
+        }
+        Ok(())
+    }
+
+    /// Waits until it has ended; gives its exit code, or `None` if it runs on after `patience`.
+    pub fn ended(&mut self, patience: Duration) -> anyhow::Result<Option<i32>> {
+        let begun = std::time::Instant::now();
+        loop {
+            if let Some(status) = self.process.try_wait()? {
+                return Ok(Some(status.code().unwrap_or(-1)));
+            }
+            if begun.elapsed() > patience {
+                return Ok(None);
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn exchange(&self, method: &str, path: &str, lease: u64, body: &str) -> anyhow::Result<Value> {
         let address = self.url.trim_start_matches("http://");
         let mut stream = TcpStream::connect(address)?;
         stream.set_read_timeout(Some(Duration::from_secs(60)))?;
         // HTTP/1.0: the answer ends where the connection does.
         let head = format!(
             "{method} /api/v1{path} HTTP/1.0\r\nHost: {address}\r\nContent-Type: application/json\r\n\
-             Content-Length: {}\r\n\r\n",
+             Palpate-Lease: {lease}\r\nContent-Length: {}\r\n\r\n",
             body.len()
         );
         stream.write_all(head.as_bytes())?;
@@ -143,6 +201,16 @@ impl Studio {
             return Ok(Value::Null);
         }
         serde_json::from_str(content).with_context(|| format!("{method} {path}: no JSON: {content}"))
+    }
+}
+
+/// Prints and keeps what a studio logs.
+fn read_log(stderr: ChildStderr, kept: &Mutex<String>) {
+    for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+        eprintln!("{line}");
+        let mut log = kept.lock().unwrap_or_else(PoisonError::into_inner);
+        log.push_str(&line);
+        log.push('\n');
     }
 }
 

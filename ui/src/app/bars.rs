@@ -3,10 +3,7 @@
 use egui::{Align, Layout, RichText};
 use palpate_wire::api::Source;
 
-use super::{
-    StudioApp,
-    strip::{STOP_WIDTH, STRIP_HEIGHT},
-};
+use super::{StudioApp, stop};
 use crate::{
     playback::HandSource,
     route::{Route, Screen},
@@ -16,6 +13,14 @@ use crate::{
 
 /// Height of the bar's first row.
 const BAR_HEIGHT: f32 = 46.0;
+/// Width of the rail: icons and words, or icons alone.
+const RAIL: f32 = 132.0;
+const NARROW_RAIL: f32 = 60.0;
+/// Names in the bar have at most so many letters; fewer where there is little room for the three of them.
+const MAX_NAME: usize = 32;
+const MIN_NAME: usize = 10;
+/// So much room of the row makes a letter of each name, points.
+const ROOM_FOR_LETTER: f32 = 42.0;
 
 impl StudioApp {
     /// From light to dark and back, for the next visit too.
@@ -30,80 +35,114 @@ impl StudioApp {
 
     pub(super) fn rail_ui(&mut self, ui: &mut egui::Ui, go_to: &mut Option<Route>) {
         let palette = Palette::of(ui.ctx().theme());
-        egui::Panel::left("rail").resizable(false).exact_size(132.0).show(ui, |ui| {
+        let narrow = stop::is_narrow(ui.ctx());
+        let width = if narrow { NARROW_RAIL } else { RAIL };
+        egui::Panel::left("rail").resizable(false).exact_size(width).show(ui, |ui| {
+            if narrow {
+                // The rest of the rail is in the menu.
+                egui::ScrollArea::vertical().show(ui, |ui| self.screens_ui(ui, true, go_to));
+                return;
+            }
             ui.add_space(10.0);
             ui.label(RichText::new("Palpate").strong().size(18.0));
             ui.add_space(10.0);
-            let commandable = self.store.is_commandable();
-            for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
-                let chosen = self.route.screen == screen;
-                let text = RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0);
-                let button = egui::Button::selectable(chosen, text)
-                    .min_size(egui::vec2(ui.available_width(), 40.0))
-                    .right_text("");
-                let response = ui.add(button).on_hover_text(screen.purpose());
-                // The icon is decoration: the name is the word.
-                response.widget_info(|| {
-                    egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, screen.label())
-                });
-                if response.clicked() && !chosen {
-                    *go_to = Some(self.route_of(screen));
-                }
-            }
+            self.screens_ui(ui, false, go_to);
             ui.with_layout(Layout::bottom_up(Align::Min), |ui| {
                 ui.add_space(10.0);
                 if let Loadable::Ready(info) = &self.store.info {
                     let version = format!("{} {}", info.name, info.version);
                     ui.label(RichText::new(version).color(palette.text_weak).small());
                 }
-                let shortcuts = ui.add_sized([ui.available_width(), 32.0], egui::Button::new("Shortcuts  ?"));
-                shortcuts.widget_info(|| {
-                    egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Keyboard shortcuts")
-                });
-                if shortcuts.clicked() {
-                    self.overlays.toggle_shortcuts();
-                }
-                let commands = ui.add_sized([ui.available_width(), 32.0], egui::Button::new("Find  Ctrl+K"));
-                commands.widget_info(|| {
-                    egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Command palette")
-                });
-                if commands.clicked() {
-                    self.overlays.open_palette();
-                }
-                let name = if palette.dark { "Light theme" } else { "Dark theme" };
-                if ui.add_sized([ui.available_width(), 32.0], egui::Button::new(name)).clicked() {
-                    self.toggle_theme(ui.ctx());
-                }
+                self.page_ui(ui);
             });
         });
     }
 
-    /// One row that says what is looked at; where a station takes commands, a second one for it, and STOP beside both.
+    fn screens_ui(&mut self, ui: &mut egui::Ui, narrow: bool, go_to: &mut Option<Route>) {
+        let commandable = self.store.is_commandable();
+        for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
+            let chosen = self.route.screen == screen;
+            let text = if narrow {
+                RichText::new(icon(screen)).size(18.0)
+            } else {
+                RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0)
+            };
+            let mut button =
+                egui::Button::selectable(chosen, text).min_size(egui::vec2(ui.available_width(), 40.0));
+            if !narrow {
+                button = button.right_text("");
+            }
+            let hint = if narrow {
+                format!("{}: {}", screen.label(), screen.purpose())
+            } else {
+                screen.purpose().to_owned()
+            };
+            let response = ui.add(button).on_hover_text(hint);
+            // The icon is decoration: the name is the word.
+            response.widget_info(|| {
+                egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, screen.label())
+            });
+            if response.clicked() && !chosen {
+                *go_to = Some(self.route_of(screen));
+            }
+        }
+    }
+
+    /// What concerns the page itself: shortcuts, the palette, the theme.
+    fn page_ui(&mut self, ui: &mut egui::Ui) {
+        let dark = Palette::of(ui.ctx().theme()).dark;
+        let size = [ui.available_width(), 32.0];
+        let shortcuts = ui.add_sized(size, egui::Button::new("Shortcuts  ?"));
+        shortcuts.widget_info(|| {
+            egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Keyboard shortcuts")
+        });
+        if shortcuts.clicked() {
+            self.overlays.toggle_shortcuts();
+        }
+        let commands = ui.add_sized(size, egui::Button::new("Find  Ctrl+K"));
+        commands.widget_info(|| {
+            egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Command palette")
+        });
+        if commands.clicked() {
+            self.overlays.open_palette();
+        }
+        let name = if dark { "Light theme" } else { "Dark theme" };
+        if ui.add_sized(size, egui::Button::new(name)).clicked() {
+            self.toggle_theme(ui.ctx());
+        }
+    }
+
+    /// One row that says what is looked at; where a station takes commands, a second one for it. STOP's place on the right
+    /// is left free by both: see [`stop`]. A narrow page has the station's state in one row, and the rest in a menu.
     pub(super) fn top_bar_ui(&mut self, ui: &mut egui::Ui, now_s: f64) {
         let palette = Palette::of(ui.ctx().theme());
         let commandable = self.store.is_commandable();
-        let height = if commandable { BAR_HEIGHT + STRIP_HEIGHT } else { BAR_HEIGHT };
+        let narrow = stop::is_narrow(ui.ctx());
+        let height = match (commandable, narrow) {
+            (false, _) => BAR_HEIGHT,
+            (true, false) => stop::WIDE_BAR,
+            (true, true) => stop::NARROW_BAR,
+        };
         egui::Panel::top("top_bar").resizable(false).exact_size(height).show(ui, |ui| {
             let all = ui.max_rect();
             let mut rows = all;
             if commandable {
-                rows.max.x -= STOP_WIDTH + 8.0;
-                let stop = egui::Rect::from_min_max(egui::pos2(rows.max.x + 8.0, all.min.y), all.max);
-                self.stop_ui(ui, stop.shrink2(egui::vec2(0.0, 5.0)), &palette);
+                rows.max.x = stop::stop_rect(ui.ctx().content_rect()).left() - stop::GAP;
             }
-            let middle = if commandable { all.min.y + BAR_HEIGHT - 6.0 } else { all.max.y };
-            let first = egui::Rect::from_min_max(rows.min, egui::pos2(rows.max.x, middle));
-            ui.scope_builder(egui::UiBuilder::new().max_rect(first), |ui| {
-                self.what_is_shown_ui(ui, &palette, now_s);
-            });
-            if commandable {
-                let second = egui::Rect::from_min_max(egui::pos2(rows.min.x, middle), rows.max);
-                ui.scope_builder(egui::UiBuilder::new().max_rect(second), |ui| {
-                    self.strip_ui(ui, &palette, now_s);
-                });
+            if narrow {
+                within(ui, rows, |ui| self.narrow_bar_ui(ui, &palette, now_s));
+            } else {
+                let middle = if commandable { all.min.y + BAR_HEIGHT - 6.0 } else { all.max.y };
+                let first = egui::Rect::from_min_max(rows.min, egui::pos2(rows.max.x, middle));
+                within(ui, first, |ui| self.what_is_shown_ui(ui, &palette, now_s));
+                if commandable {
+                    let second = egui::Rect::from_min_max(egui::pos2(rows.min.x, middle), rows.max);
+                    within(ui, second, |ui| self.strip_ui(ui, &palette, now_s));
+                }
             }
             ui.advance_cursor_after_rect(all);
         });
+        self.insecure_ui(ui, &palette);
         if commandable {
             self.notes_ui(ui, &palette, now_s);
         }
@@ -123,33 +162,72 @@ impl StudioApp {
         }
     }
 
-    fn what_is_shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+    /// The bar of a narrow page: the station's state, and a menu for the rest.
+    fn narrow_bar_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
         ui.horizontal_centered(|ui| {
-            self.station_ui(ui, palette);
-            ui.separator();
-            let live = matches!(self.route.screen, Screen::Hand | Screen::Timelines)
-                && self.playback.hand_source == HandSource::Live;
-            if live {
-                ui.label(RichText::new("Live station").strong());
-                ui.separator();
-            } else if let Some(session) = &self.playback.session {
-                ui.label(RichText::new(session).strong());
-                if let Some(take) = &self.playback.take {
-                    ui.label(take);
-                }
+            let button =
+                egui::Button::new(RichText::new("\u{2630}").size(20.0)).min_size(egui::vec2(44.0, 44.0));
+            let menu = egui::containers::menu::MenuButton::from_button(button);
+            let (response, _) = menu.ui(ui, |ui| self.menu_ui(ui, palette, now_s));
+            response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Menu"));
+            if self.store.is_commandable() {
+                self.narrow_strip_ui(ui, palette, now_s);
+            } else {
+                self.station_ui(ui, palette, MIN_NAME);
+            }
+        });
+    }
+
+    fn menu_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        let screen = ui.ctx().content_rect();
+        ui.set_width((screen.width() - 40.0).min(280.0));
+        let height = (screen.height() - stop::NARROW_BAR - 24.0).max(80.0);
+        egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
+            if self.store.is_commandable() {
+                self.strip_menu_ui(ui, palette, now_s);
                 ui.separator();
             }
-            let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
-            let model = self.store.compared_label(in_use);
-            ui.label(RichText::new("Model").color(palette.text_weak));
-            ui.label(model);
+            ui.horizontal_wrapped(|ui| self.station_ui(ui, palette, MAX_NAME));
+            ui.horizontal_wrapped(|ui| self.shown_ui(ui, palette, MAX_NAME));
+            ui.horizontal(|ui| self.connection_ui(ui, palette, now_s));
+            ui.separator();
+            self.page_ui(ui);
+        });
+    }
+
+    fn what_is_shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        ui.horizontal_centered(|ui| {
+            let letters = ((ui.available_width() / ROOM_FOR_LETTER) as usize).clamp(MIN_NAME, MAX_NAME);
+            self.station_ui(ui, palette, letters);
+            ui.separator();
+            self.shown_ui(ui, palette, letters);
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 self.connection_ui(ui, palette, now_s);
             });
         });
     }
 
-    fn station_ui(&self, ui: &mut egui::Ui, palette: &Palette) {
+    /// Session and take, or the live station, and the model in use. Long names are cut in the middle.
+    fn shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, letters: usize) {
+        let live = matches!(self.route.screen, Screen::Hand | Screen::Timelines)
+            && self.playback.hand_source == HandSource::Live;
+        if live {
+            ui.label(RichText::new("Live station").strong());
+            ui.separator();
+        } else if let Some(session) = &self.playback.session {
+            ui.label(RichText::new(elided(session, letters)).strong()).on_hover_text(session);
+            if let Some(take) = &self.playback.take {
+                ui.label(elided(take, letters)).on_hover_text(take);
+            }
+            ui.separator();
+        }
+        let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
+        let model = self.store.compared_label(in_use);
+        ui.label(RichText::new("Model").color(palette.text_weak));
+        ui.label(elided(&model, letters)).on_hover_text(model);
+    }
+
+    fn station_ui(&self, ui: &mut egui::Ui, palette: &Palette, letters: usize) {
         let info = match &self.store.info {
             Loadable::Ready(info) => info,
             Loadable::Failed(error) => {
@@ -167,7 +245,8 @@ impl StudioApp {
             Source::Replay => ("REPLAY", palette.text_weak),
         };
         ui.label(RichText::new(word).strong().color(colour));
-        ui.label(info.station.as_deref().unwrap_or("recordings only"));
+        let station = info.station.as_deref().unwrap_or("recordings only");
+        ui.label(elided(station, letters)).on_hover_text(station);
     }
 
     fn connection_ui(&self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
@@ -195,6 +274,25 @@ impl StudioApp {
     }
 }
 
+/// Shows `contents` in `rect` and nowhere else: what has no room there can neither be seen nor pressed.
+fn within(ui: &mut egui::Ui, rect: egui::Rect, contents: impl FnOnce(&mut egui::Ui)) {
+    ui.scope_builder(egui::UiBuilder::new().max_rect(rect), |ui| {
+        ui.set_clip_rect(ui.clip_rect().intersect(rect));
+        contents(ui);
+    });
+}
+
+/// `name`, cut in the middle where it has more than `max` letters.
+pub(super) fn elided(name: &str, max: usize) -> String {
+    let letters: Vec<char> = name.chars().collect();
+    if letters.len() <= max {
+        return name.to_owned();
+    }
+    let tail = (max - 1) / 2;
+    let head = max - 1 - tail;
+    letters[..head].iter().chain(&['\u{2026}']).chain(&letters[letters.len() - tail..]).collect()
+}
+
 /// A word with a dot: full when live.
 fn dot_ui(ui: &mut egui::Ui, word: &str, colour: egui::Color32, live: bool) {
     ui.label(RichText::new(word).color(colour));
@@ -215,5 +313,17 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
         Screen::Objects => "\u{1f4e6}",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::elided;
+
+    #[test]
+    fn long_names_keep_both_ends() {
+        assert_eq!(elided("monday", 6), "monday");
+        assert_eq!(elided("a-session-with-a-long-name-17", 11), "a-ses\u{2026}me-17");
+        assert_eq!(elided("\u{e4}\u{e4}\u{e4}\u{e4}", 3), "\u{e4}\u{2026}\u{e4}");
     }
 }

@@ -2,7 +2,25 @@
 
 use egui::{Key, RichText};
 
+use super::stop;
 use crate::{commands::Command, theme::Palette};
+
+/// A dialog at most `width` wide in the middle of what the bar leaves: it scrolls rather than reach over STOP.
+pub(super) fn dialog<R>(
+    ctx: &egui::Context,
+    id: &str,
+    width: f32,
+    contents: impl FnOnce(&mut egui::Ui) -> R,
+) -> egui::ModalResponse<R> {
+    let screen = ctx.content_rect();
+    let below = screen.with_min_y(stop::stop_rect(screen).bottom() + stop::GAP);
+    let id = egui::Id::unique(id);
+    egui::Modal::new(id).area(egui::Modal::default_area(id).constrain_to(below)).show(ctx, |ui| {
+        // Less the frame's margins.
+        ui.set_width(width.min(below.width() - 24.0));
+        egui::ScrollArea::vertical().max_height(below.height() - 24.0).show(ui, contents).inner
+    })
+}
 
 /// Which overlay is open, and what was chosen in it.
 #[derive(Debug, Default)]
@@ -49,11 +67,22 @@ impl Overlays {
 
     fn shortcuts_ui(&mut self, ctx: &egui::Context, commandable: bool) {
         let palette = Palette::of(ctx.theme());
-        let modal = egui::Modal::new(egui::Id::unique("shortcuts")).show(ctx, |ui| {
-            ui.set_width(1180.0);
-            ui.heading("Keyboard shortcuts");
+        let modal = dialog(ctx, "shortcuts", 1180.0, |ui| {
+            // At the top, so that it is on the screen however long the lists are.
+            let closed = ui
+                .horizontal(|ui| {
+                    ui.heading("Keyboard shortcuts");
+                    ui.add(egui::Button::new("Close shortcuts").min_size(egui::vec2(0.0, 32.0))).clicked()
+                })
+                .inner;
             ui.add_space(6.0);
-            ui.horizontal_top(|ui| {
+            let one_row = ui.available_width() >= 1100.0;
+            let layout = if one_row {
+                egui::Layout::left_to_right(egui::Align::Min)
+            } else {
+                egui::Layout::top_down(egui::Align::Min)
+            };
+            ui.with_layout(layout, |ui| {
                 // Rows to read, not to hit: all of them must fit into 800 points.
                 ui.spacing_mut().interact_size.y = 20.0;
                 ui.vertical(|ui| {
@@ -78,8 +107,7 @@ impl Overlays {
                     list_ui(ui, &palette, "Calibrate, Diagnose, Sessions", pairs(&ON_OTHERS));
                 });
             });
-            ui.add_space(6.0);
-            ui.add(egui::Button::new("Close shortcuts").min_size(egui::vec2(0.0, 32.0))).clicked()
+            closed
         });
         if modal.should_close() || modal.inner {
             self.shortcuts_open = false;
@@ -89,8 +117,7 @@ impl Overlays {
     fn palette_ui(&mut self, ctx: &egui::Context, commandable: bool) {
         let Some(state) = &mut self.palette else { return };
         let mut chosen = None;
-        let modal = egui::Modal::new(egui::Id::unique("palette")).show(ctx, |ui| {
-            ui.set_width(440.0);
+        let modal = dialog(ctx, "palette", 440.0, |ui| {
             let (up, down, enter) = ui.input_mut(|input| {
                 (
                     input.consume_key(egui::Modifiers::NONE, Key::ArrowUp),
@@ -127,19 +154,32 @@ impl Overlays {
             let last_idx = found.len().saturating_sub(1);
             state.marked_idx = (state.marked_idx + usize::from(down)).min(last_idx);
             state.marked_idx = state.marked_idx.saturating_sub(usize::from(up));
-            for (idx, command) in found.iter().enumerate() {
-                let button = egui::Button::selectable(idx == state.marked_idx, command.label())
-                    .min_size(egui::vec2(ui.available_width(), 32.0))
-                    .right_text(command.shortcut_text());
-                let response = ui.add(button);
-                response.widget_info(|| {
-                    let marked = idx == state.marked_idx;
-                    egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, marked, command.label())
-                });
-                if response.clicked() || (enter && idx == state.marked_idx) {
-                    chosen = Some(*command);
+            // The field stays in sight while the list scrolls.
+            let height =
+                (ctx.content_rect().height() * 0.6).min(ctx.content_rect().height() - 170.0).max(96.0);
+            egui::ScrollArea::vertical().id_salt("commands").max_height(height).show(ui, |ui| {
+                for (idx, command) in found.iter().enumerate() {
+                    let button = egui::Button::selectable(idx == state.marked_idx, command.label())
+                        .min_size(egui::vec2(ui.available_width(), 32.0))
+                        .right_text(command.shortcut_text());
+                    let response = ui.add(button);
+                    response.widget_info(|| {
+                        let marked = idx == state.marked_idx;
+                        egui::WidgetInfo::selected(
+                            egui::accesskit::Role::Button,
+                            true,
+                            marked,
+                            command.label(),
+                        )
+                    });
+                    if (up || down) && idx == state.marked_idx {
+                        response.scroll_to_me(None);
+                    }
+                    if response.clicked() || (enter && idx == state.marked_idx) {
+                        chosen = Some(*command);
+                    }
                 }
-            }
+            });
         });
         if chosen.is_some() || modal.should_close() {
             self.palette = None;

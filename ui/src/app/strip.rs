@@ -1,22 +1,22 @@
-//! The second row of the top bar: who commands the live station, how far it is armed, how fast its loop runs; STOP; and
-//! below it what the operator must read.
+//! The second row of the top bar: who commands the live station, how far it is armed, how fast its loop runs. On a narrow
+//! page, its state is in the bar and the rest in the menu.
 
 use egui::{Align, Layout, RichText, accesskit::Role};
 use palpate_wire::proto::{ControlState, control_state::Phase};
 
-use super::StudioApp;
+use super::{StudioApp, bars::elided, overlays::dialog};
 use crate::{
     screens::control::wording::{phase_color, phase_mark_ui, phase_word, stop_word},
-    store::{Connection, control::Holder},
+    store::control::{Holder, StopProgress},
     theme::Palette,
 };
 
-/// Height of the row.
-pub(super) const STRIP_HEIGHT: f32 = 40.0;
-/// Width of the STOP button.
-pub(super) const STOP_WIDTH: f32 = 132.0;
-/// Width of the field with the operator's name.
-const NAME_WIDTH: f32 = 110.0;
+/// Names of people in the bar are no longer than this.
+const MAX_NAME: usize = 24;
+/// The name of who sits here, beside the button that takes control, is shorter still.
+const MAX_OWN_NAME: usize = 14;
+/// Loop rate and latency are left out where less room is left, points.
+const LOOP_WIDTH: f32 = 190.0;
 
 /// What the row remembers between frames.
 #[derive(Debug, Default)]
@@ -25,77 +25,81 @@ pub(super) struct StripState {
     take_over: Option<String>,
 }
 
+impl StripState {
+    /// Asks the person whether control shall be taken from `holder`.
+    pub(super) fn ask_to_take_over(&mut self, holder: String) {
+        self.take_over = Some(holder);
+    }
+}
+
 impl StudioApp {
-    /// Asks for the lease; if somebody else has it, asks the person first.
-    pub(super) fn ask_for_control(&mut self) {
-        match self.store.control.holder(self.store.control_state()) {
-            Holder::Me => {}
-            Holder::Nobody => self.store.control.acquire(false),
-            Holder::Other(name) => self.strip.take_over = Some(name),
-        }
-    }
-
-    /// The stop. It acts when it is pressed, not when it is let go.
-    pub(super) fn stop_ui(&mut self, ui: &mut egui::Ui, rect: egui::Rect, palette: &Palette) {
-        // Neither red nor yellow: ISO 13850 keeps these for stops that work without software and cannot be carried away.
-        let button = egui::Button::new("").fill(palette.real).corner_radius(8.0);
-        let response = ui.put(rect, button).on_hover_text(
-            "Stops every motor by software, from any page. Space does the same while armed. It does not replace a \
-             switch that cuts the power.",
-        );
-        response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, "STOP (software)"));
-        let center = rect.center();
-        let line = |below: f32, text: &str, size: f32| {
-            let (at, font) = (center + egui::vec2(0.0, below), egui::FontId::proportional(size));
-            ui.painter().text(at, egui::Align2::CENTER_CENTER, text, font, palette.surface);
-        };
-        line(-9.0, "STOP", 26.0);
-        line(17.0, "(software)", 15.0);
-        let (pressed, released) =
-            ui.input(|input| (input.pointer.primary_pressed(), input.pointer.primary_released()));
-        let by_pointer = response.is_pointer_button_down_on() && pressed;
-        // A click that no pointer ended came from a key or from a screen reader.
-        if by_pointer || (response.clicked() && !released) {
-            self.store.control.stop();
-        }
-    }
-
     /// The row itself.
     pub(super) fn strip_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
         let Some(state) = self.store.control_state().cloned() else {
-            ui.horizontal_centered(|ui| {
-                ui.label(RichText::new("Waiting for the station\u{2026}").color(palette.text_weak));
-            });
+            ui.horizontal_centered(|ui| waiting_ui(ui, palette));
             return;
         };
         let frozen = self.store.frozen_since(now_s).map(|(since, _)| since.to_owned());
         ui.horizontal_centered(|ui| {
-            self.armed_ui(ui, palette, &state, frozen.as_deref());
+            self.phase_ui(ui, palette, &state, frozen.as_deref());
+            self.arming_ui(ui, &state, frozen.is_some());
             ui.separator();
             self.holder_ui(ui, palette, &state, frozen.is_some());
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                loop_ui(ui, palette, &state, frozen.is_some());
-            });
+            if ui.available_width() >= LOOP_WIDTH {
+                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                    loop_ui(ui, palette, &state, frozen.is_some());
+                });
+            }
         });
     }
 
-    /// How far it is armed, in words, and the step that is next.
-    fn armed_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, state: &ControlState, frozen: Option<&str>) {
+    /// What of the row a narrow page has room for: the state.
+    pub(super) fn narrow_strip_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        let Some(state) = self.store.control_state().cloned() else { return waiting_ui(ui, palette) };
+        let frozen = self.store.frozen_since(now_s).map(|(since, _)| since.to_owned());
+        self.phase_ui(ui, palette, &state, frozen.as_deref());
+    }
+
+    /// The rest of the row, in the menu of a narrow page.
+    pub(super) fn strip_menu_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+        let Some(state) = self.store.control_state().cloned() else { return };
+        let frozen = self.store.frozen_since(now_s).is_some();
+        self.arming_ui(ui, &state, frozen);
+        ui.separator();
+        self.holder_ui(ui, palette, &state, frozen);
+        ui.separator();
+        loop_ui(ui, palette, &state, frozen);
+    }
+
+    /// How far it is armed, in words.
+    fn phase_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, state: &ControlState, frozen: Option<&str>) {
         let phase = state.phase();
         let (word, color) = match frozen {
             Some(since) => (format!("LAST SEEN {} AT {since}", phase_word(phase)), palette.mismatch),
             None => (phase_word(phase).to_owned(), phase_color(phase, palette)),
         };
         phase_mark_ui(ui, phase, color);
-        let label = ui.label(RichText::new(word).strong().color(color));
+        let label = ui.add(egui::Label::new(RichText::new(word).strong().color(color)).truncate());
         if !state.reason.is_empty() {
             label.on_hover_text(&state.reason);
         }
-        if phase == Phase::Stopped {
-            ui.label(RichText::new(stop_word(state)).color(color));
+        let stop = match self.store.control.stop_progress() {
+            _ if self.store.control.stop_unsent => Some("STOP not sent"),
+            StopProgress::Stopping => Some("Stopping\u{2026}"),
+            StopProgress::Confirmed { .. } => Some("Stopped, confirmed"),
+            StopProgress::Unconfirmed { .. } => Some("Stop not confirmed"),
+            StopProgress::None => (phase == Phase::Stopped).then(|| stop_word(state)),
+        };
+        if let Some(stop) = stop {
+            ui.add(egui::Label::new(RichText::new(stop).strong().color(color)).truncate());
         }
+    }
+
+    /// The step of arming that is next.
+    fn arming_ui(&mut self, ui: &mut egui::Ui, state: &ControlState, frozen: bool) {
+        let phase = state.phase();
         let link = &self.store.control;
-        let may = frozen.is_none() && link.is_open() && link.holder(Some(state)) == Holder::Me;
+        let may = !frozen && link.is_open() && link.holder(Some(state)) == Holder::Me;
         let why_not = "Take control first";
         match phase {
             Phase::Stopped => {
@@ -147,17 +151,17 @@ impl StudioApp {
             }
             Holder::Nobody => {
                 ui.label(RichText::new("Nobody has control").color(palette.text_weak));
-                self.operator_ui(ui);
                 let waits = self.store.control.waits_for("Take control");
                 let button = egui::Button::new(RichText::new("Take control").strong());
                 if ui.add_enabled(usable && !waits, button).clicked() {
-                    self.store.control.acquire(false);
+                    self.acquire(false);
                 }
+                self.who_ui(ui, palette);
             }
             Holder::Other(name) => {
-                ui.label(RichText::new(format!("{name} has control")).strong().color(palette.warning))
-                    .on_hover_text("You can watch, and press STOP");
-                self.operator_ui(ui);
+                let shown = format!("{} has control", elided(&name, MAX_NAME));
+                ui.label(RichText::new(shown).strong().color(palette.warning))
+                    .on_hover_text(format!("{name} has control. You can watch, and press STOP"));
                 let response = ui
                     .add_enabled(usable, egui::Button::new("Take over\u{2026}"))
                     .on_hover_text("Asks you once more, naming who has control");
@@ -169,15 +173,18 @@ impl StudioApp {
         }
     }
 
-    fn operator_ui(&mut self, ui: &mut egui::Ui) {
-        let field = egui::TextEdit::singleline(&mut self.store.control.operator)
-            .hint_text("Your name")
-            .desired_width(NAME_WIDTH)
-            .char_limit(40)
-            .min_size(egui::vec2(0.0, 30.0));
-        let response = ui.add(field).accessible_name("Your name");
-        if response.lost_focus() {
-            self.platform.save_operator(self.store.control.operator.trim());
+    /// Under which name control is asked for, and how to change it.
+    fn who_ui(&mut self, ui: &mut egui::Ui, palette: &Palette) {
+        if !self.store.control.has_name() {
+            return;
+        }
+        let name = elided(self.store.control.operator.trim(), MAX_OWN_NAME);
+        let button =
+            egui::Button::new(RichText::new(format!("as {name}")).color(palette.text_weak)).frame(false);
+        let response = ui.add(button).on_hover_text("Change the name");
+        response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, format!("as {name}, change")));
+        if response.clicked() {
+            self.change_name();
         }
     }
 
@@ -188,15 +195,14 @@ impl StudioApp {
             self.strip.take_over = None;
             return;
         }
-        let modal = egui::Modal::new(egui::Id::unique("take over")).show(ctx, |ui| {
-            ui.set_width(420.0);
+        let modal = dialog(ctx, "take over", 420.0, |ui| {
             ui.heading(format!("Take control from {name}?"));
             ui.label(format!(
                 "The station disarms, and {name} cannot command any more. Speak to {name} first if you can: a hand may \
                  be near the robot."
             ));
             ui.add_space(8.0);
-            ui.horizontal(|ui| {
+            ui.horizontal_wrapped(|ui| {
                 let take = ui.button(RichText::new(format!("Take over from {name}")).strong()).clicked();
                 let leave = ui.button(format!("Leave it to {name}")).clicked();
                 (take, leave)
@@ -205,80 +211,16 @@ impl StudioApp {
         });
         let (take, leave) = modal.inner;
         if take {
-            self.store.control.acquire(true);
+            self.acquire(true);
         }
         if take || leave || modal.should_close() {
             self.strip.take_over = None;
         }
     }
+}
 
-    /// What must be read: why the station holds or stopped, what was refused, what cannot be sent.
-    pub(super) fn notes_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
-        let state = self.store.control_state();
-        let frozen = self.store.frozen_since(now_s);
-        let mut notes: Vec<(egui::Color32, String)> = Vec::new();
-        // A lost stream has its own line above.
-        if let Some((since, _)) = frozen
-            && self.store.connection == Connection::Open
-        {
-            let text = format!(
-                "Nothing has come from the station since {since}. What is shown is as of then; see the server's log."
-            );
-            notes.push((palette.mismatch, text));
-        }
-        if let Some(state) = state.filter(|state| !state.reason.is_empty() && frozen.is_none()) {
-            notes.push((phase_color(state.phase(), palette), state.reason.clone()));
-        }
-        let link = &self.store.control;
-        if link.stop_unsent {
-            let text = "STOP could not be sent: there is no connection. Cut the power. It is sent as soon as the \
-                        connection is back.";
-            notes.push((palette.mismatch, text.to_owned()));
-        } else if let Connection::Lost { since, .. } = &link.connection {
-            let text = format!(
-                "Commands have not reached the station since {since}. It holds by itself; cut the power if it must stop \
-                 now."
-            );
-            notes.push((palette.mismatch, text));
-        }
-        if link.lease() != 0 && !self.platform.is_watched() {
-            let text = "This window does not have the focus, so the station is not told that you are there, and holds. \
-                        Click on the page.";
-            notes.push((palette.warning, text.to_owned()));
-        }
-        let (refusals, is_frozen) = (link.refusals.clone(), frozen.is_some());
-        if notes.is_empty() && refusals.is_empty() {
-            return;
-        }
-        let mut dismissed = false;
-        egui::Panel::top("control_notes").resizable(false).show(ui, |ui| {
-            for (color, text) in &notes {
-                ui.horizontal_wrapped(|ui| {
-                    ui.label(RichText::new("\u{26a0}").color(*color));
-                    ui.label(text);
-                });
-            }
-            for (idx, refusal) in refusals.iter().enumerate() {
-                ui.horizontal_wrapped(|ui| {
-                    ui.label(
-                        RichText::new(format!("\u{26a0} {} {}: refused", refusal.at, refusal.what))
-                            .strong()
-                            .color(palette.mismatch),
-                    );
-                    ui.label(&refusal.why);
-                    if idx + 1 == refusals.len() {
-                        dismissed = ui.button("Dismiss").clicked();
-                    }
-                });
-            }
-        });
-        if dismissed {
-            self.store.control.dismiss();
-        }
-        if is_frozen || !notes.is_empty() {
-            ui.ctx().request_repaint_after(std::time::Duration::from_millis(500));
-        }
-    }
+fn waiting_ui(ui: &mut egui::Ui, palette: &Palette) {
+    ui.label(RichText::new("Waiting for the station\u{2026}").color(palette.text_weak));
 }
 
 /// Loop rate and latency.

@@ -343,6 +343,15 @@ fn node_of(event: &web_sys::Event) -> Option<u64> {
     element.get_attribute("data-node")?.parse().ok()
 }
 
+/// Whether the main button, a finger or a pen came down on STOP.
+fn is_stop(event: &web_sys::Event) -> bool {
+    let main = event.dyn_ref::<web_sys::MouseEvent>().is_some_and(|mouse| mouse.button() == 0);
+    let element = event.target().and_then(|target| target.dyn_into::<web_sys::Element>().ok());
+    main && element
+        .and_then(|element| element.get_attribute("aria-label"))
+        .is_some_and(|name| name == crate::app::STOP_NAME)
+}
+
 fn is_input(event: &web_sys::Event) -> bool {
     event.target().is_some_and(|target| target.has_type::<HtmlInputElement>())
 }
@@ -358,6 +367,10 @@ fn focus_canvas(canvas: &HtmlCanvasElement) {
 fn hand_on(event: &web_sys::Event, canvas: &HtmlCanvasElement, root: &HtmlElement) {
     if !event.is_trusted() {
         return;
+    }
+    // A page that draws slowly must not keep a stop waiting for its next frame.
+    if event.type_() == "pointerdown" && is_stop(event) {
+        crate::web::stop_now();
     }
     event.stop_propagation();
     if event.type_() == "wheel" {

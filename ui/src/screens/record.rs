@@ -6,6 +6,7 @@
 
 mod checklist;
 mod incoming;
+mod interruptions;
 mod start;
 mod step;
 
@@ -14,12 +15,14 @@ use std::{collections::BTreeMap, sync::Arc};
 use egui::{Key, Panel};
 use palpate_robot_model::Station;
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession},
+    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StepState},
     proto::{RecordingStatus, control_state::Phase},
 };
 
+use self::interruptions::Interruptions;
 use super::{ScreenContext, empty_ui, failed_ui, loading_ui};
 use crate::{
+    app::is_narrow,
     route::Screen,
     store::{Loadable, Store, control::Holder},
 };
@@ -36,6 +39,9 @@ pub struct RecordState {
     /// The field of remarks gets the focus in the next frame.
     write_note: bool,
     start_pose: StartPose,
+    interruptions: Interruptions,
+    /// The step whose accepted take somebody is about to set aside, and how: it is asked once more.
+    doubt: Option<(usize, RecordingAction)>,
     /// Whether the object stands where the plan says.
     fixture_elsewhere: bool,
 }
@@ -73,6 +79,8 @@ struct Scene<'a> {
     session: &'a RecordingSession,
     phase: RecordingPhase,
     status: RecordingStatus,
+    /// Who decides: only who has control does.
+    holder: Holder,
     /// What the station needs before it may move; `None` if it may.
     not_ready: Option<&'static str>,
     /// Nothing can be done now: something is on its way, or the picture is frozen.
@@ -80,6 +88,18 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
+    /// Whether this page may do anything with the recording now.
+    fn may_act(&self) -> bool {
+        self.holder == Holder::Me && !self.waits
+    }
+
+    /// The step under way, if its take is part of the session already.
+    fn accepted_step(&self) -> Option<usize> {
+        let accepted =
+            |idx: &usize| self.session.steps.get(*idx).is_some_and(|step| step.state == StepState::Accepted);
+        self.session.current.filter(accepted)
+    }
+
     fn is_at_start(&self, state: &RecordState) -> bool {
         self.session.current.is_some_and(|step| state.start_pose == StartPose::Reached(step))
     }
@@ -106,13 +126,15 @@ pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Reco
         Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the checklist"),
     };
     let names = channel_names(&station);
-    Panel::right("record_incoming")
-        .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
-        .resizable(false)
-        .exact_size(INCOMING_WIDTH)
-        .show(ui, |ui| incoming::incoming_ui(ui, cx, &station, document.session.as_ref(), &names));
+    if !is_narrow(ui.ctx()) {
+        Panel::right("record_incoming")
+            .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
+            .resizable(false)
+            .exact_size(INCOMING_WIDTH)
+            .show(ui, |ui| incoming::incoming_ui(ui, cx, &station, document.session.as_ref(), &names));
+    }
     match &document.session {
-        Some(session) => session_ui(ui, cx, state, session, &names),
+        Some(session) => session_ui(ui, cx, state, session, &station, &names),
         None => {
             state.start_pose = StartPose::Unknown;
             egui::CentralPanel::default().show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document));
@@ -138,66 +160,123 @@ fn session_ui(
     cx: &mut ScreenContext<'_>,
     state: &mut RecordState,
     session: &RecordingSession,
+    station: &Station,
     names: &Names,
 ) {
     let phase = cx.store.recording_phase().unwrap_or(session.phase);
     let streamed = cx.store.control_state().and_then(|state| state.recording.clone());
-    let frozen = cx.store.frozen_since(cx.now_s).is_some();
+    let frozen = cx.store.frozen_since(cx.now_s).is_some() || !cx.store.control.is_open();
     let scene = Scene {
         session,
         phase,
         status: streamed.unwrap_or_default(),
+        holder: cx.store.control.holder(cx.store.control_state()),
         not_ready: not_ready(cx.store),
         waits: cx.store.recording_busy || frozen,
     };
     let problem = !session.problem.is_empty() || cx.store.recording_problem.is_some();
     state.start_pose = state.start_pose.next(phase, session.current, problem);
+    let called_off = state.start_pose == StartPose::CalledOff;
+    state.interruptions.follow(&scene, cx.store, called_off);
+    if state.interruptions.is_fresh() && matches!(state.start_pose, StartPose::Reached(_)) {
+        // The checklist with the reason may come later than the news that the way ended.
+        state.start_pose = StartPose::Unknown;
+    }
+    if state.doubt.as_ref().is_some_and(|(step, _)| scene.accepted_step() != Some(*step)) {
+        state.doubt = None;
+    }
     let mut actions = Vec::new();
-    Panel::left("record_checklist")
-        .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
-        .resizable(false)
-        .exact_size(LIST_WIDTH)
-        .show(ui, |ui| checklist::checklist_ui(ui, cx, &scene, &mut actions));
-    egui::CentralPanel::default().show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            step::step_ui(ui, cx, state, &scene, names, &mut actions);
+    if is_narrow(ui.ctx()) {
+        // One column: the step under way, then what a wide page has beside it.
+        egui::CentralPanel::default().show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                step::step_ui(ui, cx, state, &scene, names, &mut actions);
+                ui.separator();
+                checklist::checklist_ui(ui, cx, &scene, &mut actions);
+                ui.separator();
+                incoming::incoming_ui(ui, cx, station, Some(session), names);
+            });
         });
-    });
+    } else {
+        Panel::left("record_checklist")
+            .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
+            .resizable(false)
+            .exact_size(LIST_WIDTH)
+            .show(ui, |ui| checklist::checklist_ui(ui, cx, &scene, &mut actions));
+        egui::CentralPanel::default().show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                step::step_ui(ui, cx, state, &scene, names, &mut actions);
+            });
+        });
+    }
     keys(ui, &scene, state, &mut actions, cx.store);
     // One thing at a time: a second one would be meant for another step.
-    if let Some(action) = actions.into_iter().next().filter(|_| !scene.waits) {
+    if let Some(action) = actions.into_iter().next().filter(|_| scene.may_act()) {
         if action == RecordingAction::Cancel {
             state.start_pose = StartPose::CalledOff;
         }
+        if !matches!(action, RecordingAction::Note { .. }) {
+            state.interruptions.pressed();
+            state.doubt = None;
+        }
         cx.store.act_on_recording(action);
+    }
+}
+
+/// Asks for the action `action`, or once more first if it sets an accepted take aside.
+fn ask_twice(
+    scene: &Scene<'_>,
+    state: &mut RecordState,
+    action: RecordingAction,
+    actions: &mut Vec<RecordingAction>,
+) {
+    match scene.accepted_step() {
+        Some(step) => state.doubt = Some((step, action)),
+        None => actions.push(action),
     }
 }
 
 /// What the station still needs before it may move by itself.
 fn not_ready(store: &Store) -> Option<&'static str> {
     match store.control.holder(store.control_state()) {
-        Holder::Nobody => Some("Take control in the top bar, then arm."),
+        Holder::Nobody => Some("Take control, then arm."),
         Holder::Other(_) => Some("Somebody else has control: you can watch."),
         Holder::Me => match store.phase() {
             Phase::Armed => None,
             Phase::Holding => Some("The station holds; the line below the top bar says why."),
             Phase::Stopped => Some("The station is stopped. Reset the stop in the top bar, then arm."),
             Phase::Arming | Phase::Disarming => Some("Wait a moment."),
-            Phase::Disarmed | Phase::Unspecified => Some("Arm in the top bar."),
+            Phase::Disarmed | Phase::Unspecified => Some("The motors are off: arm the station."),
         },
     }
 }
 
-/// What the primary button of a scene does, and its name; `None` while the station is at work.
-fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<(&'static str, RecordingAction)> {
-    let lease = store.control.lease();
-    Some(match scene.phase {
+/// What the primary button of a scene does.
+#[derive(Clone, Debug, PartialEq)]
+enum Primary {
+    /// Takes control for this page.
+    TakeControl,
+    /// Switches the motors on.
+    Arm,
+    /// Does something with the step under way: its name, and what.
+    Act(&'static str, RecordingAction),
+}
+
+/// The next step of the operator; `None` while the station is at work, or where somebody else decides.
+fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<Primary> {
+    let (name, action) = match scene.phase {
+        RecordingPhase::Checking | RecordingPhase::Done => return None,
+        _ if scene.holder == Holder::Nobody => return Some(Primary::TakeControl),
+        _ if scene.holder != Holder::Me => return None,
         RecordingPhase::PlaceObject => (
             "Object is in place",
             RecordingAction::ConfirmObject { fixture_trusted: !state.fixture_elsewhere },
         ),
-        RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run { lease }),
-        RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart { lease }),
+        RecordingPhase::StartPose if matches!(store.phase(), Phase::Disarmed | Phase::Unspecified) => {
+            return Some(Primary::Arm);
+        }
+        RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run),
+        RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart),
         RecordingPhase::Review => {
             // Its check has the last word.
             let step = scene.session.current.and_then(|idx| scene.session.steps.get(idx))?;
@@ -207,17 +286,18 @@ fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<(&'s
         RecordingPhase::GoingToStart
         | RecordingPhase::Baseline
         | RecordingPhase::Countdown
-        | RecordingPhase::Running
-        | RecordingPhase::Checking
-        | RecordingPhase::Done => return None,
-    })
+        | RecordingPhase::Running => return None,
+    };
+    Some(Primary::Act(name, action))
 }
 
-/// Whether an action moves the robot, which needs the lease and an armed station.
+/// Whether an action moves the robot, which needs an armed station.
 fn moves(action: &RecordingAction) -> bool {
-    matches!(action, RecordingAction::GoToStart { .. } | RecordingAction::Run { .. })
+    matches!(action, RecordingAction::GoToStart | RecordingAction::Run)
 }
 
+/// The keys do what the buttons do, under the same rule: without control, nothing. Control is not taken and motors are not
+/// switched on by a key.
 fn keys(
     ui: &egui::Ui,
     scene: &Scene<'_>,
@@ -226,27 +306,26 @@ fn keys(
     store: &Store,
 ) {
     // A focused control has its own Enter, and a text field its own letters.
-    if ui.ctx().text_edit_focused() {
+    if !scene.may_act() || ui.ctx().text_edit_focused() {
         return;
     }
     let focused = ui.memory(|memory| memory.focused().is_some());
     let key = |key| ui.input(|input| input.modifiers.is_none() && input.key_pressed(key));
     if key(Key::Enter)
         && !focused
-        && let Some((_, action)) = primary(scene, state, store)
+        && let Some(Primary::Act(_, action)) = primary(scene, state, store)
         && !(moves(&action) && scene.not_ready.is_some())
     {
         actions.push(action);
     }
-    let lease = store.control.lease();
     match scene.phase {
         RecordingPhase::PlaceObject if key(Key::P) => state.fixture_elsewhere ^= true,
         RecordingPhase::StartPose if scene.not_ready.is_none() => {
             if key(Key::G) {
-                actions.push(RecordingAction::GoToStart { lease });
+                actions.push(RecordingAction::GoToStart);
             }
             if key(Key::B) {
-                actions.push(RecordingAction::Run { lease });
+                actions.push(RecordingAction::Run);
             }
         }
         RecordingPhase::GoingToStart
@@ -270,10 +349,10 @@ fn keys(
     }
     if scene.phase == RecordingPhase::Review {
         if key(Key::R) {
-            actions.push(RecordingAction::Again);
+            ask_twice(scene, state, RecordingAction::Again, actions);
         }
         if key(Key::Delete) {
-            actions.push(RecordingAction::Discard);
+            ask_twice(scene, state, RecordingAction::Discard, actions);
         }
     }
     if step::takes_notes(scene.phase) && key(Key::M) {

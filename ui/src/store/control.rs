@@ -18,7 +18,7 @@ const ARRIVED: f64 = 2e-3;
 /// A wish that the station has not followed for so long is given up, s: the safety layer holds the joint back.
 const WISH_FOR_S: f64 = 8.0;
 /// So many refusals stay on the page; older ones go.
-const MOST_PROBLEMS: usize = 3;
+const MAX_REFUSALS: usize = 3;
 
 /// Who may command.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,6 +42,28 @@ pub struct Refusal {
     pub at: String,
 }
 
+/// How far the last STOP of this page is.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub enum StopProgress {
+    /// This page pressed none, or the stop was reset since.
+    #[default]
+    None,
+    /// It was sent, and the station has not answered yet.
+    Stopping,
+    /// Readings show every motor without torque or motion.
+    Confirmed {
+        /// The operator's time of day.
+        at: String,
+    },
+    /// The station answered, and readings do not show that everything stands.
+    Unconfirmed {
+        /// What could not be confirmed, in the station's words.
+        problem: String,
+        /// The operator's time of day.
+        at: String,
+    },
+}
+
 /// Where the operator wants a joint to be, until it is there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Wish {
@@ -55,12 +77,17 @@ struct Wish {
 pub struct ControlLink {
     /// The socket.
     pub connection: Connection,
-    /// Who sits at this page; empty for nobody in particular.
+    /// Who sits at this page; empty until somebody said it. Control is never taken without a name.
     pub operator: String,
     /// What was refused, oldest first, until somebody has read it.
     pub refusals: Vec<Refusal>,
     /// A stop was wanted while there was no way to send it.
     pub stop_unsent: bool,
+    stop: StopProgress,
+    /// The station was seen stopped since the last stop of this page: it has been reset when it is not any more.
+    stop_seen: bool,
+    /// A screen wants control for this page.
+    control_wanted: bool,
     lease: u64,
     pending: VecDeque<(u64, &'static str)>,
     outbox: Vec<Request>,
@@ -82,10 +109,7 @@ impl ControlLink {
     pub fn holder(&self, state: Option<&ControlState>) -> Holder {
         match state {
             _ if self.lease != 0 => Holder::Me,
-            Some(state) if state.lease != 0 || !state.holder.is_empty() => {
-                let name = if state.holder.is_empty() { "somebody" } else { &state.holder };
-                Holder::Other(name.to_owned())
-            }
+            Some(state) if !state.holder.is_empty() => Holder::Other(state.holder.clone()),
             _ => Holder::Nobody,
         }
     }
@@ -95,11 +119,32 @@ impl ControlLink {
         self.outbox.iter().map(what_of).chain(self.pending.iter().map(|(_, what)| *what)).any(|w| w == what)
     }
 
-    /// Asks for the lease, from whoever holds it if `take_over`.
+    /// How far the last STOP of this page is.
+    pub fn stop_progress(&self) -> &StopProgress {
+        &self.stop
+    }
+
+    /// Wants control for this page: the frame asks whoever must be asked, then [acquires](Self::acquire) it.
+    pub fn want_control(&mut self) {
+        self.control_wanted = true;
+    }
+
+    /// Whether control was wanted since the last call.
+    pub fn take_control_wanted(&mut self) -> bool {
+        std::mem::take(&mut self.control_wanted)
+    }
+
+    /// Whether this page knows who sits at it.
+    pub fn has_name(&self) -> bool {
+        !self.operator.trim().is_empty()
+    }
+
+    /// Asks for the lease, from whoever holds it if `take_over`. Nothing is asked without a name.
     pub fn acquire(&mut self, take_over: bool) {
-        let name = self.operator.trim();
-        let operator = if name.is_empty() { "operator" } else { name }.to_owned();
-        self.outbox.push(Request::Acquire(Acquire { operator, take_over }));
+        if self.has_name() {
+            let operator = self.operator.trim().to_owned();
+            self.outbox.push(Request::Acquire(Acquire { operator, take_over }));
+        }
     }
 
     /// Gives the lease back, which disarms.
@@ -121,6 +166,8 @@ impl ControlLink {
     /// Stops everything; needs no lease. Without a connection it is sent as soon as there is one.
     pub fn stop(&mut self) {
         self.wishes.clear();
+        self.stop = StopProgress::Stopping;
+        self.stop_seen = false;
         if self.is_open() {
             // Before anything else that waits, and instead of every motion.
             self.outbox.retain(|request| !matches!(request, Request::Targets(_) | Request::Arm(_)));
@@ -128,6 +175,15 @@ impl ControlLink {
         } else {
             self.stop_unsent = true;
         }
+    }
+
+    /// A stop has left already, as number `sequence`: nothing that was to move may follow it.
+    pub(super) fn stop_left(&mut self, sequence: u64) {
+        self.wishes.clear();
+        self.outbox.retain(|request| !matches!(request, Request::Targets(_) | Request::Arm(_)));
+        self.stop = StopProgress::Stopping;
+        self.stop_seen = false;
+        self.pending.push_back((sequence, STOP));
     }
 
     /// Ends a latched stop.
@@ -165,6 +221,11 @@ impl ControlLink {
     /// Nobody needs to read the refusals any more.
     pub fn dismiss(&mut self) {
         self.refusals.clear();
+    }
+
+    /// Somebody has read how the last stop of this page went.
+    pub fn dismiss_stop(&mut self) {
+        self.stop = StopProgress::None;
     }
 
     /// Commands that wait to be sent, each with its lease.
@@ -232,16 +293,14 @@ impl ControlLink {
     pub(super) fn receive(&mut self, bytes: &[u8], time_of_day: &str) {
         // A reply that does not decode comes from a newer server; the next one may be known again.
         let Ok(reply) = ControlReply::decode(bytes) else { return };
-        // Replies come in order: whatever is older than this one will not be answered any more.
-        let mut what = None;
-        while let Some((sequence, asked)) = self.pending.front().copied()
-            && sequence <= reply.sequence
-        {
-            self.pending.pop_front();
-            if sequence == reply.sequence {
-                what = Some(asked);
-            }
+        let waiting = self.pending.iter().position(|(sequence, _)| *sequence == reply.sequence);
+        let what = waiting.and_then(|idx| self.pending.remove(idx)).map(|(_, what)| what);
+        if what == Some(STOP) {
+            self.stop_answered(reply, time_of_day);
+            return;
         }
+        // Replies come in order, but for those to stops: whatever else is older will not be answered any more.
+        self.pending.retain(|(sequence, asked)| *sequence > reply.sequence || *asked == STOP);
         let lost_lease = self.lease != 0 && reply.lease == 0 && !reply.accepted;
         self.lease = reply.lease;
         if self.lease == 0 {
@@ -259,8 +318,38 @@ impl ControlLink {
         }
     }
 
+    /// The answer to a stop says nothing new about the lease: later replies may have overtaken it.
+    fn stop_answered(&mut self, reply: ControlReply, time_of_day: &str) {
+        let at = time_of_day.to_owned();
+        if reply.stop_confirmed {
+            self.stop = StopProgress::Confirmed { at };
+        } else if !self.pending.iter().any(|(_, what)| *what == STOP) {
+            let problem = match reply.problem {
+                problem if problem.is_empty() => "the station did not say why; cut the power".to_owned(),
+                problem => problem,
+            };
+            self.stop = StopProgress::Unconfirmed { problem, at };
+        }
+    }
+
+    /// What the station says of the stop: it may be confirmed later than its reply, and ends with a reset.
+    fn follow_stop(&mut self, state: &ControlState) {
+        if state.phase() == Phase::Stopped {
+            self.stop_seen = true;
+            if let StopProgress::Unconfirmed { at, .. } = &mut self.stop
+                && state.stop_confirmed
+            {
+                self.stop = StopProgress::Confirmed { at: std::mem::take(at) };
+            }
+        } else if self.stop_seen && self.stop != StopProgress::Stopping {
+            self.stop = StopProgress::None;
+            self.stop_seen = false;
+        }
+    }
+
     /// Wishes end when they are fulfilled, or when nothing moves any more.
     pub(super) fn follow(&mut self, state: &ControlState, now_s: f64) {
+        self.follow_stop(state);
         if state.phase() != Phase::Armed {
             self.wishes.clear();
         }
@@ -275,7 +364,7 @@ impl ControlLink {
         // The same again (a slider that is dragged against a limit) takes the place of the one before.
         self.refusals.retain(|known| known.what != what);
         self.refusals.push(Refusal { what, why, at: time_of_day.to_owned() });
-        let excess = self.refusals.len().saturating_sub(MOST_PROBLEMS);
+        let excess = self.refusals.len().saturating_sub(MAX_REFUSALS);
         self.refusals.drain(..excess);
     }
 }
@@ -311,9 +400,20 @@ mod tests {
     }
 
     fn reply(link: &mut ControlLink, sequence: u64, lease: u64, problem: &str) {
-        let reply =
-            ControlReply { sequence, accepted: problem.is_empty(), problem: problem.to_owned(), lease };
+        let reply = ControlReply {
+            sequence,
+            accepted: problem.is_empty(),
+            problem: problem.to_owned(),
+            lease,
+            stop_confirmed: false,
+        };
         link.receive(&reply.encode_to_vec(), "10:00:00");
+    }
+
+    fn stop_reply(link: &mut ControlLink, sequence: u64, stop_confirmed: bool, problem: &str) {
+        let problem = problem.to_owned();
+        let reply = ControlReply { sequence, accepted: true, problem, lease: 0, stop_confirmed };
+        link.receive(&reply.encode_to_vec(), "10:00:01");
     }
 
     /// Sends what waits, numbered from `first` on.
@@ -393,6 +493,95 @@ mod tests {
     }
 
     #[test]
+    fn control_is_never_asked_for_without_a_name() {
+        let mut link = open();
+        link.operator = "  ".into();
+        link.acquire(false);
+        link.acquire(true);
+        assert!(link.take_outbox().is_empty() && !link.has_name());
+    }
+
+    #[test]
+    fn stop_is_answered_out_of_order_and_hides_no_other_reply() {
+        let mut link = open();
+        reply(&mut link, 1, 7, "");
+        link.tare();
+        send(&mut link, 2);
+        link.stop();
+        send(&mut link, 3);
+        link.lead_through(false);
+        send(&mut link, 4);
+        assert_eq!(link.stop_progress(), &StopProgress::Stopping);
+        // Later requests are answered before the stop, which waits for readings.
+        reply(&mut link, 4, 7, "");
+        assert!(link.waits_for("STOP") && !link.waits_for("Lead-through"));
+        stop_reply(&mut link, 3, true, "");
+        assert_eq!(link.stop_progress(), &StopProgress::Confirmed { at: "10:00:01".into() });
+        assert_eq!(link.lease(), 7, "only replies in order tell about the lease");
+
+        // A stop that is confirmed at once overtakes what was asked before.
+        link.tare();
+        send(&mut link, 5);
+        link.stop();
+        send(&mut link, 6);
+        stop_reply(&mut link, 6, true, "");
+        assert!(link.waits_for("Set zero"));
+        reply(&mut link, 5, 7, "not now");
+        assert_eq!(link.refusals[0].what, "Set zero");
+    }
+
+    #[test]
+    fn stop_that_is_not_confirmed_says_why_until_readings_or_a_reset_end_it() {
+        let mut link = open();
+        link.stop();
+        send(&mut link, 1);
+        let mut state = ControlState::default();
+        state.set_phase(Phase::Armed);
+        link.follow(&state, 0.0);
+        stop_reply(&mut link, 1, false, "joint \"lift\" has not been read since the stop");
+        let unconfirmed = StopProgress::Unconfirmed {
+            problem: "joint \"lift\" has not been read since the stop".into(),
+            at: "10:00:01".into(),
+        };
+        assert_eq!(link.stop_progress(), &unconfirmed);
+        state.set_phase(Phase::Stopped);
+        link.follow(&state, 0.0);
+        assert_eq!(link.stop_progress(), &unconfirmed);
+        state.stop_confirmed = true;
+        link.follow(&state, 0.0);
+        assert_eq!(link.stop_progress(), &StopProgress::Confirmed { at: "10:00:01".into() });
+        state.set_phase(Phase::Disarmed);
+        link.follow(&state, 0.0);
+        assert_eq!(link.stop_progress(), &StopProgress::None, "it was reset");
+    }
+
+    #[test]
+    fn stop_that_left_before_the_frame_takes_motions_along_and_is_answered() {
+        let mut link = open();
+        reply(&mut link, 1, 7, "");
+        link.want(0, 0.1, 0.0);
+        link.arm();
+        link.stop_left(2);
+        assert!(link.take_outbox().is_empty());
+        assert_eq!(link.stop_progress(), &StopProgress::Stopping);
+        stop_reply(&mut link, 2, true, "");
+        assert!(matches!(link.stop_progress(), StopProgress::Confirmed { .. }));
+    }
+
+    #[test]
+    fn second_stop_keeps_the_page_stopping_until_one_is_confirmed() {
+        let mut link = open();
+        link.stop();
+        send(&mut link, 1);
+        link.stop();
+        send(&mut link, 2);
+        stop_reply(&mut link, 1, false, "not yet");
+        assert_eq!(link.stop_progress(), &StopProgress::Stopping);
+        stop_reply(&mut link, 2, true, "");
+        assert!(matches!(link.stop_progress(), StopProgress::Confirmed { .. }));
+    }
+
+    #[test]
     fn stop_survives_a_lost_connection_and_nothing_else_does() {
         let mut link = open();
         reply(&mut link, 1, 7, "");
@@ -420,7 +609,7 @@ mod tests {
     #[test]
     fn others_are_named() {
         let link = open();
-        let state = ControlState { lease: 3, holder: "Ada".into(), ..Default::default() };
+        let state = ControlState { holder: "Ada".into(), ..Default::default() };
         assert_eq!(link.holder(Some(&state)), Holder::Other("Ada".into()));
         assert_eq!(link.holder(Some(&ControlState::default())), Holder::Nobody);
     }

@@ -144,10 +144,16 @@ impl Store {
         self.outbox.push(Request::Sessions);
     }
 
+    /// The operator's time of day when the newest live frame came; empty before the first.
+    pub fn live_at(&self) -> &str {
+        &self.live_at
+    }
+
     /// Takes in what the newest live frame says about commands and the recording.
-    pub(super) fn follow_live(&mut self, now_s: f64) {
+    pub(super) fn follow_live(&mut self, now_s: f64, time_of_day: &str) {
         let Some(state) = self.live.as_ref().and_then(|frame| frame.control.as_ref()) else { return };
         self.control.follow(state, now_s);
+        self.notice.follow(state, time_of_day);
         let newest = state.recording.as_ref().map(|status| status.revision);
         let ended = newest.is_none() && self.streamed_revision.is_some();
         self.streamed_revision = newest;

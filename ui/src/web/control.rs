@@ -5,7 +5,7 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use palpate_wire::proto::{Heartbeat, control_request};
+use palpate_wire::proto::{Heartbeat, Stop, control_request};
 use prost::Message as _;
 use wasm_bindgen::{JsCast as _, closure::Closure};
 
@@ -18,6 +18,23 @@ const BEAT_EVERY_MS: i32 = 50;
 const DUE_AFTER_MS: f64 = 35.0;
 
 const EVENTS: SocketEvents = (ApiEvent::ControlOpen, ApiEvent::ControlClosed, ApiEvent::ControlMessage);
+
+thread_local! {
+    /// Sends a stop on the socket that is open, if one is.
+    static STOP_NOW: RefCell<Option<Box<dyn Fn()>>> = const { RefCell::new(None) };
+}
+
+/// Sends a stop at once, where a frame may take long to draw. The frame sends one of its own, which does no harm, and
+/// keeps it where there is no connection.
+pub(super) fn stop_now() {
+    STOP_NOW.with(|slot| {
+        if let Ok(slot) = slot.try_borrow()
+            && let Some(stop) = slot.as_ref()
+        {
+            stop();
+        }
+    });
+}
 
 /// See the module.
 #[derive(Default)]
@@ -85,6 +102,17 @@ impl ControlSocket {
         }
         channel.counter = ControlCounter::default();
         channel.lease = None;
+        let (shared, told) = (Rc::clone(&self.channel), deliver.clone());
+        let stop = move || {
+            // The page is never in the middle of a command when an event comes; were it ever, its frame stops.
+            let Ok(mut channel) = shared.try_borrow_mut() else { return };
+            let sequence = channel.send(0, control_request::Request::Stop(Stop {}));
+            drop(channel);
+            if let Some(sequence) = sequence {
+                told(ApiEvent::StopSent(sequence));
+            }
+        };
+        STOP_NOW.with(|slot| *slot.borrow_mut() = Some(Box::new(stop)));
         match open_socket("/api/v1/control", EVENTS, deliver.clone()) {
             Ok(socket) => channel.socket = Some(socket),
             Err(_) => {

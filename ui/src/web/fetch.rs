@@ -5,7 +5,7 @@ use std::{cell::RefCell, rc::Rc};
 use wasm_bindgen::{JsCast as _, JsValue, closure::Closure};
 use wasm_bindgen_futures::JsFuture;
 
-use palpate_wire::proto::control_request;
+use palpate_wire::{api::LEASE_HEADER, proto::control_request};
 
 use super::control::ControlSocket;
 use crate::api_client::{Api, ApiEvent, HttpRequest, Request, problem_text};
@@ -53,10 +53,11 @@ impl WebApi {
 }
 
 impl Api for WebApi {
-    fn send(&mut self, request: Request) {
+    fn send(&mut self, lease: u64, request: Request) {
         let deliver = self.deliver();
+        let http = request.to_http(lease);
         wasm_bindgen_futures::spawn_local(async move {
-            let result = fetch(request.to_http()).await;
+            let result = fetch(http).await;
             deliver(ApiEvent::Answer { request, result });
         });
     }
@@ -143,6 +144,9 @@ async fn exchange(request: &HttpRequest) -> Result<(u16, Vec<u8>), JsValue> {
     if let Some((content_type, bytes)) = &request.body {
         headers.set("content-type", content_type)?;
         init.set_body(&js_sys::Uint8Array::from(bytes.as_slice()));
+    }
+    if let Some(lease) = request.lease {
+        headers.set(LEASE_HEADER, &lease.to_string())?;
     }
     init.set_headers(&headers);
     let window = web_sys::window().ok_or(JsValue::NULL)?;

@@ -416,8 +416,13 @@ fn next_experiment_goes_on_the_list_and_comes_off_it() {
 #[test]
 fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
     let (api, window) = result_page(&run(JobState::Done, Some(named())));
-    let replay =
-        Info { name: "palpate".into(), version: "0.1.0".into(), station: None, source: Source::Replay };
+    let replay = Info {
+        name: "palpate".into(),
+        version: "0.1.0".into(),
+        station: None,
+        source: Source::Replay,
+        insecure: false,
+    };
     answer(&api, &Request::Info, &replay);
     let harness = page(&api, &window);
     let button = harness.get_by_role_and_label(Role::Button, "Record this next");

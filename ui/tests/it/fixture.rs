@@ -35,8 +35,8 @@ pub(crate) const LAG_FRAMES: usize = 3;
 pub(crate) struct SharedApi(pub(crate) Rc<RefCell<FakeApi>>);
 
 impl Api for SharedApi {
-    fn send(&mut self, request: Request) {
-        self.0.borrow_mut().send(request);
+    fn send(&mut self, lease: u64, request: Request) {
+        self.0.borrow_mut().send(lease, request);
     }
 
     fn open_socket(&mut self) {
@@ -76,6 +76,13 @@ pub(crate) struct History {
 impl FakeWindow {
     pub(crate) fn at(hash: &str) -> Self {
         Self(Rc::new(RefCell::new(History { entries: vec![hash.to_owned()], ..History::default() })))
+    }
+
+    /// The window of a browser that knows who sits there.
+    pub(crate) fn of(operator: &str, hash: &str) -> Self {
+        let window = Self::at(hash);
+        window.0.borrow_mut().operator = operator.to_owned();
+        window
     }
 
     pub(crate) fn back(&self) {
@@ -252,6 +259,7 @@ pub(crate) fn full_api() -> SharedApi {
         version: "0.1.0".into(),
         station: Some("Probe bench".into()),
         source: Source::Emulated,
+        insecure: false,
     };
     api.answer(&Request::Info, json(&info));
     api.answer(&Request::Sessions, json(&vec![summary()]));
@@ -290,9 +298,18 @@ pub(crate) fn full_api() -> SharedApi {
 
 /// A page of 1280 x 800 points that has come to rest.
 pub(crate) fn page(api: &SharedApi, window: &FakeWindow) -> Harness<'static, Option<StudioApp>> {
+    page_of(api, window, [1280.0, 800.0])
+}
+
+/// A page of `size` points that has come to rest.
+pub(crate) fn page_of(
+    api: &SharedApi,
+    window: &FakeWindow,
+    size: [f32; 2],
+) -> Harness<'static, Option<StudioApp>> {
     let (api, window) = (api.clone(), window.clone());
     let mut harness =
-        Harness::builder().with_size([1280.0, 800.0]).with_max_steps(60).with_step_dt(0.02).build_ui_state(
+        Harness::builder().with_size(size).with_max_steps(60).with_step_dt(0.02).build_ui_state(
             move |ui, app: &mut Option<StudioApp>| {
                 let app = app.get_or_insert_with(|| {
                     StudioApp::new(ui.ctx(), Box::new(api.clone()), Box::new(window.clone()), None)

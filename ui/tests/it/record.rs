@@ -9,7 +9,7 @@ use palpate_wire::{
         StartRecording, StepState, TakeVerdict, WantedTake,
     },
     bits,
-    proto::{RecordingStatus, control_state::Phase},
+    proto::{RecordingStatus, control_request::Request as Command, control_state::Phase},
 };
 
 use crate::{
@@ -34,7 +34,7 @@ fn step(object: &str, primitive: &str, state: StepState) -> RecordingStep {
 }
 
 /// A session of two takes whose second waits in `phase`.
-fn document(phase: RecordingPhase) -> RecordingDocument {
+pub(crate) fn document(phase: RecordingPhase) -> RecordingDocument {
     let mut slide = step("Cylinder", "Slide", StepState::Open);
     if phase == RecordingPhase::Review {
         slide.state = StepState::Review;
@@ -54,7 +54,7 @@ fn document(phase: RecordingPhase) -> RecordingDocument {
     RecordingDocument { revision: 7, plans: plans(), wanted: Vec::new(), session: Some(session) }
 }
 
-fn plans() -> Vec<PlanSummary> {
+pub(crate) fn plans() -> Vec<PlanSummary> {
     vec![PlanSummary {
         id: "nine_takes".to_owned(),
         label: "Nine takes".to_owned(),
@@ -63,7 +63,7 @@ fn plans() -> Vec<PlanSummary> {
     }]
 }
 
-fn verdict(good: bool) -> TakeVerdict {
+pub(crate) fn verdict(good: bool) -> TakeVerdict {
     TakeVerdict {
         good,
         summary: "Two of three channels were touched.".to_owned(),
@@ -76,14 +76,19 @@ fn verdict(good: bool) -> TakeVerdict {
 
 /// The page in `phase`, with control and armed.
 fn armed(phase: RecordingPhase) -> Bench {
-    let mut bench = Bench::new("#/record", &document(phase));
+    in_control(&document(phase))
+}
+
+/// The page on `document`, with control and armed.
+pub(crate) fn in_control(document: &RecordingDocument) -> Bench {
+    let mut bench = Bench::new("#/record", document);
     bench.take_control_and_arm();
     bench.api.0.borrow_mut().sent.clear();
     bench
 }
 
 /// What was done with the recording since the last call.
-fn acts(bench: &Bench) -> Vec<RecordingAction> {
+pub(crate) fn acts(bench: &Bench) -> Vec<RecordingAction> {
     let sent = std::mem::take(&mut bench.api.0.borrow_mut().sent);
     let act = |request| match request {
         Request::ActOnRecording(action) => Some(action),
@@ -92,7 +97,7 @@ fn acts(bench: &Bench) -> Vec<RecordingAction> {
     sent.into_iter().filter_map(act).collect()
 }
 
-fn key(bench: &mut Bench, key: Key) {
+pub(crate) fn key(bench: &mut Bench, key: Key) {
     bench.harness.key_press(key);
     bench.harness.run_steps(3);
 }
@@ -110,11 +115,12 @@ fn a_session_starts_under_a_free_name() {
     let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
     let mut bench = Bench::new("#/record", &empty);
     bench.harness.get_by_label("9 takes, 5 min 25 s of motion");
+    bench.take_control_and_arm();
     bench.click("Start session");
     let wanted = StartRecording {
         plan: "nine_takes".to_owned(),
         session: "nine_takes-1".to_owned(),
-        operator: String::new(),
+        operator: "Ada".to_owned(),
         only_wanted: false,
     };
     assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(wanted)));
@@ -186,16 +192,20 @@ fn the_object_is_confirmed_with_what_is_known_of_its_place() {
 fn what_moves_waits_for_control_and_arming() {
     let mut bench = Bench::new("#/record", &document(RecordingPhase::StartPose));
     bench.api.0.borrow_mut().sent.clear();
-    bench.harness.get_by_label("Take control in the top bar, then arm.");
+    bench.harness.get_by_label("Take control, then arm.");
     assert!(!bench.can("Go to start pose") && !bench.can("Run"));
     key(&mut bench, Key::Enter);
-    assert!(acts(&bench).is_empty());
+    assert!(acts(&bench).is_empty() && bench.commands().is_empty(), "a key neither acts nor takes control");
     bench.take_control_and_arm();
     bench.phase(Phase::Disarmed);
-    bench.harness.get_by_label("Arm in the top bar.");
+    bench.harness.get_by_label("The motors are off: arm the station.");
+    key(&mut bench, Key::Enter);
+    assert!(acts(&bench).is_empty() && bench.commands().is_empty(), "nor does it switch motors on");
+    bench.click("Arm the station");
+    assert!(matches!(bench.commands()[..], [(4, Command::Arm(_))]));
     bench.phase(Phase::Armed);
     bench.click("Go to start pose");
-    assert_eq!(acts(&bench), [RecordingAction::GoToStart { lease: 4 }]);
+    assert_eq!(acts(&bench), [RecordingAction::GoToStart]);
 }
 
 #[test]
@@ -209,7 +219,7 @@ fn once_it_went_to_the_start_the_primary_button_runs() {
     bench.tell();
     bench.harness.get_by_label("Ready to run");
     key(&mut bench, Key::Enter);
-    assert_eq!(acts(&bench), [RecordingAction::Run { lease: 4 }]);
+    assert_eq!(acts(&bench), [RecordingAction::Run]);
     // The made-up server refuses: whatever the robot lacks, going to its start is the next thing to try.
     bench.harness.get_by_label("Bring the robot to its start");
 }
@@ -297,8 +307,7 @@ fn a_take_is_reviewed_by_keys() {
     let session = reviewed.session.as_mut().expect("a session");
     session.steps[1].state = StepState::Review;
     session.steps[1].verdict = Some(verdict(false));
-    let mut bench = Bench::new("#/record", &reviewed);
-    bench.api.0.borrow_mut().sent.clear();
+    let mut bench = in_control(&reviewed);
     bench.harness.get_by_label_contains("Look at this take");
     bench.harness.get_by_label_contains("FSR came at 31 Hz");
     bench.harness.get_by_label("Take 2: Slide, Cylinder, to review");
@@ -332,8 +341,7 @@ fn a_take_is_reviewed_by_keys() {
 fn a_discard_can_be_undone() {
     let mut discarded = document(RecordingPhase::PlaceObject);
     discarded.session.as_mut().expect("a session").can_undo = true;
-    let mut bench = Bench::new("#/record", &discarded);
-    bench.api.0.borrow_mut().sent.clear();
+    let mut bench = in_control(&discarded);
     bench.click("Undo discard");
     assert_eq!(acts(&bench), [RecordingAction::Undo]);
 }
@@ -385,8 +393,7 @@ fn a_lost_connection_freezes_the_checklist_in_words() {
 fn a_take_whose_check_is_not_there_yet_cannot_be_accepted() {
     let mut recovered = document(RecordingPhase::Review);
     recovered.session.as_mut().expect("a session").steps[1].verdict = None;
-    let mut bench = Bench::new("#/record", &recovered);
-    bench.api.0.borrow_mut().sent.clear();
+    let mut bench = in_control(&recovered);
     bench.harness.get_by_label("Checking the take");
     bench.harness.get_by_label("Take 2: Slide, Cylinder, being checked");
     assert!(bench.harness.query_by_label("Accept").is_none());
@@ -405,8 +412,8 @@ fn a_take_that_is_recorded_again_is_not_to_review() {
 #[test]
 fn every_step_has_keys() {
     let cases: [(RecordingPhase, Key, RecordingAction); 6] = [
-        (RecordingPhase::StartPose, Key::G, RecordingAction::GoToStart { lease: 4 }),
-        (RecordingPhase::StartPose, Key::B, RecordingAction::Run { lease: 4 }),
+        (RecordingPhase::StartPose, Key::G, RecordingAction::GoToStart),
+        (RecordingPhase::StartPose, Key::B, RecordingAction::Run),
         (RecordingPhase::GoingToStart, Key::Escape, RecordingAction::Cancel),
         (RecordingPhase::Running, Key::Escape, RecordingAction::Cancel),
         (RecordingPhase::PlaceObject, Key::ArrowUp, RecordingAction::Select { step: 0 }),
@@ -423,8 +430,7 @@ fn every_step_has_keys() {
     assert_eq!(acts(&bench), [RecordingAction::ConfirmObject { fixture_trusted: false }]);
     let mut discarded = document(RecordingPhase::PlaceObject);
     discarded.session.as_mut().expect("a session").can_undo = true;
-    let mut bench = Bench::new("#/record", &discarded);
-    bench.api.0.borrow_mut().sent.clear();
+    let mut bench = in_control(&discarded);
     key(&mut bench, Key::U);
     assert_eq!(acts(&bench), [RecordingAction::Undo]);
     let mut bench = armed(RecordingPhase::Review);
@@ -443,7 +449,7 @@ fn what_is_wanted_waits_before_a_session_and_can_be_recorded_alone() {
         because: "Tells latency from low pass.".to_owned(),
     };
     let waiting = RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None };
-    let mut bench = Bench::new("#/record", &waiting);
+    let mut bench = in_control(&waiting);
     bench.harness.get_by_label("Tells latency from low pass.");
     bench
         .harness
@@ -454,7 +460,7 @@ fn what_is_wanted_waits_before_a_session_and_can_be_recorded_alone() {
     let start = StartRecording {
         plan: "nine_takes".to_owned(),
         session: "next-1".to_owned(),
-        operator: String::new(),
+        operator: "Ada".to_owned(),
         only_wanted: true,
     };
     assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(start)));

@@ -127,8 +127,13 @@ fn the_model_is_chosen_and_a_refusal_is_said() {
 fn what_is_missing_is_said_with_what_to_do() {
     // No station at all.
     let api = full_api();
-    let replay =
-        Info { name: "palpate".into(), version: "0.1.0".into(), station: None, source: Source::Replay };
+    let replay = Info {
+        name: "palpate".into(),
+        version: "0.1.0".into(),
+        station: None,
+        source: Source::Replay,
+        insecure: false,
+    };
     api.0.borrow_mut().answer(&Request::Info, serde_json::to_vec(&replay).expect("it serialises"));
     let mut harness = page(&api, &FakeWindow::at("#/timelines?source=live"));
     harness.get_by_label("No live station");

@@ -262,7 +262,7 @@ impl Bench {
     /// From the object to the motion.
     fn run(&mut self) {
         self.act(RecordingAction::ConfirmObject { fixture_trusted: true }).expect("the object is confirmed");
-        self.act(RecordingAction::Run { lease: LEASE }).expect("the take is begun");
+        self.act(RecordingAction::Run).expect("the take is begun");
         self.answer();
         self.tared();
         self.tick(5.0);
@@ -300,11 +300,11 @@ fn the_checklist_leads_through_every_step() {
     bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
     assert_eq!(bench.phase(), RecordingPhase::StartPose);
     bench.measured = vec![0.3, 0.0];
-    bench.act(RecordingAction::GoToStart { lease: LEASE }).unwrap();
+    bench.act(RecordingAction::GoToStart).unwrap();
     assert_eq!(bench.phase(), RecordingPhase::GoingToStart);
     bench.arrived();
     bench.measured = vec![0.101, -0.49];
-    bench.act(RecordingAction::Run { lease: LEASE }).unwrap();
+    bench.act(RecordingAction::Run).unwrap();
     bench.answer();
     assert!(bench.taring);
     assert_eq!(bench.guide.status(bench.now_ns).countdown_s, 4.0);
@@ -356,7 +356,7 @@ fn the_checklist_leads_through_every_step() {
 #[test]
 fn what_is_not_possible_now_is_refused_with_what_is() {
     let mut bench = Bench::new();
-    let run = RecordingAction::Run { lease: LEASE };
+    let run = RecordingAction::Run;
     let refused = |bench: &mut Bench, action: RecordingAction, expected: &str| {
         let before = (bench.session(), bench.guide.revision());
         let problem = bench.act(action).unwrap_err();
@@ -370,16 +370,14 @@ fn what_is_not_possible_now_is_refused_with_what_is() {
     refused(&mut bench, RecordingAction::Select { step: 3 }, "no step 4, the plan has 3");
     refused(&mut bench, RecordingAction::Note { text: "x".to_owned() }, "a note belongs to a take");
     bench.act(RecordingAction::ConfirmObject { fixture_trusted: false }).unwrap();
-    refused(&mut bench, RecordingAction::Run { lease: 3 }, "take control first");
-    refused(&mut bench, RecordingAction::Run { lease: 0 }, "take control first");
+    bench.lease = 0;
+    refused(&mut bench, RecordingAction::Run, "take control first");
+    refused(&mut bench, RecordingAction::GoToStart, "take control first");
+    bench.lease = LEASE;
     bench.armed = false;
     refused(&mut bench, run.clone(), "not armed; arm it first");
     bench.reason = "stopped by somebody".to_owned();
-    refused(
-        &mut bench,
-        RecordingAction::GoToStart { lease: LEASE },
-        "does not follow commands: stopped by somebody",
-    );
+    refused(&mut bench, RecordingAction::GoToStart, "does not follow commands: stopped by somebody");
     bench.armed = true;
     bench.measured = vec![0.1, -0.3];
     refused(
@@ -479,7 +477,7 @@ fn a_motion_that_is_stopped_leaves_a_take_with_the_reason() {
     for stage in 0..3 {
         let mut bench = Bench::new();
         bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
-        bench.act(RecordingAction::Run { lease: LEASE }).unwrap();
+        bench.act(RecordingAction::Run).unwrap();
         bench.answer();
         if stage > 0 {
             bench.tared();
@@ -495,7 +493,7 @@ fn a_motion_that_is_stopped_leaves_a_take_with_the_reason() {
     }
     let mut bench = Bench::new();
     bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
-    bench.act(RecordingAction::GoToStart { lease: LEASE }).unwrap();
+    bench.act(RecordingAction::GoToStart).unwrap();
     bench.lease = 0;
     bench.tick(0.01);
     assert_eq!((bench.phase(), bench.moving), (RecordingPhase::StartPose, false));
@@ -507,7 +505,7 @@ fn a_motion_that_is_stopped_leaves_a_take_with_the_reason() {
 fn a_robot_that_is_pushed_away_before_the_motion_does_not_jump() {
     let mut bench = Bench::new();
     bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
-    bench.act(RecordingAction::Run { lease: LEASE }).unwrap();
+    bench.act(RecordingAction::Run).unwrap();
     bench.answer();
     bench.tared();
     bench.tick(2.0);
@@ -527,7 +525,7 @@ fn a_tare_that_fails_or_never_ends_stops_the_take() {
     for problems in [Some(vec!["board twintac1 is silent; check its cable".to_owned()]), None] {
         let mut bench = Bench::new();
         bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
-        bench.act(RecordingAction::Run { lease: LEASE }).unwrap();
+        bench.act(RecordingAction::Run).unwrap();
         bench.answer();
         let expected = match problems {
             Some(problems) => {

@@ -3,7 +3,7 @@ use std::{
     path::PathBuf,
     sync::{
         atomic::AtomicU64,
-        mpsc::{Sender, channel},
+        mpsc::{SyncSender, sync_channel},
     },
     time::{Duration, Instant},
 };
@@ -177,8 +177,8 @@ fn a_take_is_written_checked_and_accepted() {
 }
 
 /// A disk that stands still: its free space is only told when the test says so.
-fn slow_disk() -> (RecorderConfig, Sender<()>) {
-    let (go_on, wait) = channel();
+fn slow_disk() -> (RecorderConfig, SyncSender<()>) {
+    let (go_on, wait) = sync_channel(1);
     let config = RecorderConfig {
         most_waiting: 50,
         free_bytes: Box::new(move |_| {

@@ -1,7 +1,7 @@
 //! The recorder's thread.
 
 use std::{
-    sync::{Arc, atomic::Ordering, mpsc::Sender},
+    sync::{Arc, atomic::Ordering, mpsc::SyncSender},
     time::Duration,
 };
 
@@ -24,7 +24,7 @@ pub(super) struct Worker {
     shared: Arc<Shared>,
     station: Arc<Station>,
     config: RecorderConfig,
-    events: Sender<RecorderEvent>,
+    events: SyncSender<RecorderEvent>,
     session: Option<GrowingSession>,
     take: Option<Recording>,
 }
@@ -47,7 +47,7 @@ impl Worker {
         shared: Arc<Shared>,
         station: Arc<Station>,
         config: RecorderConfig,
-        events: Sender<RecorderEvent>,
+        events: SyncSender<RecorderEvent>,
     ) -> Self {
         Self { shared, station, config, events, session: None, take: None }
     }

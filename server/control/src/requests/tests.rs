@@ -66,15 +66,15 @@ impl Scene {
     ) -> (ControlReply, Effect) {
         let request = ControlRequest { sequence, lease, request: Some(request) };
         let handled = self.desk.handle(
-            self.now_ns,
+            Times { now_ns: self.now_ns, received_ns: self.now_ns },
             &mut self.supervisor,
             &mut self.commands,
             self.busy,
-            connection,
+            &Caller { connection, peer: "test".into() },
             &request,
         );
         let effect = handled.clone().unwrap_or(Effect::Nothing);
-        let ended = handled.map(|_| ());
+        let ended = handled.map(|_| ()).map_err(Refused::into_text);
         (self.desk.reply(self.now_ns, &self.supervisor, connection, sequence, ended), effect)
     }
 
@@ -127,7 +127,7 @@ fn targets(dofs: &[u32], positions: &[f64]) -> Request {
 #[test]
 fn a_lease_belongs_to_the_connection_that_acquired_it() {
     let (mut scene, lease) = Scene::armed();
-    // A watcher sees the number of the lease and may not use it.
+    // Not even whoever has got hold of its number.
     assert!(scene.refused(2, lease, targets(&[7], &[0.4])).contains("not yours"));
     assert!(scene.refused(2, 0, targets(&[7], &[0.4])).contains("watch only"));
     for request in [Request::Release(Release {}), Request::Heartbeat(Heartbeat {}), Request::Tare(Tare {})] {
@@ -142,7 +142,7 @@ fn a_lease_belongs_to_the_connection_that_acquired_it() {
 fn who_is_taken_over_from_has_no_lease_any_more() {
     let (mut scene, lease) = Scene::armed();
     let taken = scene.accepted(2, 0, acquire("Bob", true)).lease;
-    assert!(taken > lease);
+    assert_ne!(taken, lease);
     let (reply, _) = scene.ask(1, lease, Request::Heartbeat(Heartbeat {}));
     assert!(!reply.accepted && reply.lease == 0, "{reply:?}");
     assert!(reply.problem.contains("Bob"), "{}", reply.problem);
@@ -160,6 +160,7 @@ fn acquiring_again_keeps_the_lease() {
 #[test]
 fn numbers_must_rise_and_a_stop_needs_none() {
     let (mut scene, lease) = Scene::armed();
+    scene.accepted(1, lease, targets(&[7], &[0.3]));
     let newest = scene.sequences[&1];
     for sequence in [0, 1, newest] {
         let (reply, _) = scene.numbered(1, sequence, lease, targets(&[7], &[0.4]));
@@ -191,7 +192,9 @@ fn wrong_targets_are_refused_by_name() {
     assert!(scene.refused(1, lease, targets(&[7, 8], &[0.1])).contains("2 joints with 1 positions"));
     let empty = ControlRequest { sequence: 1000, lease, request: None };
     let Scene { desk, supervisor, now_ns, commands, busy, .. } = &mut scene;
-    assert!(desk.handle(*now_ns, supervisor, commands, *busy, 1, &empty).is_err());
+    let times = Times { now_ns: *now_ns, received_ns: *now_ns };
+    let caller = Caller { connection: 1, peer: "test".into() };
+    assert!(desk.handle(times, supervisor, commands, *busy, &caller, &empty).is_err());
 }
 
 #[test]
@@ -223,7 +226,7 @@ fn a_connection_that_is_lost_gives_nothing_back_and_keeps_nothing_alive() {
     assert_eq!(scene.phase(), Phase::Armed, "that one moves nothing");
     scene.desk.lost(scene.now_ns, &mut scene.supervisor, 1);
     assert_eq!(scene.phase(), Phase::Holding);
-    assert_eq!(scene.supervisor.status(scene.now_ns).lease, Some(Lease(lease)));
+    assert_eq!(scene.supervisor.status(scene.now_ns).holder, "Ada");
     // Whoever comes back under the same number starts anew.
     scene.sequences.clear();
     assert!(scene.refused(1, lease, Request::Heartbeat(Heartbeat {})).contains("not yours"));
@@ -231,4 +234,42 @@ fn a_connection_that_is_lost_gives_nothing_back_and_keeps_nothing_alive() {
     assert_eq!(scene.phase(), Phase::Holding);
     scene.wait(400 * MS);
     assert_eq!(scene.phase(), Phase::Disarmed);
+}
+
+#[test]
+fn heartbeats_overtake_and_do_not_make_other_requests_old() {
+    let (mut scene, lease) = Scene::armed();
+    let newest = scene.sequences[&1];
+    let (beat, _) = scene.numbered(1, newest + 2, lease, Request::Heartbeat(Heartbeat {}));
+    assert!(beat.accepted);
+    let (overtaken, _) = scene.numbered(1, newest + 1, lease, targets(&[7], &[0.4]));
+    assert!(overtaken.accepted, "{}", overtaken.problem);
+    let (old, _) = scene.numbered(1, newest + 1, lease, Request::Heartbeat(Heartbeat {}));
+    assert!(!old.accepted);
+}
+
+#[test]
+fn only_the_secret_number_of_an_open_connection_proves_who_is_the_operator() {
+    let (mut scene, lease) = Scene::armed();
+    assert!(lease > u64::from(u32::MAX), "small numbers could be tried out: {lease}");
+    let operator = |scene: &Scene, lease: u64| {
+        let claim = Claim { lease, peer: "10.0.0.7:4000".into() };
+        scene.desk.operator(scene.now_ns, &scene.supervisor, &claim, "run a motion")
+    };
+    let who = operator(&scene, lease).unwrap().who;
+    assert_eq!(who.name, "Ada");
+    assert!(
+        who.connection.contains("control 1") && who.connection.contains("10.0.0.7"),
+        "{}",
+        who.connection
+    );
+    for guess in (0..=10_000).chain([lease + 1, lease - 1, u64::MAX]) {
+        let refused = operator(&scene, guess).unwrap_err();
+        assert_eq!(refused, "only the operator may run a motion, and \"Ada\" has control");
+    }
+    scene.accepted(2, 0, acquire("Bob", true));
+    assert!(operator(&scene, lease).unwrap_err().contains("Bob"), "an old lease proves nothing");
+    let (mut scene, lease) = Scene::armed();
+    scene.desk.lost(scene.now_ns, &mut scene.supervisor, 1);
+    assert!(operator(&scene, lease).is_err(), "its connection is gone");
 }

@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use palpate_control::{AuditLine, Control, ControlConfig, Handle};
+use palpate_control::{AuditLine, Claim, Control, ControlConfig, Ending, Handle};
 use palpate_drivers::{PortOverride, Ports};
 use palpate_emulator::devices::{
     ArmPorts, DevicePorts, EmulatedStation, Faults, LoggedStep, PortsConfig, StationControl, serve_devices,
@@ -42,6 +42,8 @@ fn turn() -> MutexGuard<'static, ()> {
 pub(crate) struct Bench {
     control: Option<Control>,
     pub(crate) handle: Handle,
+    station: Arc<Station>,
+    ports: Ports,
     pub(crate) emulated: StationControl,
     pub(crate) dir: tempfile::TempDir,
     frames: Arc<Mutex<Frames>>,
@@ -75,7 +77,7 @@ impl Bench {
         let turn = turn();
         let dir = tempfile::tempdir().expect("a folder");
         let stop = Arc::new(AtomicBool::new(false));
-        let (found, ports) = mpsc::channel();
+        let (found, ports) = mpsc::sync_channel(1);
         let config = PortsConfig {
             dir: dir.path().join("devices"),
             arm_ip: IpAddr::V4(Ipv4Addr::LOCALHOST),
@@ -99,31 +101,14 @@ impl Bench {
         let (emulated, device_ports) = ports.recv_timeout(PATIENCE).expect("the devices come up");
         let station = Arc::new(station);
         let frames = Arc::new(Mutex::new(Frames::default()));
-        let placing = emulated.clone();
-        let config = ControlConfig {
-            ports: overrides(&station, &device_ports),
-            station,
-            source: Source::Emulated,
-            sessions_dir: dir.path().join("sessions"),
-            audit_path: dir.path().join("audit.jsonl"),
-            wanted_path: dir.path().join("wanted.json"),
-            place_object: Some(Box::new(move |object| {
-                placing.place_object(Some(object)).map_err(|error| error.to_string())
-            })),
-        };
-        let publish = {
-            let frames = Arc::clone(&frames);
-            Box::new(move |frame| {
-                let mut frames = frames.lock().unwrap_or_else(PoisonError::into_inner);
-                frames.newest = Some(frame);
-                frames.count += 1;
-            })
-        };
-        let control = Control::start(config, publish).expect("the control loop starts");
+        let ports = overrides(&station, &device_ports);
+        let control = start_control(&dir, station.clone(), ports.clone(), &emulated, &frames);
         let handle = control.handle();
         let bench = Self {
             control: Some(control),
             handle,
+            station,
+            ports,
             emulated,
             dir,
             frames,
@@ -142,8 +127,23 @@ impl Bench {
     }
 
     /// Ends the control loop, as a server that is told to end does.
-    pub(crate) fn end_control(&mut self) {
-        self.control = None;
+    pub(crate) fn end_control(&mut self) -> Ending {
+        let mut control = self.control.take().expect("it runs");
+        let ending = control.end(PATIENCE);
+        assert!(control.finish(PATIENCE), "the loop's thread ends");
+        ending
+    }
+
+    /// Starts the control loop again, as a server on the same data does.
+    pub(crate) fn restart_control(&mut self) {
+        *self.frames.lock().unwrap_or_else(PoisonError::into_inner) = Frames::default();
+        let (station, ports) = (self.station.clone(), self.ports.clone());
+        let control = start_control(&self.dir, station, ports, &self.emulated, &self.frames);
+        self.handle = control.handle();
+        self.control = Some(control);
+        self.wait_for("every device to be ready", |state| {
+            state.devices.iter().all(|device| device.link() == Link::Ready)
+        });
     }
 
     pub(crate) fn frame(&self) -> Option<LiveFrame> {
@@ -234,6 +234,34 @@ impl Drop for Bench {
     }
 }
 
+fn start_control(
+    dir: &tempfile::TempDir,
+    station: Arc<Station>,
+    ports: Ports,
+    emulated: &StationControl,
+    frames: &Arc<Mutex<Frames>>,
+) -> Control {
+    let (placing, frames) = (emulated.clone(), Arc::clone(frames));
+    let config = ControlConfig {
+        ports,
+        station,
+        source: Source::Emulated,
+        sessions_dir: dir.path().join("sessions"),
+        audit_path: dir.path().join("audit.jsonl"),
+        wanted_path: dir.path().join("wanted.json"),
+        latch_path: dir.path().join("stop.txt"),
+        place_object: Some(Box::new(move |object| {
+            placing.place_object(Some(object)).map_err(|error| error.to_string())
+        })),
+    };
+    let publish = Box::new(move |frame| {
+        let mut frames = frames.lock().unwrap_or_else(PoisonError::into_inner);
+        frames.newest = Some(frame);
+        frames.count += 1;
+    });
+    Control::start(config, publish).expect("the control loop starts")
+}
+
 /// One connection. With a heartbeat, somebody is there who holds the page open.
 pub(crate) struct Operator {
     connection: Arc<Mutex<Connection>>,
@@ -270,10 +298,16 @@ impl Operator {
         }
     }
 
-    /// Somebody in control of an armed station.
-    pub(crate) fn armed(bench: &Bench, number: u64) -> Self {
+    /// Somebody in control.
+    pub(crate) fn in_control(bench: &Bench, number: u64) -> Self {
         let mut operator = Self::watcher(bench, number);
         operator.take_control(false);
+        operator
+    }
+
+    /// Somebody in control of an armed station.
+    pub(crate) fn armed(bench: &Bench, number: u64) -> Self {
+        let operator = Self::in_control(bench, number);
         operator.arm(bench);
         operator
     }
@@ -339,6 +373,11 @@ impl Operator {
         self.connection().lease
     }
 
+    /// What an HTTP request of this operator's page carries.
+    pub(crate) fn claim(&self) -> Claim {
+        claim(self.lease())
+    }
+
     pub(crate) fn ask(&self, request: Request) -> ControlReply {
         self.connection().ask(request)
     }
@@ -371,6 +410,11 @@ impl Drop for Operator {
             let _failed = heart.join();
         }
     }
+}
+
+/// A request that carries the number `lease`.
+pub(crate) fn claim(lease: u64) -> Claim {
+    Claim { lease, peer: "a test".into() }
 }
 
 pub(crate) fn targets(dofs: &[usize], positions: &[f64]) -> Request {

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use palpate_wire::proto::{Disarm, ResetStop, control_request::Request, control_state::Phase};
+use palpate_wire::proto::{Disarm, ResetStop, Stop, control_request::Request, control_state::Phase};
 
 use crate::bench::{Bench, Operator, still_from_ns, targets};
 
@@ -121,13 +121,57 @@ fn a_flood_of_requests_holds_up_no_stop() {
 }
 
 #[test]
-fn a_loop_that_ends_lets_go_of_the_robot() {
+fn a_loop_that_ends_brakes_lets_go_and_says_what_readings_confirm() {
     let mut bench = Bench::new();
     let operator = Operator::armed(&bench, 1);
     set_in_motion(&bench, &operator);
-    bench.end_control();
-    bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    let ending = bench.end_control();
+    assert!(!bench.emulated.snapshot().torque_on.contains(&true), "it is confirmed, so it is so");
+    assert!(ending.is_safe() && ending.was_armed && ending.not_let_go.is_empty(), "{ending:?}");
+    let log = bench.emulated.take_motion_log();
+    let limp_ns = log.steps.iter().rfind(|step| step.velocities.iter().any(|v| v.abs() > 0.3));
+    assert!(limp_ns.is_some(), "it moved");
     let problem = operator.refused(targets(&[0], &[0.0]));
     assert!(problem.contains("ended"), "{problem}");
-    assert!(bench.audit().iter().any(|line| line.what.contains("has ended")));
+    let ended: Vec<String> =
+        bench.audit().into_iter().map(|line| line.what).filter(|what| what.contains("has ended")).collect();
+    assert_eq!(ended, ["the control loop has ended: readings show every joint without torque"]);
+}
+
+#[test]
+fn the_end_does_not_claim_what_no_reading_shows() {
+    let mut bench = Bench::new();
+    let _operator = Operator::armed(&bench, 1);
+    bench.set_faults("[[fault]]\nkind = \"unplug\"\ndevice = \"xarm\"\n");
+    let ending = bench.end_control();
+    assert!(!ending.is_safe() && ending.problem.is_none(), "{ending:?}");
+    assert!(ending.not_let_go.contains(&"joint1".to_owned()), "{ending:?}");
+    assert!(!ending.not_let_go.contains(&"index_pip".to_owned()), "the hand has let go: {ending:?}");
+    let last = bench.audit().pop().expect("there is a log");
+    assert!(last.what.contains("do not confirm it for joint1"), "{last:?}");
+}
+
+#[test]
+fn a_stop_is_answered_when_readings_confirm_it_and_outlives_the_program() {
+    let mut bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    let watcher = Operator::watcher(&bench, 2);
+    let reply = watcher.ask(Request::Stop(Stop {}));
+    assert!(reply.accepted && reply.stop_confirmed && reply.problem.is_empty(), "{reply:?}");
+    let now = bench.emulated.snapshot();
+    assert!(!now.torque_on.contains(&true), "{now:?}");
+    bench.end_control();
+    let latch = bench.dir.path().join("stop.txt");
+    assert_eq!(std::fs::read_to_string(&latch).unwrap(), "control 2 from this process");
+    bench.restart_control();
+    let state = bench.wait_for_phase(Phase::Stopped);
+    assert!(state.reason.contains("control 2"), "{}", state.reason);
+    let again = Operator::in_control(&bench, 3);
+    assert!(again.refused(Request::Arm(palpate_wire::proto::Arm {})).contains("stopped by"));
+    again.accepted(Request::ResetStop(ResetStop {}));
+    again.arm(&bench);
+    again.accepted(Request::Disarm(Disarm {}));
+    bench.end_control();
+    assert!(!latch.exists(), "it was reset");
 }

@@ -37,7 +37,7 @@ fn an_operator_moves_a_finger_and_everybody_sees_it() {
     bench.wait_until("the arm there", |now| (now.positions[dof] - 0.1).abs() < 0.005);
     operator.accepted(Request::Release(Release {}));
     bench.wait_until("limp", |now| !now.torque_on.contains(&true));
-    bench.wait_for("free", |state| state.holder.is_empty() && state.lease == 0);
+    bench.wait_for("free", |state| state.holder.is_empty());
     bench.wait_for_audit("take control");
     bench.wait_for_audit("move joints");
     assert_eq!(bench.wait_for_audit("give control back").who, "operator 1");
@@ -57,7 +57,7 @@ fn a_second_page_watches_and_cannot_command() {
     assert!(watcher.refused(acquire(false)).contains("operator 1"));
     bench.wait_for_phase(Phase::Armed);
     // A person may take over; the first is told so, and joints let go.
-    assert!(watcher.accepted(acquire(true)).lease > operator.lease());
+    assert_ne!(watcher.accepted(acquire(true)).lease, operator.lease());
     assert!(operator.refused(targets(&[dof], &[0.4])).contains("take control"));
     bench.wait_until("limp", |now| !now.torque_on.contains(&true));
 }

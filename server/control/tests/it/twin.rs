@@ -6,7 +6,7 @@ use palpate_wire::{
     proto::LiveFrame,
 };
 
-use crate::bench::Bench;
+use crate::bench::{Bench, Operator};
 
 /// What the twin warns of: channel and kind.
 fn warnings(frame: &LiveFrame) -> Vec<(String, String)> {
@@ -36,14 +36,15 @@ fn dead_and_drifting_taxels_are_named_and_the_model_can_be_chosen() {
     });
     assert!(agreement(&frame).is_empty(), "nobody has said what stands there");
 
+    let operator = Operator::in_control(&bench, 1);
     let start = StartRecording {
         plan: "quick_check".to_owned(),
         session: "twin".to_owned(),
         operator: "Ada".to_owned(),
         only_wanted: false,
     };
-    bench.handle.start_recording(start).unwrap();
-    bench.handle.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
+    bench.handle.start_recording(&operator.claim(), start).unwrap();
+    bench.handle.act(&operator.claim(), RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
     let frame = bench.wait_for_frame("an expectation", |frame| !agreement(frame).is_empty());
     assert_eq!(agreement(&frame).len(), layout.num_channels());
     // Nothing moves, nothing touches.

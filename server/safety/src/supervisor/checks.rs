@@ -203,7 +203,7 @@ impl Supervisor {
         Ok(())
     }
 
-    fn joint_name(&self, dof: usize) -> &str {
+    pub(super) fn joint_name(&self, dof: usize) -> &str {
         self.station.robot.dofs().nth(dof).map_or("", |joint| joint.name.as_str())
     }
 

@@ -89,6 +89,22 @@ impl Supervisor {
         }
     }
 
+    /// Names of the joints that are not known to be without torque: readings taken since torque was last switched off do not
+    /// show it, or there are none. A motor that does not report its torque counts once its joint stands still. All joints
+    /// while torque is on.
+    pub fn not_let_go(&self, now_ns: u64) -> Vec<String> {
+        let let_go = |dof: usize| {
+            let Some(since_ns) = self.limp_since_ns else { return false };
+            let joint = &self.telemetry.joints[dof];
+            let fresh = joint.fresh(now_ns, self.times.telemetry_ttl);
+            fresh.filter(|reading| reading.received_ns > since_ns).is_some_and(|reading| {
+                reading.torque_on.map_or_else(|| joint.at_rest(since_ns), |torque_on| !torque_on)
+            })
+        };
+        let joints = (0..self.joints.len()).filter(|&dof| !let_go(dof));
+        joints.map(|dof| self.joint_name(dof).to_owned()).collect()
+    }
+
     /// Whether readings taken since the stop show every joint without torque or at rest. What cannot be seen now is not
     /// known to have stopped.
     fn stop_confirmed(&self, now_ns: u64) -> bool {

@@ -147,7 +147,7 @@ impl Bench {
         }
         self.supervisor.measured(self.now_ns, &self.measured);
         if let Some(lease) = lease {
-            self.supervisor.heartbeat(self.now_ns, lease).expect("the lease is in force");
+            self.supervisor.heartbeat(self.now_ns, self.now_ns, lease).expect("the lease is in force");
         }
         let setpoint = self.supervisor.tick(self.now_ns);
         self.last = Some(setpoint.clone());

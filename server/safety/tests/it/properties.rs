@@ -163,7 +163,7 @@ impl Watched {
             }
             Call::Heartbeat(pick) => {
                 let (lease, newest) = self.lease(*pick);
-                let accepted = self.supervisor.heartbeat(now_ns, lease).is_ok();
+                let accepted = self.supervisor.heartbeat(now_ns, now_ns, lease).is_ok();
                 self.heard(accepted);
                 Some((newest, accepted))
             }
@@ -229,7 +229,7 @@ impl Watched {
                     self.now_ns += (ms * 1e6) as u64;
                     if *heartbeat {
                         let (lease, _) = self.lease(0);
-                        let accepted = self.supervisor.heartbeat(self.now_ns, lease).is_ok();
+                        let accepted = self.supervisor.heartbeat(self.now_ns, self.now_ns, lease).is_ok();
                         self.heard(accepted);
                     }
                     self.turn()?;
@@ -363,7 +363,7 @@ proptest! {
             let _ = match call {
                 Call::Acquire { take_over } => supervisor.acquire(now_ns, "\u{7}", take_over).map(|_| ()),
                 Call::Release(_) => supervisor.release(now_ns, lease),
-                Call::Heartbeat(_) => supervisor.heartbeat(now_ns, lease),
+                Call::Heartbeat(_) => supervisor.heartbeat(now_ns, now_ns, lease),
                 Call::Arm(_) => supervisor.acquire(now_ns, "Ada", true).and_then(|lease| supervisor.arm(now_ns, lease)),
                 Call::Disarm(_) => supervisor.disarm(now_ns, lease),
                 Call::Reset(_) => supervisor.reset_stop(now_ns, lease),

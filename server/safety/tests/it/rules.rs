@@ -15,7 +15,7 @@ fn one_operator_at_a_time_and_numbers_that_only_count_up() {
     );
     let second = supervisor.acquire(1_000 * MS, "Ben", true).unwrap();
     assert_eq!((first, second), (Lease(1), Lease(2)));
-    let refused = supervisor.heartbeat(1_001 * MS, first).unwrap_err();
+    let refused = supervisor.heartbeat(1_001 * MS, 1_001 * MS, first).unwrap_err();
     assert_eq!(refused.to_string(), "lease 1 has ended, \"Ben\" has control now; take control again");
     supervisor.release(1_002 * MS, second).unwrap();
     assert!(supervisor.release(1_003 * MS, second).is_err());
@@ -27,11 +27,11 @@ fn one_operator_at_a_time_and_numbers_that_only_count_up() {
 fn a_lease_lives_six_seconds_from_its_last_heartbeat() {
     let mut supervisor = Supervisor::new(&station());
     let lease = supervisor.acquire(0, "Ada", false).unwrap();
-    supervisor.heartbeat(5_999 * MS, lease).unwrap();
-    supervisor.heartbeat(11_998 * MS, lease).unwrap();
+    supervisor.heartbeat(5_999 * MS, 5_999 * MS, lease).unwrap();
+    supervisor.heartbeat(11_998 * MS, 11_998 * MS, lease).unwrap();
     assert_eq!(supervisor.status(17_997 * MS).holder, "Ada");
     assert_eq!(supervisor.status(17_998 * MS).holder, "");
-    assert!(supervisor.heartbeat(17_998 * MS, lease).is_err());
+    assert!(supervisor.heartbeat(17_998 * MS, 17_998 * MS, lease).is_err());
     assert_eq!(supervisor.acquire(17_998 * MS, "Ben", false).unwrap(), Lease(2));
 }
 
@@ -163,7 +163,7 @@ fn without_heartbeats_it_holds_after_150_ms_and_disarms_in_time_for_500() {
     assert_eq!(bench.phase(), Phase::Disarmed);
     assert_eq!(bench.reason(), "nothing was heard of the operator for 0.40 s; arm again");
     // The lease is still theirs, and a late heartbeat revives nothing.
-    bench.supervisor.heartbeat(bench.now_ns, lease).unwrap();
+    bench.supervisor.heartbeat(bench.now_ns, bench.now_ns, lease).unwrap();
     assert!(!bench.run(100, Some(lease)).torque());
 }
 
@@ -247,7 +247,7 @@ fn arming_waits_for_motors_that_still_let_go() {
 fn a_heartbeat_that_comes_too_late_does_not_undo_the_disarming() {
     let (mut bench, lease) = Bench::armed([0.0; 3]);
     bench.now_ns += 500 * MS;
-    bench.supervisor.heartbeat(bench.now_ns, lease).unwrap();
+    bench.supervisor.heartbeat(bench.now_ns, bench.now_ns, lease).unwrap();
     assert_eq!(bench.phase(), Phase::Disarming);
 }
 
@@ -371,7 +371,7 @@ fn a_setpoint_is_valid_for_150_ms_and_a_loop_that_stalls_longer_disarms() {
     assert_eq!(setpoint.valid_until_ns(), bench.now_ns + 150 * MS);
     assert!(bench.turn(150, Some(lease)).torque());
     bench.now_ns += 75 * MS;
-    bench.supervisor.heartbeat(bench.now_ns, lease).unwrap();
+    bench.supervisor.heartbeat(bench.now_ns, bench.now_ns, lease).unwrap();
     assert!(!bench.turn(76, Some(lease)).torque());
     assert_eq!(bench.reason(), "the control loop stood still for 0.15 s; arm again");
 }
@@ -399,4 +399,23 @@ fn who_did_what_is_in_the_audit_log() {
         ]
     );
     assert!(bench.audit().is_empty());
+}
+
+#[test]
+fn a_heartbeat_counts_from_when_it_came_in_however_late_it_is_looked_at() {
+    let (mut bench, lease) = Bench::armed([0.0; 3]);
+    let last_ns = bench.now_ns;
+    bench.run(140, None);
+    // Ten of them waited in a queue since the operator was last heard.
+    for waited_ms in 0..10 {
+        let received_ns = last_ns + waited_ms * MS;
+        bench.supervisor.heartbeat(bench.now_ns, received_ns, lease).unwrap();
+    }
+    bench.run(30, None);
+    assert_eq!(bench.phase(), Phase::Holding, "170 ms after the operator was heard");
+    bench.supervisor.heartbeat(bench.now_ns, bench.now_ns + 1_000 * MS, lease).unwrap();
+    bench.run(140, None);
+    assert_eq!(bench.phase(), Phase::Armed);
+    bench.run(30, None);
+    assert_eq!(bench.phase(), Phase::Holding, "a heartbeat of the future counts from now");
 }

@@ -219,3 +219,40 @@ fn an_operator_who_is_gone_leads_nothing() {
     assert!(setpoint.torque() && !setpoint.lead_through());
     assert_eq!(bench.phase(), Phase::Holding);
 }
+
+#[test]
+fn shutting_down_brakes_lets_go_and_is_confirmed_by_readings_alone() {
+    let (mut bench, lease) = Bench::armed([0.0; 3]);
+    bench.aim(lease, &[(FINGER, 1.2)]).unwrap();
+    let moving = bench.run(200, Some(lease));
+    assert!(moving.velocities()[FINGER] > 1.0);
+    bench.supervisor.shut_down(bench.now_ns);
+    assert!(bench.supervisor.heartbeat(bench.now_ns, bench.now_ns, lease).is_err(), "the lease is void");
+    let braking = bench.turn(10, None);
+    assert!(braking.torque() && braking.velocities()[FINGER] > 0.0, "it brakes before it lets go");
+    assert_eq!(bench.supervisor.not_let_go(bench.now_ns).len(), 3, "torque is on");
+    bench.telemetry = false;
+    for _ in 0..40 {
+        // Readings go on to say that motors hold.
+        for dof in 0..3 {
+            bench.read(dof, braking.positions()[dof], 0.0, Some(true));
+        }
+        bench.turn(10, None);
+    }
+    assert!(!bench.turn(10, None).torque());
+    assert_eq!(
+        bench.supervisor.not_let_go(bench.now_ns).len(),
+        3,
+        "a motor that holds at rest has not let go"
+    );
+    for dof in [ARM, FINGER] {
+        bench.read(dof, 0.0, 0.0, Some(false));
+    }
+    bench.turn(10, None);
+    assert_eq!(bench.supervisor.not_let_go(bench.now_ns), ["rail"]);
+    bench.read(2, 0.0, 0.0, Some(false));
+    bench.turn(10, None);
+    assert!(bench.supervisor.not_let_go(bench.now_ns).is_empty());
+    bench.now_ns += 300 * MS;
+    assert_eq!(bench.supervisor.not_let_go(bench.now_ns).len(), 3, "what is not read now is not known");
+}

@@ -2,7 +2,7 @@
 //! control loop, twin, a guided session that records, and clients of the real sockets, one of which reads slowly.
 
 mod cpu;
-mod operator;
+pub(super) mod operator;
 mod report;
 mod traffic;
 mod watcher;
@@ -15,7 +15,7 @@ use std::{
 };
 
 use clap::Args;
-use palpate_server::{AppState, Error, LiveStation, assets, serve_on};
+use palpate_server::{Access, AppState, Error, LiveStation, Studio, assets, serve_on};
 use tokio::{net::TcpListener, sync::watch};
 
 use super::super::output;
@@ -41,7 +41,8 @@ pub(crate) struct StreamArgs {
 pub(super) fn run(args: &StreamArgs) -> Result<(), Error> {
     let (truth, _unpacked) = assets::truth(Path::new("demo"))?;
     let data = tempfile::tempdir().map_err(Error::io("make", std::env::temp_dir()))?;
-    let state = AppState::open(data.path(), Some(&LiveStation::Emulated(truth)))?;
+    let Studio { state, station: running } =
+        Studio::open(data.path(), Some(&LiveStation::Emulated(truth)), Access::default())?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
@@ -56,6 +57,7 @@ pub(super) fn run(args: &StreamArgs) -> Result<(), Error> {
     state.begin_shutdown();
     runtime.shutdown_timeout(Duration::from_secs(5));
     // The take under way ends with the control loop.
+    drop(running);
     drop(state);
     let mut report = measured?;
     let session = data.path().join("sessions").join(operator::SESSION);

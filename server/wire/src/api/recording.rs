@@ -166,7 +166,8 @@ pub struct TakeVerdict {
 
 /// Body of `POST /api/v1/recording/act`: what the operator does; answered by [`RecordingDocument`].
 ///
-/// What moves the robot needs the lease and an armed station.
+/// Only the operator may act: the request carries the lease in the header [`LEASE_HEADER`](super::LEASE_HEADER). What moves
+/// the robot also needs an armed station.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "action")]
 pub enum RecordingAction {
@@ -176,15 +177,9 @@ pub enum RecordingAction {
         fixture_trusted: bool,
     },
     /// Moves to the start pose of the step.
-    GoToStart {
-        /// The lease.
-        lease: u64,
-    },
+    GoToStart,
     /// Captures the baseline, counts down and runs the motion.
-    Run {
-        /// The lease.
-        lease: u64,
-    },
+    Run,
     /// Stops the motion; what was recorded is kept for review.
     Cancel,
     /// The take becomes part of the session.

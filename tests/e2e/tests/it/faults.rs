@@ -166,7 +166,9 @@ fn a_studio_killed_while_recording_loses_at_most_the_last_second() {
     studio.kill().unwrap();
 
     let studio = Studio::serve(&tools, data.path(), bench.station_args()).unwrap();
-    let document = studio.post("/recording", &session_request()).unwrap();
+    let mut operator = Operator::connect(&studio).unwrap();
+    operator.take_control("Ada").unwrap();
+    let document = studio.post_under(operator.lease(), "/recording", &session_request()).unwrap();
     let step = &document["session"]["steps"][0];
     assert_eq!(step["state"], json!("review"), "{document}");
     let take = step["take"].as_str().unwrap().to_owned();
@@ -184,7 +186,7 @@ fn a_studio_killed_while_recording_loses_at_most_the_last_second() {
     first_step("checked", &|step| !step["verdict"].is_null());
     let document = studio.get("/recording").unwrap();
     assert_eq!(document["session"]["phase"], json!("review"), "{document}");
-    studio.post("/recording/act", &json!({ "action": "accept" })).unwrap();
+    studio.post_under(operator.lease(), "/recording/act", &json!({ "action": "accept" })).unwrap();
     first_step("accepted", &|step| step["state"] == "accepted");
     let session = studio.get("/sessions/monday").unwrap();
     let kept = &session["takes"][0];
@@ -217,7 +219,7 @@ fn what_must_not_be_is_refused_and_an_emergency_stop_can_be_recovered_from() {
     // Somebody else, with a lease of his own making or an old one, moves nothing.
     let stranger = Operator::connect(&scene.studio).unwrap();
     let lease = scene.operator.lease();
-    for lease in [0, lease, lease - 1, lease + 1] {
+    for lease in [0, 1, lease, lease.wrapping_sub(1), lease.wrapping_add(1)] {
         let reply = stranger.ask_under(lease, targets(&[(pip, 0.9)])).unwrap();
         assert!(!reply.accepted && !reply.problem.is_empty(), "{lease}: {reply:?}");
         assert!(!stranger.ask_under(lease, Request::Heartbeat(Heartbeat {})).unwrap().accepted);

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use e2e::{MS, Studio, Tools, run_json, targets};
+use e2e::{MS, Operator, Studio, Tools, run_json, targets};
 use palpate_wire::proto::control_state::Phase;
 use serde_json::{Value, json};
 
@@ -83,7 +83,10 @@ fn a_disk_that_is_full_ends_the_take_and_nothing_else() {
         thread::sleep(Duration::from_millis(50));
     };
     eprintln!("verdict: {}", step["verdict"]);
-    scene.studio.post("/recording/act", &json!({ "action": "accept" })).unwrap();
+    scene
+        .studio
+        .post_under(scene.operator.lease(), "/recording/act", &json!({ "action": "accept" }))
+        .unwrap();
     let accepted = |studio: &Studio| -> Option<Value> {
         let session = studio.get("/sessions/monday").ok()?;
         session["takes"].as_array()?.first().cloned()
@@ -111,7 +114,9 @@ fn a_disk_that_is_full_ends_the_take_and_nothing_else() {
     let Scene { studio, bench, data, operator, watcher } = scene;
     drop((operator, watcher, studio));
     let studio = Studio::serve(&tools, data.path(), bench.station_args()).unwrap();
-    let document = studio.post("/recording", &session_request()).unwrap();
+    let mut operator = Operator::connect(&studio).unwrap();
+    operator.take_control("Ada").unwrap();
+    let document = studio.post_under(operator.lease(), "/recording", &session_request()).unwrap();
     assert_eq!(document["session"]["steps"][0]["state"], json!("accepted"), "{document}");
     assert!(bench.now_ns() > begun_ns + MS);
 }

@@ -4,6 +4,7 @@ mod byte_to_pixel;
 mod calibration;
 mod devices;
 mod devices_check;
+mod ending;
 mod faults;
 mod flipped_bits;
 mod full_disk;

@@ -102,6 +102,16 @@ fn operator_commands_the_station_and_others_can_watch() {
 }
 
 #[test]
+fn page_of_another_origin_gets_nowhere() {
+    station_test("foreign.mjs", &root().join("assets/truth/small.toml"));
+}
+
+#[test]
+fn stop_is_free_at_every_size_and_zoom() {
+    station_test("stop.mjs", &root().join("assets/truth/demo.toml"));
+}
+
+#[test]
 fn operator_records_nine_takes_by_the_wizard_and_calibrates_on_them() {
     let (_dir, truth) = station_with_short_takes().expect("a station with a plan of its own");
     station_test("record.mjs", &truth);

@@ -39,17 +39,12 @@ impl Scene {
 
     /// Starts a motion that would take seconds, to where there is room for it, and waits until it goes.
     pub(crate) fn set_in_motion(&self) -> anyhow::Result<()> {
-        let wanted = far_targets(&self.bench)?;
-        self.bench.control.log_motion(60_000);
-        self.operator.must(targets(&wanted))?;
-        let arm = wanted[0].0;
-        self.bench.wait_until("moving", |now| now.velocities[arm].abs() > 0.3)?;
-        Ok(())
+        set_in_motion(&self.bench, &self.operator)
     }
 
     /// Begins the session `monday` of the short plan and puts its first object in place.
     pub(crate) fn begin_session(&self) -> anyhow::Result<()> {
-        let document = self.studio.post("/recording", &session_request())?;
+        let document = self.studio.post_under(self.operator.lease(), "/recording", &session_request())?;
         let object = document["session"]["steps"][0]["object"].as_str().context("the step has no object")?;
         Ok(self.bench.control.place_object(Some(object))?)
     }
@@ -59,15 +54,15 @@ impl Scene {
     /// `None` if the station held or disarmed meanwhile, which it must where the machine is too slow for it; else the
     /// station's own time at which the take began.
     pub(crate) fn begin_take(&self) -> anyhow::Result<Option<u64>> {
-        let act = |action: Value| self.studio.post("/recording/act", &action);
         let lease = self.operator.lease();
+        let act = |action: Value| self.studio.post_under(lease, "/recording/act", &action);
         if self.watcher.wait_for("any state", |_| true)?.phase() != Phase::Armed {
             self.operator.arm(&self.watcher)?;
         }
         act(json!({ "action": "confirm_object", "fixture_trusted": true }))?;
-        let begun = act(json!({ "action": "go_to_start", "lease": lease })).and_then(|_| {
+        let begun = act(json!({ "action": "go_to_start" })).and_then(|_| {
             self.watcher.wait_for("at the start", |state| recording(state).phase == "start_pose")?;
-            act(json!({ "action": "run", "lease": lease }))?;
+            act(json!({ "action": "run" }))?;
             self.watcher.wait_for("begun", |state| recording(state).phase != "start_pose")?;
             Ok(self.bench.now_ns())
         });
@@ -76,7 +71,8 @@ impl Scene {
 
     /// Makes the first step of the session start over, whatever has become of its take.
     pub(crate) fn start_over(&self) -> anyhow::Result<()> {
-        let act = |action: Value| self.studio.post("/recording/act", &action);
+        let lease = self.operator.lease();
+        let act = |action: Value| self.studio.post_under(lease, "/recording/act", &action);
         self.watcher.wait_for("to start over", |state| {
             matches!(recording(state).phase.as_str(), "review" | "place_object" | "start_pose")
         })?;
@@ -100,6 +96,16 @@ impl Scene {
         let hand = all.iter().copied().filter(|dof| !station.carrier_dofs.contains(dof)).collect();
         (all, hand)
     }
+}
+
+/// Starts a motion that would take seconds, to where there is room for it, and waits until it goes.
+pub(crate) fn set_in_motion(bench: &Bench, operator: &Operator) -> anyhow::Result<()> {
+    let wanted = far_targets(bench)?;
+    bench.control.log_motion(60_000);
+    operator.must(targets(&wanted))?;
+    let arm = wanted[0].0;
+    bench.wait_until("moving", |now| now.velocities[arm].abs() > 0.3)?;
+    Ok(())
 }
 
 /// Where there is room for joints of the arm and of the hand, and where they get to only after seconds, or a good part of

@@ -330,8 +330,13 @@ fn summary() -> SessionSummary {
 
 fn page(station: &Station, source: Source) -> Page {
     let mut store = Store::default();
-    let info =
-        Info { name: "palpate".into(), version: "0".into(), station: Some(station.label.clone()), source };
+    let info = Info {
+        name: "palpate".into(),
+        version: "0".into(),
+        station: Some(station.label.clone()),
+        source,
+        insecure: false,
+    };
     answer(&mut store, Request::Info, json(&info));
     answer(&mut store, Request::Sessions, json(&vec![summary()]));
     let take = TakeSummary {

@@ -1,6 +1,6 @@
 //! The takes of the session, in order, and where each stands.
 
-use egui::{Color32, RichText, accesskit::Role};
+use egui::{Color32, RichText, Sense, accesskit::Role};
 use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState};
 
 use super::{Scene, plan_label};
@@ -8,6 +8,9 @@ use crate::{
     screens::{ScreenContext, duration_text},
     theme::Palette,
 };
+
+/// Height of the list where it stands below the step, points.
+const NARROW_HEIGHT: f32 = 260.0;
 
 pub(super) fn checklist_ui(
     ui: &mut egui::Ui,
@@ -27,17 +30,19 @@ pub(super) fn checklist_ui(
     ui.add(egui::ProgressBar::new(share).text(format!("{accepted} of {} accepted", session.steps.len())));
     ui.add_space(6.0);
     let bottom = 44.0;
-    let height = (ui.available_height() - bottom).max(80.0);
-    egui::ScrollArea::vertical().max_height(height).auto_shrink(false).show(ui, |ui| {
+    // In a column that scrolls as a whole there is no end of room.
+    let height = Some(ui.available_height() - bottom).filter(|height| height.is_finite());
+    let height = height.map_or(NARROW_HEIGHT, |height| height.max(80.0));
+    egui::ScrollArea::vertical().id_salt("takes").max_height(height).auto_shrink(false).show(ui, |ui| {
         for (idx, step) in session.steps.iter().enumerate() {
             let current = session.current == Some(idx);
             let standing = standing(step, current.then_some(scene.phase), &cx.palette);
-            if step_row_ui(ui, idx, step, current, standing) && !current && !scene.waits {
+            if step_row_ui(ui, idx, step, current, scene.may_act(), standing) && !current {
                 actions.push(RecordingAction::Select { step: idx });
             }
         }
     });
-    let leave = ui.add_enabled(!scene.waits, egui::Button::new("Leave session"));
+    let leave = ui.add_enabled(scene.may_act(), egui::Button::new("Leave session"));
     if leave
         .on_hover_text("What was accepted stays; the session can be taken up again under its name")
         .clicked()
@@ -65,12 +70,13 @@ fn standing(
     }
 }
 
-/// True when it was clicked.
+/// True when it was clicked. Who only watches reads the list in its colours, and cannot press it.
 fn step_row_ui(
     ui: &mut egui::Ui,
     idx: usize,
     step: &RecordingStep,
     current: bool,
+    may_act: bool,
     (sign, word, color): (&str, &str, Color32),
 ) -> bool {
     let title = format!("{sign} {}  {}", idx + 1, step.primitive_label);
@@ -82,11 +88,12 @@ fn step_row_ui(
     }
     let button = egui::Button::selectable(current, text)
         .min_size(egui::vec2(ui.available_width(), 46.0))
+        .sense(if may_act { Sense::click() } else { Sense::hover() })
         .right_text(RichText::new(word).color(color).small());
     let name = format!("Take {}: {}, {}, {word}", idx + 1, step.primitive_label, step.object_label);
     let why = step.added_because.as_deref().map_or_else(String::new, |why| format!("\nAdded: {why}"));
     let hint = format!("{name}; {}{why}", duration_text(step.duration_s));
     let response = ui.add(button).on_hover_text(hint);
-    response.widget_info(|| egui::WidgetInfo::selected(Role::Button, true, current, name.clone()));
-    response.clicked()
+    response.widget_info(|| egui::WidgetInfo::selected(Role::Button, may_act, current, name.clone()));
+    response.clicked() && may_act
 }

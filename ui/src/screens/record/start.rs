@@ -1,12 +1,16 @@
 //! Before a session: which plan, under which name.
 
-use egui::{RichText, accesskit::Role};
+use egui::RichText;
 use palpate_wire::api::{PlanSummary, RecordingDocument, StartRecording, WantedTake};
 
-use crate::screens::{
-    ScreenContext,
-    controls::{combo_ui, name_button, option_ui},
-    duration_text, words,
+use super::step::{decides_ui, primary_button_ui, take_control_ui};
+use crate::{
+    screens::{
+        ScreenContext,
+        controls::{combo_ui, name_button, option_ui},
+        duration_text, words,
+    },
+    store::control::Holder,
 };
 
 /// What was chosen so far.
@@ -103,26 +107,29 @@ fn form_ui(
         ui.label("A session of this name is there. It goes on where it stopped if it follows the same plan.");
     }
     ui.add_space(10.0);
-    let ready = problem.is_none() && !cx.store.recording_busy;
-    let button = egui::Button::new(RichText::new("Start session  (Enter)").strong().size(20.0))
-        .fill(ui.visuals().selection.bg_fill)
-        .stroke(egui::Stroke::new(2.0, cx.palette.real))
-        .min_size(egui::vec2(260.0, 60.0));
-    let response = ui.add_enabled(ready, button);
-    response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, "Start session"));
-    let clicked = response.clicked();
-    let enter = enter || {
-        let free = ui.memory(|memory| memory.focused().is_none());
-        free && ui.input(|input| input.modifiers.is_none() && input.key_pressed(egui::Key::Enter))
-    };
-    if (clicked || enter) && ready {
-        cx.store.start_recording(StartRecording {
-            plan: plan.id.clone(),
-            session: name.to_owned(),
-            operator: cx.store.control.operator.trim().to_owned(),
-            only_wanted: state.only_wanted,
-        });
-        state.name = None;
+    let holder = cx.store.control.holder(cx.store.control_state());
+    match &holder {
+        Holder::Other(name) => return decides_ui(ui, cx, name),
+        Holder::Nobody => take_control_ui(ui, cx),
+        Holder::Me => {
+            let live = cx.store.control.is_open() && cx.store.frozen_since(cx.now_s).is_none();
+            let ready = problem.is_none() && live && !cx.store.recording_busy;
+            let face = "Start session  (Enter)";
+            let clicked = primary_button_ui(ui, &cx.palette, "Start session", face, ready).clicked();
+            let enter = enter || {
+                let free = ui.memory(|memory| memory.focused().is_none());
+                free && ui.input(|input| input.modifiers.is_none() && input.key_pressed(egui::Key::Enter))
+            };
+            if (clicked || enter) && ready {
+                cx.store.start_recording(StartRecording {
+                    plan: plan.id.clone(),
+                    session: name.to_owned(),
+                    operator: cx.store.control.operator.trim().to_owned(),
+                    only_wanted: state.only_wanted,
+                });
+                state.name = None;
+            }
+        }
     }
     if let Some(problem) = &cx.store.recording_problem {
         ui.add_space(6.0);
@@ -139,7 +146,8 @@ fn wanted_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartSta
             ui.label(
                 RichText::new(format!("{} on {}", words(&take.primitive), words(&take.object))).strong(),
             );
-            let button = ui.add_enabled(!cx.store.wanted_busy, egui::Button::new("Remove"));
+            let others = matches!(cx.store.control.holder(cx.store.control_state()), Holder::Other(_));
+            let button = ui.add_enabled(!cx.store.wanted_busy && !others, egui::Button::new("Remove"));
             let name = format!("Remove {} on {}", words(&take.primitive), words(&take.object));
             name_button(&button, &name);
             if button.clicked() {

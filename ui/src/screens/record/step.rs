@@ -5,17 +5,18 @@ use std::time::Duration;
 use egui::{RichText, accesskit::Role};
 use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState, TakeVerdict};
 
-use super::{Names, RecordState, Scene, moves, primary};
+use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{
     route::{Route, Screen},
     screens::{ScreenContext, duration_text},
+    store::control::Holder,
     theme::Palette,
 };
 
 /// Size of the countdown's digits, points: about 6 cm on a laptop's screen.
 const COUNTDOWN_POINTS: f32 = 230.0;
 /// So many names of channels are listed before the rest is counted.
-const MOST_NAMES: usize = 12;
+const MAX_NAMES: usize = 12;
 
 /// Whether remarks belong to a take in this phase.
 pub(super) fn takes_notes(phase: RecordingPhase) -> bool {
@@ -33,7 +34,7 @@ pub(super) fn step_ui(
     let step = scene.session.current.and_then(|idx| scene.session.steps.get(idx));
     let (Some(step), Some(idx)) = (step, scene.session.current) else {
         done_ui(ui, cx, scene, names);
-        problems_ui(ui, cx, scene);
+        problems_ui(ui, cx, state, scene);
         undo_ui(ui, scene, actions);
         return;
     };
@@ -46,7 +47,7 @@ pub(super) fn step_ui(
     }
     ui.add_space(10.0);
     match scene.phase {
-        RecordingPhase::PlaceObject => place_ui(ui, state, step),
+        RecordingPhase::PlaceObject => place_ui(ui, state, scene, step),
         RecordingPhase::StartPose => start_pose_ui(ui, cx, state, scene),
         RecordingPhase::GoingToStart => {
             big_ui(ui, "The robot goes to the start pose");
@@ -77,8 +78,10 @@ pub(super) fn step_ui(
         RecordingPhase::Done => {}
     }
     ui.add_space(14.0);
+    interrupted_ui(ui, cx, state);
     buttons_ui(ui, cx, state, scene, actions);
-    problems_ui(ui, cx, scene);
+    doubt_ui(ui, cx, state, scene, actions);
+    problems_ui(ui, cx, state, scene);
     undo_ui(ui, scene, actions);
     if takes_notes(scene.phase) || scene.phase == RecordingPhase::Review {
         note_ui(ui, state, scene, actions);
@@ -95,11 +98,12 @@ fn big_ui(ui: &mut egui::Ui, text: &str) {
     ui.label(RichText::new(text).size(30.0).strong());
 }
 
-fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, step: &RecordingStep) {
+fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, scene: &Scene<'_>, step: &RecordingStep) {
     ui.label(RichText::new(&step.instruction).size(22.0));
     ui.add_space(8.0);
     let mut trusted = !state.fixture_elsewhere;
-    ui.checkbox(&mut trusted, "The fixture holds it where the plan says").on_hover_text(
+    let checkbox = egui::Checkbox::new(&mut trusted, "The fixture holds it where the plan says");
+    ui.add_enabled(scene.may_act(), checkbox).on_hover_text(
         "Key P. Off: its place is not trusted, so distances to it will not be used to judge the simulation",
     );
     state.fixture_elsewhere = !trusted;
@@ -179,68 +183,162 @@ fn verdict_ui(ui: &mut egui::Ui, verdict: &TakeVerdict, names: &Names, palette: 
 /// Names of channels, the first ones in full.
 fn name_list(ids: &[String], names: &Names) -> String {
     let shown: Vec<&str> =
-        ids.iter().take(MOST_NAMES).map(|id| names.get(id).map_or(id.as_str(), String::as_str)).collect();
-    let more = ids.len().saturating_sub(MOST_NAMES);
+        ids.iter().take(MAX_NAMES).map(|id| names.get(id).map_or(id.as_str(), String::as_str)).collect();
+    let more = ids.len().saturating_sub(MAX_NAMES);
     if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
+}
+
+/// Why the robot did not come to its start.
+fn interrupted_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, state: &RecordState) {
+    if let Some((text, _)) = state.interruptions.text() {
+        ui.label(RichText::new(format!("\u{26a0} {text}")).size(16.0).color(cx.palette.mismatch));
+        ui.add_space(8.0);
+    }
+}
+
+/// A large button with a strong frame; true when it was clicked.
+pub(super) fn primary_button_ui(
+    ui: &mut egui::Ui,
+    palette: &Palette,
+    name: &str,
+    face: &str,
+    ready: bool,
+) -> egui::Response {
+    let width = ui.available_width().min(260.0);
+    let button = egui::Button::new(RichText::new(face).size(20.0).strong())
+        .fill(ui.visuals().selection.bg_fill)
+        .stroke(egui::Stroke::new(2.0, palette.real))
+        .min_size(egui::vec2(width, 60.0));
+    let response = ui.add_enabled(ready, button);
+    response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, name));
+    response
+}
+
+/// Where nobody has control, the step before every other one.
+pub(super) fn take_control_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+    let link = &cx.store.control;
+    let live = link.is_open() && cx.store.frozen_since(cx.now_s).is_none();
+    let ready = live && !link.waits_for("Take control");
+    // The bar has a button of the same name; this one does the same.
+    if primary_button_ui(ui, &cx.palette, "Take control to go on", "Take control", ready).clicked() {
+        cx.store.control.want_control();
+    }
+}
+
+/// Where somebody else has control, who decides.
+pub(super) fn decides_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, name: &str) {
+    ui.label(RichText::new(format!("{name} decides")).size(20.0).strong());
+    ui.label(RichText::new("You can watch, and press STOP.").color(cx.palette.text_weak));
 }
 
 /// The primary button, and beside it what else can be done.
 fn buttons_ui(
     ui: &mut egui::Ui,
     cx: &mut ScreenContext<'_>,
-    state: &RecordState,
+    state: &mut RecordState,
     scene: &Scene<'_>,
     actions: &mut Vec<RecordingAction>,
 ) {
+    if let Holder::Other(name) = &scene.holder {
+        return decides_ui(ui, cx, name);
+    }
     ui.horizontal_wrapped(|ui| {
-        let main = primary(scene, state, cx.store);
-        if let Some((name, action)) = &main {
-            let blocked = moves(action) && scene.not_ready.is_some();
-            let ready = !(scene.waits || blocked);
-            let button = egui::Button::new(RichText::new(format!("{name}  (Enter)")).size(20.0).strong())
-                .fill(ui.visuals().selection.bg_fill)
-                .stroke(egui::Stroke::new(2.0, cx.palette.real))
-                .min_size(egui::vec2(260.0, 60.0));
-            let response = ui.add_enabled(ready, button).on_hover_text("Enter does the same");
-            response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, *name));
-            if response.clicked() {
-                actions.push(action.clone());
+        match primary(scene, state, cx.store) {
+            Some(Primary::TakeControl) => take_control_ui(ui, cx),
+            Some(Primary::Arm) => {
+                let ready = scene.may_act() && !cx.store.control.waits_for("Arm");
+                let response =
+                    primary_button_ui(ui, &cx.palette, "Arm the station", "Arm the station", ready);
+                if response.on_hover_text("Torque on, where the joints are now").clicked() {
+                    cx.store.control.arm();
+                }
             }
+            Some(Primary::Act(name, action)) => {
+                let blocked = moves(&action) && scene.not_ready.is_some();
+                let face = format!("{name}  (Enter)");
+                let ready = scene.may_act() && !blocked;
+                let response = primary_button_ui(ui, &cx.palette, name, &face, ready);
+                if response.on_hover_text("Enter does the same").clicked() {
+                    actions.push(action);
+                }
+            }
+            None => {}
         }
-        let mut second = |ui: &mut egui::Ui, name: &str, keys: &str, enabled: bool, action| {
+        let second = |ui: &mut egui::Ui, name: &str, keys: &str, enabled: bool| {
             let face = if keys.is_empty() { name.to_owned() } else { format!("{name}  ({keys})") };
             let button = egui::Button::new(RichText::new(face).size(16.0)).min_size(egui::vec2(120.0, 44.0));
-            let enabled = enabled && !scene.waits;
+            let enabled = enabled && scene.may_act();
             let response = ui.add_enabled(enabled, button);
             response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, enabled, name));
-            if response.clicked() {
-                actions.push(action);
-            }
+            response.clicked()
         };
-        let lease = cx.store.control.lease();
         let ready = scene.not_ready.is_none();
         match scene.phase {
             RecordingPhase::StartPose if scene.is_at_start(state) => {
-                second(ui, "Go to start pose", "G", ready, RecordingAction::GoToStart { lease });
+                if second(ui, "Go to start pose", "G", ready) {
+                    actions.push(RecordingAction::GoToStart);
+                }
             }
-            RecordingPhase::StartPose => second(ui, "Run", "B", ready, RecordingAction::Run { lease }),
+            RecordingPhase::StartPose => {
+                if second(ui, "Run", "B", ready) {
+                    actions.push(RecordingAction::Run);
+                }
+            }
             RecordingPhase::Review => {
-                second(ui, "Record again", "R", true, RecordingAction::Again);
-                second(ui, "Discard", "Del", true, RecordingAction::Discard);
+                if second(ui, "Record again", "R", true) {
+                    ask_twice(scene, state, RecordingAction::Again, actions);
+                }
+                if second(ui, "Discard", "Del", true) {
+                    ask_twice(scene, state, RecordingAction::Discard, actions);
+                }
             }
             RecordingPhase::GoingToStart
             | RecordingPhase::Baseline
             | RecordingPhase::Countdown
-            | RecordingPhase::Running => second(ui, "Cancel", "Esc", true, RecordingAction::Cancel),
+            | RecordingPhase::Running => {
+                if second(ui, "Cancel", "Esc", true) {
+                    actions.push(RecordingAction::Cancel);
+                }
+            }
             RecordingPhase::PlaceObject | RecordingPhase::Checking | RecordingPhase::Done => {}
         }
     });
 }
 
+/// The question before an accepted take is set aside. No key answers it: a key that is held down repeats.
+fn doubt_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    state: &mut RecordState,
+    scene: &Scene<'_>,
+    actions: &mut Vec<RecordingAction>,
+) {
+    let Some((step, action)) = state.doubt.clone().filter(|_| scene.may_act()) else { return };
+    let what = if action == RecordingAction::Again { "Record it again" } else { "Discard it" };
+    ui.add_space(8.0);
+    let text = format!("Take {} is accepted and part of the session. {what} all the same?", step + 1);
+    ui.label(RichText::new(text).size(16.0).strong().color(cx.palette.warning));
+    ui.horizontal_wrapped(|ui| {
+        let yes = match action {
+            RecordingAction::Again => "Set the accepted take aside",
+            _ => "Discard the accepted take",
+        };
+        if ui.button(yes).clicked() {
+            actions.push(action);
+        }
+        if ui.button("Keep it").clicked() {
+            state.doubt = None;
+        }
+    });
+}
+
 /// What did not work: the server's reason, and the answer to the last thing that was tried.
-fn problems_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, scene: &Scene<'_>) {
+fn problems_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, state: &RecordState, scene: &Scene<'_>) {
     let refused = cx.store.recording_problem.as_deref();
-    let reported = Some(scene.session.problem.as_str()).filter(|problem| !problem.is_empty());
+    // What interrupted the way to the start is on the screen already.
+    let told = state.interruptions.text().map_or("", |(_, reason)| reason);
+    let reported =
+        Some(scene.session.problem.as_str()).filter(|problem| !problem.is_empty() && *problem != told);
     let mut shown: Vec<&str> = reported.into_iter().chain(refused).collect();
     shown.dedup();
     for problem in shown {
@@ -256,8 +354,8 @@ fn undo_ui(ui: &mut egui::Ui, scene: &Scene<'_>, actions: &mut Vec<RecordingActi
     ui.add_space(8.0);
     ui.horizontal(|ui| {
         ui.label("A take was discarded.");
-        let undo = ui.add_enabled(!scene.waits, egui::Button::new("Undo discard  (U)"));
-        undo.widget_info(|| egui::WidgetInfo::labeled(Role::Button, !scene.waits, "Undo discard"));
+        let undo = ui.add_enabled(scene.may_act(), egui::Button::new("Undo discard  (U)"));
+        undo.widget_info(|| egui::WidgetInfo::labeled(Role::Button, scene.may_act(), "Undo discard"));
         if undo.clicked() {
             actions.push(RecordingAction::Undo);
         }
@@ -276,7 +374,7 @@ fn note_ui(
             .hint_text("A remark, e.g. \"the ball slipped\"")
             .desired_width(320.0)
             .min_size(egui::vec2(0.0, 32.0));
-        let response = ui.add(field).accessible_name("Note");
+        let response = ui.add_enabled(scene.holder == Holder::Me, field).accessible_name("Note");
         if std::mem::take(&mut state.write_note) {
             response.request_focus();
         }
@@ -286,7 +384,7 @@ fn note_ui(
         let may_mark = takes_notes(scene.phase);
         let (name, face) =
             if text.is_empty() && may_mark { ("Mark", "Mark  (M)") } else { ("Add note", "Add note") };
-        let ready = !scene.waits && (may_mark || !text.is_empty());
+        let ready = scene.may_act() && (may_mark || !text.is_empty());
         let button = ui.add_enabled(ready, egui::Button::new(face));
         button.widget_info(|| egui::WidgetInfo::labeled(Role::Button, ready, name));
         if ready && (button.clicked() || (enter && !text.is_empty())) {

@@ -2,7 +2,7 @@
 
 use palpate_wire::api::{RecordingAction, RecordingPhase};
 
-use super::{Bench, LEASE, plan};
+use super::{Bench, plan};
 use crate::guide::*;
 
 #[test]
@@ -53,7 +53,7 @@ fn no_step_is_taken_off_under_a_robot_that_moves() {
     let step = GuideStep { added_because: Some(String::new()), ..plan().steps[0].clone() };
     bench.guide.add_step(step).unwrap();
     bench.act(RecordingAction::ConfirmObject { fixture_trusted: true }).unwrap();
-    bench.act(RecordingAction::GoToStart { lease: LEASE }).unwrap();
+    bench.act(RecordingAction::GoToStart).unwrap();
     let refused = bench.guide.remove_step("ball", "tap").unwrap_err();
     assert!(refused.contains("on its way"), "{refused}");
 }

@@ -28,8 +28,8 @@ fn happening() -> impl Strategy<Value = Happening> {
     let lease = prop_oneof![8 => Just(LEASE), 1 => Just(0), 1 => Just(8)];
     prop_oneof![
         3 => any::<bool>().prop_map(|fixture_trusted| Happening::Act(RecordingAction::ConfirmObject { fixture_trusted })),
-        2 => lease.clone().prop_map(|lease| Happening::Act(RecordingAction::GoToStart { lease })),
-        6 => lease.clone().prop_map(|lease| Happening::Act(RecordingAction::Run { lease })),
+        2 => Just(Happening::Act(RecordingAction::GoToStart)),
+        6 => Just(Happening::Act(RecordingAction::Run)),
         1 => Just(Happening::Act(RecordingAction::Cancel)),
         4 => Just(Happening::Act(RecordingAction::Accept)),
         1 => Just(Happening::Act(RecordingAction::Again)),

@@ -6,7 +6,8 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use palpate_server::Error;
 use palpate_wire::{
     api::{
-        LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StartRecording,
+        LEASE_HEADER, LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession,
+        StartRecording,
     },
     proto::{Acquire, Arm, ControlReply, ControlRequest, Disarm, Heartbeat, control_request::Request},
 };
@@ -39,6 +40,7 @@ pub(super) struct Operator {
     addr: SocketAddr,
     socket: Arc<Mutex<CommandSocket>>,
     lease: u64,
+    heart: tokio::task::JoinHandle<()>,
 }
 
 struct CommandSocket {
@@ -52,7 +54,7 @@ impl Operator {
     pub(super) async fn prepare(addr: SocketAddr) -> Result<Self, Error> {
         let mut looks = 0;
         loop {
-            let live: LiveDocument = ask(addr, "GET", "live", None::<&()>).await?;
+            let live: LiveDocument = ask(addr, 0, "GET", "live", None::<&()>).await?;
             let mut missing = live.devices.iter().filter(|device| device.link != "ready");
             match missing.next() {
                 None if !live.devices.is_empty() => break,
@@ -73,23 +75,16 @@ impl Operator {
             operator: "palpate bench".to_owned(),
             only_wanted: false,
         };
-        let _begun: RecordingDocument = ask(addr, "POST", "recording", Some(&start)).await?;
         let url = socket_url(addr, "control");
         let (socket, _) = connect_async(url).await.map_err(|err| broken(&err))?;
         let mut socket = CommandSocket { socket, sequence: 0, lease: 0 };
         socket
             .accepted(Request::Acquire(Acquire { operator: "palpate bench".to_owned(), take_over: false }))
             .await?;
-        socket.accepted(Request::Arm(Arm {})).await?;
         let lease = socket.lease;
-        Ok(Self { addr, socket: Arc::new(Mutex::new(socket)), lease })
-    }
-
-    /// Records until `ends`, and ends the take that is under way then. Gives what went wrong meanwhile.
-    pub(super) async fn record(self, mut ends: watch::Receiver<bool>) -> Result<Vec<String>, Error> {
-        let mut problems = Vec::new();
+        let socket = Arc::new(Mutex::new(socket));
         let heart = tokio::spawn({
-            let socket = self.socket.clone();
+            let socket = socket.clone();
             async move {
                 loop {
                     // A refused heartbeat shows in the session: it says that the operator is gone.
@@ -100,6 +95,14 @@ impl Operator {
                 }
             }
         });
+        let _begun: RecordingDocument = ask(addr, lease, "POST", "recording", Some(&start)).await?;
+        socket.lock().await.accepted(Request::Arm(Arm {})).await?;
+        Ok(Self { addr, socket, lease, heart })
+    }
+
+    /// Records until `ends`, and ends the take that is under way then. Gives what went wrong meanwhile.
+    pub(super) async fn record(self, mut ends: watch::Receiver<bool>) -> Result<Vec<String>, Error> {
+        let mut problems = Vec::new();
         let recorded = tokio::select! {
             recorded = self.follow_checklist(&mut problems) => recorded,
             _ = ends.wait_for(|&ends| ends) => Ok(()),
@@ -112,12 +115,11 @@ impl Operator {
                 sleep(LOOK).await;
             }
         }
-        heart.abort();
+        self.heart.abort();
         recorded.map(|()| problems)
     }
 
     async fn follow_checklist(&self, problems: &mut Vec<String>) -> Result<(), Error> {
-        let lease = self.lease;
         // A step's way to its start pose is gone once.
         let mut at_start = None;
         loop {
@@ -126,11 +128,11 @@ impl Operator {
                 RecordingPhase::PlaceObject => Some(RecordingAction::ConfirmObject { fixture_trusted: true }),
                 RecordingPhase::StartPose if at_start == session.current => {
                     at_start = None;
-                    Some(RecordingAction::Run { lease })
+                    Some(RecordingAction::Run)
                 }
                 RecordingPhase::StartPose => {
                     at_start = session.current;
-                    Some(RecordingAction::GoToStart { lease })
+                    Some(RecordingAction::GoToStart)
                 }
                 RecordingPhase::Review => Some(RecordingAction::Accept),
                 RecordingPhase::Done => return Ok(()),
@@ -154,12 +156,13 @@ impl Operator {
     }
 
     async fn session(&self) -> Result<Option<RecordingSession>, Error> {
-        let document: RecordingDocument = ask(self.addr, "GET", "recording", None::<&()>).await?;
+        let document: RecordingDocument = ask(self.addr, 0, "GET", "recording", None::<&()>).await?;
         Ok(document.session)
     }
 
     async fn act(&self, action: &RecordingAction) -> Result<(), Error> {
-        let _document: RecordingDocument = ask(self.addr, "POST", "recording/act", Some(action)).await?;
+        let _document: RecordingDocument =
+            ask(self.addr, self.lease, "POST", "recording/act", Some(action)).await?;
         Ok(())
     }
 }
@@ -194,9 +197,10 @@ fn broken(err: &dyn std::fmt::Display) -> Error {
     Error::Internal(format!("the operator's command failed: {err}"))
 }
 
-/// One request of the API; any answer but success is an error with the server's words.
-async fn ask<T: DeserializeOwned>(
+/// One request of the API under `lease`; any answer but success is an error with the server's words.
+pub(in crate::cli::bench) async fn ask<T: DeserializeOwned>(
     addr: SocketAddr,
+    lease: u64,
     method: &str,
     path: &str,
     body: Option<&impl Serialize>,
@@ -206,7 +210,7 @@ async fn ask<T: DeserializeOwned>(
     let body = body.map(serde_json::to_string).transpose().map_err(|err| failed(&err))?.unwrap_or_default();
     let request = format!(
         "{method} /api/v1/{path} HTTP/1.1\r\nHost: {addr}\r\nConnection: close\r\nContent-Type: application/json\r\n\
-         Content-Length: {}\r\n\r\n{body}",
+         {LEASE_HEADER}: {lease}\r\nContent-Length: {}\r\n\r\n{body}",
         body.len()
     );
     let mut stream = TcpStream::connect(addr).await.map_err(|err| failed(&err))?;
