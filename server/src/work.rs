@@ -172,6 +172,8 @@ impl Turns {
         };
         // The permit goes with the work: work that hangs keeps its permit, even when its client has gone.
         let run = move || {
+            // The runtime's threads come before others, which work on files must not.
+            priority::ordinary();
             let _permit = permit;
             work()
         };

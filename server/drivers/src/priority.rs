@@ -13,6 +13,8 @@ const REAL_TIME: u8 = 60;
 const ORDINARY: u8 = 50;
 /// In the same measure, for work that gives way: nice 10.
 const BACKGROUND: u8 = 25;
+/// In the same measure, for what carries operators' messages: nice -10.
+const AHEAD: u8 = 75;
 
 /// The calling thread comes before all ordinary ones from now on, where the system permits it; where it does not, that is
 /// said once. Only for threads that mostly wait, and never longer than a few ms.
@@ -32,6 +34,13 @@ pub fn real_time() {
 pub fn ordinary() {
     // The policy is set first; a nice value that may not be raised again stays as it is.
     let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), ORDINARY);
+}
+
+/// The calling thread comes before ordinary ones from now on, where the system permits it: for threads that carry messages and
+/// compute little.
+pub fn ahead() {
+    // Where it is not permitted it stays as it is.
+    let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), AHEAD);
 }
 
 /// The calling thread gives way to every ordinary one from now on: for work that takes seconds and that nobody steers by.

@@ -76,6 +76,8 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
     let _ = rayon::ThreadPoolBuilder::new().start_handler(|_| priority::background()).build_global();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
+        // They carry an operator's messages, a stop among them.
+        .on_thread_start(priority::ahead)
         .build()
         .map_err(|err| Error::Internal(format!("failed to start the server's threads: {err}")))?;
     let motion = Motion::default();
