@@ -88,7 +88,8 @@ pub(crate) fn main() -> ExitCode {
 type Outcome = Result<ExitCode, Error>;
 
 /// Logs go to standard error; `RUST_LOG` chooses what. A thread of its own writes them: nothing else stands still because a
-/// terminal or a pipe does, and lines that find it too far behind are dropped. What waits is written when the guard is dropped.
+/// terminal or a pipe does, and lines that find it too far behind are dropped. What waits is written when the guard is
+/// dropped.
 fn init_log(is_server: bool) -> WorkerGuard {
     let default_level = if is_server { "info" } else { "warn" };
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()

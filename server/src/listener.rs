@@ -86,8 +86,8 @@ struct Connection {
 }
 
 impl Connections {
-    /// Adds a connection, in the place of the one that has been idle for the longest time if there are too many. `None` where
-    /// none can give way.
+    /// Adds a connection, in the place of the one that has been idle for the longest time if there are too many. `None`
+    /// where none can give way.
     fn enter(self: &Arc<Self>, now: Instant) -> Option<Connection> {
         let mut open = self.lock();
         if open.by_number.len() >= self.limit {

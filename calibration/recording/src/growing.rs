@@ -10,8 +10,8 @@
 //! ```
 //!
 //! `recording.toml` is written before a file moves, so that it says where each file belongs: opening the session again
-//! finishes what a crash interrupted. No two takes have one name. If `recording.toml` itself was cut off, opening the session
-//! makes the list again from the takes in the folder.
+//! finishes what a crash interrupted. No two takes have one name. If `recording.toml` itself was cut off, opening the
+//! session makes the list again from the takes in the folder.
 
 use std::{
     fs::{self, File},

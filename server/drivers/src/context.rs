@@ -179,8 +179,8 @@ impl DeviceContext {
         }
     }
 
-    /// Runs the driver until it ends. One that panics is said to have failed, and started anew after a pause; what it held is
-    /// dropped before, and tells its motors to let go.
+    /// Runs the driver until it ends. One that panics is said to have failed, and started anew after a pause; what it
+    /// held is dropped before, and tells its motors to let go.
     pub(crate) fn keep_running(&self, mut run: impl FnMut(&Self)) {
         let mut back_off = BackOff::default();
         loop {

@@ -36,8 +36,8 @@ pub fn ordinary() {
     let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), ORDINARY);
 }
 
-/// The calling thread comes before ordinary ones from now on, where the system permits it: for threads that carry messages and
-/// compute little.
+/// The calling thread comes before ordinary ones from now on, where the system permits it: for threads that carry
+/// messages and compute little.
 pub fn ahead() {
     // Where it is not permitted it stays as it is.
     let _ = set(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), AHEAD);

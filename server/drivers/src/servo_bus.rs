@@ -335,8 +335,8 @@ impl<'a> Bus<'a> {
         }
     }
 
-    /// Sends one request to one servo: to restart, to go on with the set-up of one that was away, or for the condition of one
-    /// that is there. While nothing is driven, set-ups take all of the cycle.
+    /// Sends one request to one servo: to restart, to go on with the set-up of one that was away, or for the condition
+    /// of one that is there. While nothing is driven, set-ups take all of the cycle.
     fn look_after_one(&mut self, context: &DeviceContext, deadline_ns: u64) -> Result<(), RequestError> {
         let is_short = context.clock.now_ns() + SPARE_NS > deadline_ns;
         // Right after a stop nothing is worth a late word to those that shall let go.

@@ -100,7 +100,8 @@ async fn special_files_and_links_out_of_the_folder_are_listed_and_not_opened() {
     fs::write(outside.join("secret.toml"), model).unwrap();
     fs::write(outside.join("mesh.stl"), "solid secret").unwrap();
     fs::write(root.join("models/good.toml"), model).unwrap();
-    // Sessions: a pipe as the session's file, a pipe in the place of a folder, a link to a session elsewhere, an endless take.
+    // Sessions: a pipe as the session's file, a pipe in the place of a folder, a link to a session elsewhere, an
+    // endless take.
     fifo(&root.join("sessions/pipe/session.toml"));
     fifo(&root.join("sessions/bare"));
     fs::create_dir(outside.join("session")).unwrap();

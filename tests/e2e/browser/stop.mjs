@@ -1,5 +1,5 @@
-// STOP can be pressed at every size of the window and every zoom: nothing that takes clicks meets it, and a click on it stops.
-// Usage: node stop.mjs URL SCREENSHOT_DIR
+// STOP can be pressed at every size of the window and every zoom: nothing that takes clicks meets it, and a click on it
+// stops. Usage: node stop.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
 import { faults, openStation } from "./station.mjs";
 
@@ -17,8 +17,8 @@ const SCREENS = ["hand?source=live", "record", "timelines", "calibrate", "diagno
 const devtools = await context.newCDPSession(page);
 
 /**
- * A window of so many screen pixels at a zoom, as a browser lays it out: fewer, larger CSS pixels. The scale of the screen is
- * left alone, because an emulated one does not reach the size of the canvas in device pixels.
+ * A window of so many screen pixels at a zoom, as a browser lays it out: fewer, larger CSS pixels. The scale of the
+ * screen is left alone, because an emulated one does not reach the size of the canvas in device pixels.
  */
 async function resize([width, height], zoom) {
   const metrics = { width: Math.round(width / zoom), height: Math.round(height / zoom), deviceScaleFactor: 1 };

@@ -44,9 +44,7 @@ impl Studio {
         data: &Path,
         station: impl IntoIterator<Item = impl AsRef<OsStr>>,
     ) -> anyhow::Result<Self> {
-        let mut command = tools.palpate();
-        command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).args(station);
-        Self::spawn(command)
+        Self::spawn(serve(tools, data, station))
     }
 
     /// The same where nobody ever reads its standard error: the pipe fills up.
@@ -55,9 +53,7 @@ impl Studio {
         data: &Path,
         station: impl IntoIterator<Item = impl AsRef<OsStr>>,
     ) -> anyhow::Result<Self> {
-        let mut command = tools.palpate();
-        command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).args(station);
-        Self::spawn_read(command, false)
+        Self::spawn_read(serve(tools, data, station), false)
     }
 
     /// The same where no file can grow beyond `most_kib`: writing more fails, as on a disk that is full.
@@ -202,6 +198,13 @@ impl Studio {
         }
         serde_json::from_str(content).with_context(|| format!("{method} {path}: no JSON: {content}"))
     }
+}
+
+/// `palpate serve` on any free port.
+fn serve(tools: &Tools, data: &Path, station: impl IntoIterator<Item = impl AsRef<OsStr>>) -> Command {
+    let mut command = tools.palpate();
+    command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).args(station);
+    command
 }
 
 /// Prints and keeps what a studio logs.

@@ -125,9 +125,9 @@ impl Connection {
 }
 
 impl Connection {
-    /// The last words to the box, for a driver that cannot go on: `stop`, a pause in which the arm brakes, and `off`. Everything
-    /// that was to be sent before goes first, because frames have no mark to begin at. Waits for the answers, or for
-    /// [`FAREWELL`].
+    /// The last words to the box, for a driver that cannot go on: `stop`, a pause in which the arm brakes, and `off`.
+    /// Everything that was to be sent before goes first, because frames have no mark to begin at. Waits for the
+    /// answers, or for [`FAREWELL`].
     pub(crate) fn say_last(&mut self, stop: &[u8], off: &[u8]) -> io::Result<()> {
         self.unsent.extend_from_slice(stop);
         self.commands.set_nonblocking(false)?;

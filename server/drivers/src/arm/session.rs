@@ -209,8 +209,8 @@ impl Session {
         self.ours = true;
     }
 
-    /// Frames for a box that is left without anybody who drives it, after all of [`Session::take_output`]: stop, and, once it has
-    /// had time to brake, motors off. `None` where nothing is on that this program has switched on.
+    /// Frames for a box that is left without anybody who drives it, after all of [`Session::take_output`]: stop, and,
+    /// once it has had time to brake, motors off. `None` where nothing is on that this program has switched on.
     pub(crate) fn last_words(&mut self) -> Option<[Vec<u8>; 2]> {
         let commands =
             [Command::SetState { state: state::STOPPED }, Command::MotionEnable { joint: 8, on: 0 }];

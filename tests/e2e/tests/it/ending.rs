@@ -43,6 +43,16 @@ fn stall(studio: &Studio) -> anyhow::Result<Vec<TcpStream>> {
         .collect()
 }
 
+/// Somebody in control of the studio's armed station, and somebody who watches.
+fn armed(studio: &Studio) -> anyhow::Result<(Operator, Watcher)> {
+    let watcher = Watcher::connect(studio)?;
+    watcher.wait_for("every device to be ready", all_ready)?;
+    let mut operator = Operator::connect(studio)?;
+    operator.take_control("Ada")?;
+    operator.arm(&watcher)?;
+    Ok((operator, watcher))
+}
+
 /// The last line of the audit log.
 fn last_word(data: &std::path::Path) -> anyhow::Result<String> {
     let text = std::fs::read_to_string(data.join("audit.jsonl"))?;
@@ -60,11 +70,7 @@ fn a_signal_while_moving_ends_with_torque_off_and_a_true_last_word() {
     for round in 0..rounds {
         let data = tempfile::tempdir().unwrap();
         let mut studio = Studio::serve(&tools, data.path(), bench.station_args()).unwrap();
-        let watcher = Watcher::connect(&studio).unwrap();
-        watcher.wait_for("every device to be ready", all_ready).unwrap();
-        let mut operator = Operator::connect(&studio).unwrap();
-        operator.take_control("Ada").unwrap();
-        operator.arm(&watcher).unwrap();
+        let (operator, _watcher) = armed(&studio).unwrap();
         let stalled = if round % 2 == 0 { stall(&studio).unwrap() } else { Vec::new() };
         set_in_motion(&bench, &operator).unwrap();
         studio.signal(if round % 3 == 0 { "INT" } else { "TERM" }).unwrap();
@@ -91,11 +97,7 @@ fn a_second_signal_is_heard_and_an_end_without_confirmation_says_so() {
     let bench = Bench::start().unwrap();
     let data = tempfile::tempdir().unwrap();
     let mut studio = Studio::serve(&tools, data.path(), bench.station_args()).unwrap();
-    let watcher = Watcher::connect(&studio).unwrap();
-    watcher.wait_for("every device to be ready", all_ready).unwrap();
-    let mut operator = Operator::connect(&studio).unwrap();
-    operator.take_control("Ada").unwrap();
-    operator.arm(&watcher).unwrap();
+    let (_operator, _watcher) = armed(&studio).unwrap();
     // The arm's cable is pulled: nobody can know what it does.
     bench.set_faults("[[fault]]\nkind = \"unplug\"\ndevice = \"xarm\"\n").unwrap();
     studio.signal("TERM").unwrap();
@@ -118,10 +120,7 @@ fn a_terminal_that_stands_still_holds_up_neither_motion_nor_its_end() {
     let data = tempfile::tempdir().unwrap();
     // Nobody reads its standard error.
     let mut studio = Studio::serve_unread(&tools, data.path(), bench.station_args()).unwrap();
-    let watcher = Watcher::connect(&studio).unwrap();
-    watcher.wait_for("every device to be ready", all_ready).unwrap();
-    let mut operator = Operator::connect(&studio).unwrap();
-    operator.take_control("Ada").unwrap();
+    let (operator, watcher) = armed(&studio).unwrap();
     // Refusals are logged; these fill the pipe several times over.
     let stranger = Operator::connect(&studio).unwrap();
     for lease in 1..=3_000 {
