@@ -5,7 +5,11 @@ use std::sync::{Arc, Mutex, Weak};
 use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage};
 use tokio::sync::Notify;
 
-use crate::{cache::lock, client_queue::ClientQueue};
+mod client_queue;
+
+use client_queue::ClientQueue;
+
+use crate::data::cache::lock;
 
 /// Publishing never waits: a client that reads too slowly loses frames, nobody else does.
 #[derive(Debug, Default)]

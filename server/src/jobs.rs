@@ -1,6 +1,7 @@
 //! Long work, the same for the command line and the server: inputs, progress and a way to stop it come from the caller.
 
 mod diagnose;
+pub(crate) mod runs;
 
 use std::{path::Path, sync::Arc, time::Instant};
 
@@ -14,8 +15,11 @@ use palpate_sim::{
 use palpate_wire::api::CalibrationReport;
 
 use crate::{
-    Error, files,
-    library::{Library, model_readings, nominal_model},
+    Error,
+    data::{
+        files,
+        library::{Library, model_readings, nominal_model},
+    },
 };
 
 /// What a calibration leaves.

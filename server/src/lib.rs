@@ -1,8 +1,8 @@
 //! The studio's server and everything the `palpate` command line does.
 //!
-//! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. Long work
-//! lives in [`jobs`], which the command line and the server call alike. Data is plain files below one folder
-//! ([`Store`]): `sessions/`, `models/`, `objects/` (one's own), `runs/`, `bars/`, and `trash/` for what was deleted.
+//! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. The folder
+//! `http` uses the state, the state uses `station`, `jobs` and `data`. Long work lives in [`jobs`], which the command line
+//! and the server call alike. Data is plain files below one folder ([`Store`]): `sessions/`, `models/`, `objects/` (one's own), `runs/`, `bars/`, and `trash/` for what was deleted.
 //!
 //! # Routes
 //!
@@ -66,37 +66,20 @@
 //! reads slowly sees few pictures but no old ones.
 
 pub mod assets;
-pub mod bars;
-mod bucket;
-mod cache;
-mod client_queue;
-mod control_socket;
-mod door;
-mod emulated;
+pub mod data;
 mod error;
-pub mod files;
+mod http;
 mod hub;
 pub mod jobs;
-pub mod library;
-mod listener;
-mod live;
-mod objects;
-mod pacing;
-mod page;
-mod routes;
-mod runs;
 mod serve;
 mod state;
-mod store;
-mod stream;
-mod upload;
+mod station;
 mod work;
 
-pub use emulated::EmulatedDevices;
+pub use data::Store;
 pub use error::{Class, Error, chain};
+pub use http::{Needs, Route, app, routes};
 pub use hub::Hub;
-pub use live::{LiveStation, RunningStation};
-pub use routes::{Needs, Route, app, routes};
 pub use serve::{ServeConfig, Served, serve, serve_on};
 pub use state::{Access, AppState, Studio};
-pub use store::Store;
+pub use station::{EmulatedDevices, LiveStation, RunningStation};

@@ -11,9 +11,8 @@ use palpate_control::Ending;
 use tokio::{net::TcpListener, sync::oneshot};
 
 use crate::{
-    Error, LiveStation, app, listener,
-    live::RunningStation,
-    page,
+    Error, LiveStation, RunningStation, app,
+    http::{listener, page},
     state::{Access, AppState, Studio},
 };
 

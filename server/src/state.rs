@@ -1,18 +1,19 @@
 //! What requests share.
 
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use palpate_emulator::devices::StationControl;
 use tokio::sync::watch;
 
 use crate::{
     Error, Hub, Store,
-    door::Door,
-    library::Library,
-    live::{Live, LiveStation, RunningStation},
-    routes::Problem,
-    runs::{Calibrations, Diagnoses, Queue, Runs},
-    work::{Kind, Work},
+    data::library::Library,
+    jobs::runs::{Calibrations, Diagnoses, Queue, Runs},
+    station::{Live, LiveStation, RunningStation},
+    work::Work,
 };
 
 /// Who may come in, and who is told about it.
@@ -33,8 +34,9 @@ pub struct AppState {
     diagnoses: Runs<Diagnoses>,
     live: Option<Live>,
     work: Work,
-    door: Arc<Door>,
-    insecure: bool,
+    access: Access,
+    /// The path of the data folder, without links.
+    data: PathBuf,
     shutdown: watch::Sender<bool>,
 }
 
@@ -63,12 +65,10 @@ impl Studio {
             }
             None => (None, None),
         };
-        let Access { hosts, insecure } = access;
         let data = data.canonicalize().map_err(Error::io("open", data))?;
-        let door = Arc::new(Door { hosts, data: data.to_string_lossy().into_owned() });
         let shutdown = watch::Sender::new(false);
         let state =
-            AppState { store, library, hub, calibrations, diagnoses, live, work, door, insecure, shutdown };
+            AppState { store, library, hub, calibrations, diagnoses, live, work, access, data, shutdown };
         Ok(Self { state: Arc::new(state), station })
     }
 }
@@ -104,22 +104,17 @@ impl AppState {
         self.live.as_ref()
     }
 
-    pub(crate) fn door(&self) -> &Arc<Door> {
-        &self.door
+    pub(crate) fn access(&self) -> &Access {
+        &self.access
     }
 
-    pub(crate) fn insecure(&self) -> bool {
-        self.insecure
+    /// The path of the data folder, without links.
+    pub(crate) fn data(&self) -> &Path {
+        &self.data
     }
 
-    /// Runs the work of a request away from the threads that answer requests, within the limits of its kind.
-    pub(crate) async fn run<T: Send + 'static>(
-        self: &Arc<Self>,
-        kind: Kind,
-        work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
-    ) -> Result<T, Problem> {
-        let state = self.clone();
-        self.work.run(kind, move || work(&state)).await.map_err(Problem)
+    pub(crate) fn work(&self) -> &Work {
+        &self.work
     }
 
     /// Becomes true when the server ends.

@@ -6,9 +6,9 @@ use clap::{Args, ValueEnum};
 use palpate_calibration::{CalibrationConfig, HoldOut, Method, report::headline};
 use palpate_recording::Session;
 use palpate_server::{
-    Error, files,
+    Error,
+    data::{files, library::Library},
     jobs::{CalibrationArtifacts, calibrate_session},
-    library::Library,
 };
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use palpate_wire::api::{CalibrationReport, Metrics};

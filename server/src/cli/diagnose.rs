@@ -7,10 +7,8 @@ use palpate_diagnosis::DiagnosisConfig;
 use palpate_recording::Session;
 use palpate_server::{
     Error,
-    bars::Bars,
-    files,
+    data::{bars::Bars, files, library::Library},
     jobs::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session},
-    library::Library,
 };
 use palpate_sim::SensorModel;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};

@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
 use palpate_emulator::record_session;
-use palpate_server::{assets, library::Library};
+use palpate_server::{assets, data::library::Library};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
 use super::{Outcome, output};

@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use palpate_recording::{Session, import::import_csv, load_station};
 use palpate_robot_model::Station;
-use palpate_server::{Error, assets, library::Library};
+use palpate_server::{Error, assets, data::library::Library};
 
 use super::{Outcome, output};
 

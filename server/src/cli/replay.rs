@@ -5,7 +5,7 @@ use std::{fs, path::PathBuf, process::ExitCode};
 use clap::Args;
 use palpate_calibration::PairedTake;
 use palpate_recording::Take;
-use palpate_server::{Error, files, jobs::write_replay};
+use palpate_server::{Error, data::files, jobs::write_replay};
 use palpate_sim::{SensorModel, job::Progress as _};
 use palpate_terminal::Bar;
 use serde_json::json;

@@ -14,8 +14,10 @@ use palpate_wire::api::DiagnosisReport;
 use super::{Section, accepted_takes};
 use crate::{
     Error,
-    bars::Bars,
-    library::{Library, nominal_model},
+    data::{
+        bars::Bars,
+        library::{Library, nominal_model},
+    },
 };
 
 /// What a diagnosis leaves.

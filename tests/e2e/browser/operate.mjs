@@ -25,7 +25,8 @@ await step("the page says that the station is emulated and that nobody commands 
 
 await step("the operator takes control and arms", async () => {
   await station.takeControl("Ada");
-  assert.equal((await live()).holder, "Ada");
+  // The page hears by its socket, everybody else by the next published state.
+  await until("held by Ada", (state) => state.holder === "Ada");
   await until("shown as armed", async () => {
     await station.arm();
     return armed.isVisible();

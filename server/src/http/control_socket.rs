@@ -26,12 +26,8 @@ use palpate_wire::proto::{ControlReply, ControlRequest, control_request::Request
 use prost::Message as _;
 use tokio::sync::{mpsc, oneshot};
 
-use crate::{
-    AppState, Error,
-    bucket::Bucket,
-    listener::KeepOpen,
-    routes::{Peer, Problem},
-};
+use super::{bucket::Bucket, extract::Peer, listener::KeepOpen, problem::Problem};
+use crate::{AppState, Error};
 
 /// Numbers the connections of this process.
 static CONNECTIONS: AtomicU64 = AtomicU64::new(1);
@@ -125,7 +121,8 @@ async fn converse(socket: WebSocket, handle: &Handle, caller: &Caller, ends: imp
         let close = CloseFrame { code: close_code::AWAY, reason: "the studio is shutting down".into() };
         // The client may be gone already, or never read it.
         let _ =
-            tokio::time::timeout(crate::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close)))).await;
+            tokio::time::timeout(crate::http::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close))))
+                .await;
     }
 }
 

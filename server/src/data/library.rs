@@ -11,10 +11,8 @@ use palpate_wire::{
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
 };
 
-use crate::{
-    Error,
-    cache::{Cache, FileKey},
-};
+use super::cache::{Cache, FileKey};
+use crate::Error;
 
 /// Recorded takes may fill this much memory, and their replays as much again.
 const BUDGET_BYTES: usize = 512 << 20;

@@ -29,7 +29,7 @@ use tokio::{
 };
 use tower::ServiceExt as _;
 
-use crate::{bucket::Bucket, routes::problem_response};
+use super::{bucket::Bucket, problem::problem_response};
 
 /// A request's head comes in within this time, also the next one of a connection that is kept open.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(15);

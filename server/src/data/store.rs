@@ -15,7 +15,8 @@ use palpate_sim::SensorModel;
 use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport};
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Error, cache::lock, chain, files, upload};
+use super::{cache::lock, files, upload};
+use crate::{Error, chain};
 
 /// Locked by the studio that has the folder open; it holds the number of its process.
 const LOCK_FILE: &str = "studio.lock";

@@ -5,9 +5,8 @@ use std::sync::Arc;
 use axum::{Json, extract::State};
 use palpate_wire::api::ObjectEntry;
 
-use super::problem::Answer;
-use crate::{AppState, objects, work::Kind};
+use crate::{AppState, data::objects, http::problem::Answer, work::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ObjectEntry>>> {
-    state.run(Kind::Read, move |state| Ok(Json(objects::list(state)?))).await
+    state.run(Kind::Read, move |state| Ok(Json(objects::list(state.store(), state.library())?))).await
 }

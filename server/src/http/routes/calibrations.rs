@@ -10,11 +10,14 @@ use axum::{
 };
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, SaveModelRequest};
 
-use super::{
-    extract::{Body, Ids},
-    problem::Answer,
+use crate::{
+    AppState,
+    http::{
+        extract::{Body, Ids},
+        problem::Answer,
+    },
+    work::Kind,
 };
-use crate::{AppState, work::Kind};
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,

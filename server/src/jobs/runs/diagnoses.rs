@@ -11,7 +11,7 @@ use palpate_wire::{
 use super::{Finished, RunKind, Runs, Work, hold_out};
 use crate::{
     Error, Store,
-    bars::Bars,
+    data::bars::Bars,
     jobs::{BarConfig, check_diagnosis, diagnose_session},
 };
 

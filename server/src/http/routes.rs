@@ -2,37 +2,31 @@
 
 mod calibrations;
 mod diagnoses;
-mod extract;
 mod live;
 mod models;
 mod objects;
-mod problem;
 mod recording;
 mod sessions;
 mod takes;
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, sync::Arc};
 
 use axum::{
-    Json, Router,
+    Json,
     extract::State,
-    http::{Method, StatusCode, Uri},
-    middleware::from_fn_with_state,
-    response::{IntoResponse as _, Response},
+    http::Method,
     routing::{MethodRouter, delete, get, post, put},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
 use palpate_wire::api::{Info, Source, StationDocument};
-use tower_http::timeout::RequestBodyTimeoutLayer;
 
-use crate::{AppState, Error, assets, control_socket, door::guard, page, stream};
-pub(crate) use extract::Peer;
-use problem::Answer;
-pub(crate) use problem::{Detail, Problem, problem_response};
-
-/// A body of which nothing more comes in for this long is given up.
-const BODY_TIMEOUT: Duration = Duration::from_secs(15);
+use super::{
+    control_socket,
+    problem::{Answer, Problem},
+    stream,
+};
+use crate::{AppState, Error, assets, work::Kind};
 
 /// What a request must show to be carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +48,7 @@ pub struct Route {
     pub path: &'static str,
     /// What a request must show.
     pub needs: Needs,
-    handler: MethodRouter<Arc<AppState>>,
+    pub(super) handler: MethodRouter<Arc<AppState>>,
 }
 
 fn route(method: Method, path: &'static str, needs: Needs, handler: MethodRouter<Arc<AppState>>) -> Route {
@@ -121,18 +115,16 @@ pub fn routes(state: &AppState) -> Vec<Route> {
     routes
 }
 
-/// The whole service.
-pub fn app(state: Arc<AppState>) -> Router {
-    let api =
-        routes(&state).into_iter().fold(Router::new(), |api, route| api.route(route.path, route.handler));
-    let api = api.fallback(no_such_route).method_not_allowed_fallback(no_such_method);
-    let door = from_fn_with_state(state.door().clone(), guard);
-    Router::new()
-        .nest("/api/v1", api.with_state(state))
-        .route("/api/{*rest}", get(no_such_route))
-        .fallback_service(get(page::serve))
-        .layer(RequestBodyTimeoutLayer::new(BODY_TIMEOUT))
-        .layer(door)
+impl AppState {
+    /// Runs the work of a request away from the threads that answer requests, within the limits of its kind.
+    async fn run<T: Send + 'static>(
+        self: &Arc<Self>,
+        kind: Kind,
+        work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
+    ) -> Answer<T> {
+        let state = self.clone();
+        self.work().run(kind, move || work(&state)).await.map_err(Problem)
+    }
 }
 
 async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
@@ -141,7 +133,7 @@ async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         station: state.live().map(|live| live.station().label.clone()),
         source: state.live().map_or(Source::Replay, |live| live.source()),
-        insecure: state.insecure(),
+        insecure: state.access().insecure,
     })
 }
 
@@ -155,14 +147,4 @@ fn station_document(files: &StationFiles) -> StationDocument {
     let files_base64: BTreeMap<String, String> =
         files.files.iter().map(|(path, bytes)| (path.clone(), base64.encode(bytes))).collect();
     StationDocument { station_toml: files.station_toml.clone(), files_base64 }
-}
-
-async fn no_such_route(uri: Uri) -> Response {
-    let detail = format!("nothing is at {}; the API is below /api/v1/", uri.path());
-    problem_response(StatusCode::NOT_FOUND, &detail).into_response()
-}
-
-async fn no_such_method(method: Method, uri: Uri) -> Response {
-    let detail = format!("{} does not take {method}", uri.path());
-    problem_response(StatusCode::METHOD_NOT_ALLOWED, &detail).into_response()
 }

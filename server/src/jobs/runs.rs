@@ -28,7 +28,10 @@ use palpate_wire::{
 pub(crate) use queue::Queue;
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Class, Error, Hub, Store, cache::lock, chain, files, library::Library};
+use crate::{
+    Class, Error, Hub, Store, chain,
+    data::{cache::lock, files, library::Library},
+};
 
 /// Progress is published this often at most; a change of state or stage at once.
 const UPDATE_PERIOD: Duration = Duration::from_millis(50);

@@ -11,7 +11,8 @@ use palpate_robot_model::{ObjectGroup, ObjectModel};
 use palpate_sim::body::{RestPose, Solid};
 use palpate_wire::api::{ObjectDocument, ObjectEntry, ObjectTake, RestPoseDocument};
 
-use crate::{AppState, Error, assets, chain};
+use super::{Store, library::Library};
+use crate::{Error, assets, chain};
 
 /// Those of the binary never change.
 static SHIPPED: LazyLock<Vec<ObjectEntry>> = LazyLock::new(|| {
@@ -27,9 +28,9 @@ static SHIPPED: LazyLock<Vec<ObjectEntry>> = LazyLock::new(|| {
 });
 
 /// All objects, the binary's first, each with the takes that touched it. One that cannot be used says why.
-pub(crate) fn list(state: &AppState) -> Result<Vec<ObjectEntry>, Error> {
+pub(crate) fn list(store: &Store, library: &Library) -> Result<Vec<ObjectEntry>, Error> {
     let mut objects = SHIPPED.clone();
-    for (name, path) in state.store().object_files()? {
+    for (name, path) in store.object_files()? {
         let folder = path.parent().map(ToOwned::to_owned).unwrap_or_default();
         let read_mesh = |mesh: &str| read_own(&folder, &folder.join(mesh), MAX_STATION_FILE_BYTES);
         let own = match read_own(&folder, &path, MAX_TEXT_BYTES) {
@@ -40,7 +41,7 @@ pub(crate) fn list(state: &AppState) -> Result<Vec<ObjectEntry>, Error> {
         objects.retain(|object| object.own || object.id != own.id);
         objects.push(own);
     }
-    let mut takes = takes_by_object(state)?;
+    let mut takes = takes_by_object(store, library)?;
     for object in &mut objects {
         object.takes = takes.remove(&object.id).unwrap_or_default();
     }
@@ -58,12 +59,11 @@ fn read_own(folder: &Path, path: &Path, max_bytes: u64) -> Result<Vec<u8>, Strin
     })
 }
 
-fn takes_by_object(state: &AppState) -> Result<BTreeMap<String, Vec<ObjectTake>>, Error> {
+fn takes_by_object(store: &Store, library: &Library) -> Result<BTreeMap<String, Vec<ObjectTake>>, Error> {
     let mut takes: BTreeMap<String, Vec<ObjectTake>> = BTreeMap::new();
-    for session in state.store().sessions()? {
+    for session in store.sessions()? {
         // What cannot be opened is listed with its error on the screen of sessions.
-        let Ok(detail) = state.store().session(&session).and_then(|opened| state.library().detail(&opened))
-        else {
+        let Ok(detail) = store.session(&session).and_then(|opened| library.detail(&opened)) else {
             continue;
         };
         for take in detail.takes {

@@ -11,13 +11,13 @@ use palpate_sim::SensorModel;
 use prost::Message;
 use serde::Deserialize;
 
-use super::{
-    extract::{Ids, Params},
-    problem::Answer,
-};
 use crate::{
     AppState, Error,
-    library::{nominal_model, replay_trace, take_index, take_trace},
+    data::library::{nominal_model, replay_trace, take_index, take_trace},
+    http::{
+        extract::{Ids, Params},
+        problem::Answer,
+    },
     work::Kind,
 };
 

@@ -16,7 +16,8 @@ use axum::{
 use futures_util::SinkExt as _;
 use prost::Message as _;
 
-use crate::{AppState, hub::Client, listener::KeepOpen, pacing::Pacing};
+use super::{listener::KeepOpen, pacing::Pacing};
+use crate::{AppState, hub::Client};
 
 /// Clients answer pings and otherwise send nothing, bytes.
 const MAX_MESSAGE: usize = 1024;

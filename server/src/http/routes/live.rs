@@ -17,11 +17,14 @@ use palpate_wire::{
     proto::{ControlState, LiveFrame, control_state::Phase, device_status::Link},
 };
 
-use super::{
-    extract::{Body, Lease},
-    problem::{Answer, Problem},
+use crate::{
+    AppState, Error, chain,
+    http::{
+        extract::{Body, Lease},
+        problem::{Answer, Problem},
+    },
+    work::Kind,
 };
-use crate::{AppState, Error, chain, work::Kind};
 
 /// `GET /api/v1/live`.
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<LiveDocument>> {

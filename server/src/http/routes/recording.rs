@@ -5,11 +5,15 @@ use std::sync::Arc;
 use axum::{Json, extract::State};
 use palpate_wire::api::{RecordingAction, RecordingDocument, StartRecording, WantedTake};
 
-use super::{
-    extract::{Body, Ids, Lease},
-    problem::Answer,
+use crate::{
+    AppState, Error,
+    data::files,
+    http::{
+        extract::{Body, Ids, Lease},
+        problem::Answer,
+    },
+    work::Kind,
 };
-use crate::{AppState, Error, files, work::Kind};
 
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<RecordingDocument>> {
     with_station(&state, |handle| Ok(handle.recording()?)).await

@@ -10,7 +10,8 @@ use std::{
 use palpate_diagnosis::NullBar;
 use palpate_robot_model::StationFiles;
 
-use crate::{Error, files};
+use super::files;
+use crate::Error;
 
 /// Bars in a folder, one file each.
 #[derive(Clone, Debug)]

@@ -10,8 +10,12 @@ use axum::{
 };
 use palpate_wire::api::ModelSummary;
 
-use super::{extract::Ids, problem::Answer};
-use crate::{AppState, store, work::Kind};
+use crate::{
+    AppState,
+    data::store,
+    http::{extract::Ids, problem::Answer},
+    work::Kind,
+};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
     state.run(Kind::Read, move |state| Ok(Json(state.store().models()?))).await

@@ -8,7 +8,8 @@ use palpate_emulator::devices::StationControl;
 use palpate_robot_model::Station;
 use palpate_wire::api::Source;
 
-use crate::{Error, Hub, Store, emulated::EmulatedDevices};
+use super::EmulatedDevices;
+use crate::{Error, Hub, Store};
 
 /// Which station is live.
 #[derive(Clone, Debug)]

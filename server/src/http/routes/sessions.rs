@@ -18,12 +18,16 @@ use palpate_wire::api::{CheckReport, SessionDetail, SessionSummary, StationDocum
 use serde::Deserialize;
 use tokio::io::AsyncWriteExt as _;
 
-use super::{
-    extract::{Ids, Params},
-    problem::{Answer, Problem},
-    station_document,
+use super::station_document;
+use crate::{
+    AppState, Error,
+    data::{store, upload},
+    http::{
+        extract::{Ids, Params},
+        problem::{Answer, Problem},
+    },
+    work::Kind,
 };
-use crate::{AppState, Error, store, upload, work::Kind};
 
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<SessionSummary>>> {
     with_store(&state, Kind::Read, |state| {

@@ -13,7 +13,8 @@ use axum::{
     response::Response,
 };
 
-use crate::routes::{Detail, problem_response};
+use super::problem::{Detail, problem_response};
+use crate::AppState;
 
 /// What the page may load and do. It is one WebAssembly program with its own files; nothing may frame it.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
@@ -33,6 +34,10 @@ pub(crate) struct Door {
 }
 
 impl Door {
+    pub(crate) fn new(state: &AppState) -> Self {
+        Self { hosts: state.access().hosts.clone(), data: state.data().to_string_lossy().into_owned() }
+    }
+
     /// Why a request with these headers is refused, if it is.
     fn objection(&self, method: &Method, headers: &HeaderMap) -> Option<(StatusCode, String)> {
         let Some(host) = single(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok()) else {

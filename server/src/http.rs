@@ -1,0 +1,56 @@
+//! The HTTP service: who may come in, the routes, the sockets and the page.
+
+mod bucket;
+mod control_socket;
+mod door;
+mod extract;
+pub(crate) mod listener;
+mod pacing;
+pub(crate) mod page;
+mod problem;
+mod routes;
+mod stream;
+
+use std::{sync::Arc, time::Duration};
+
+use axum::{
+    Router,
+    http::{Method, StatusCode, Uri},
+    middleware::from_fn_with_state,
+    response::{IntoResponse as _, Response},
+    routing::get,
+};
+pub use routes::{Needs, Route, routes};
+use tower_http::timeout::RequestBodyTimeoutLayer;
+
+use crate::AppState;
+use door::{Door, guard};
+use problem::problem_response;
+
+/// A body of which nothing more comes in for this long is given up.
+const BODY_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// The whole service.
+pub fn app(state: Arc<AppState>) -> Router {
+    let api =
+        routes(&state).into_iter().fold(Router::new(), |api, route| api.route(route.path, route.handler));
+    let api = api.fallback(no_such_route).method_not_allowed_fallback(no_such_method);
+    let door = Arc::new(Door::new(&state));
+    let door = from_fn_with_state(door, guard);
+    Router::new()
+        .nest("/api/v1", api.with_state(state))
+        .route("/api/{*rest}", get(no_such_route))
+        .fallback_service(get(page::serve))
+        .layer(RequestBodyTimeoutLayer::new(BODY_TIMEOUT))
+        .layer(door)
+}
+
+async fn no_such_route(uri: Uri) -> Response {
+    let detail = format!("nothing is at {}; the API is below /api/v1/", uri.path());
+    problem_response(StatusCode::NOT_FOUND, &detail).into_response()
+}
+
+async fn no_such_method(method: Method, uri: Uri) -> Response {
+    let detail = format!("{} does not take {method}", uri.path());
+    problem_response(StatusCode::METHOD_NOT_ALLOWED, &detail).into_response()
+}
