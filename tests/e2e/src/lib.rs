@@ -17,6 +17,6 @@ pub use bench::{Bench, MS, still_from_ns};
 pub use board::Board;
 pub use devices::Devices;
 pub use operator::{Operator, Watcher, targets};
-pub use studio::Studio;
+pub use studio::{Studio, read_status};
 pub use tools::{Tools, demo_session, root, run_json};
 pub use turn::{alone, together};

@@ -126,6 +126,30 @@ impl Studio {
         self.exchange("GET", path, 0, "")
     }
 
+    /// Sends `request` as it is, and reads the answer to its end; gives the code of its status. HTTP/1.0 or `Connection:
+    /// close` makes it end.
+    pub fn raw(&self, request: &[u8], patience: Duration) -> anyhow::Result<u16> {
+        let mut stream = TcpStream::connect(self.address())?;
+        stream.set_read_timeout(Some(patience))?;
+        // A request that is refused before its end is not taken in to its end.
+        let _ = stream.write_all(request);
+        read_status(stream)
+    }
+
+    /// Where it listens, as `ADDRESS:PORT`.
+    pub fn address(&self) -> &str {
+        self.url.trim_start_matches("http://")
+    }
+
+    /// The most memory that the process has ever held, bytes.
+    pub fn peak_memory_bytes(&self) -> anyhow::Result<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id()))?;
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kib =
+            peak.and_then(|peak| peak.trim().strip_suffix("kB")).context("the system tells no VmHWM")?;
+        Ok(1024 * kib.trim().parse::<u64>()?)
+    }
+
     /// `POST` of a JSON document, answered by another one (or by nothing).
     pub fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
         self.exchange("POST", path, 0, &body.to_string())
@@ -175,7 +199,7 @@ impl Studio {
     }
 
     fn exchange(&self, method: &str, path: &str, lease: u64, body: &str) -> anyhow::Result<Value> {
-        let address = self.url.trim_start_matches("http://");
+        let address = self.address();
         let mut stream = TcpStream::connect(address)?;
         stream.set_read_timeout(Some(Duration::from_secs(60)))?;
         // HTTP/1.0: the answer ends where the connection does.
@@ -198,6 +222,16 @@ impl Studio {
         }
         serde_json::from_str(content).with_context(|| format!("{method} {path}: no JSON: {content}"))
     }
+}
+
+/// Reads an answer to its end; gives the code of its status.
+pub fn read_status(mut stream: TcpStream) -> anyhow::Result<u16> {
+    let mut answer = Vec::new();
+    // Whoever refuses a request may close the connection while more of it comes.
+    let ended = stream.read_to_end(&mut answer);
+    let text = String::from_utf8_lossy(&answer);
+    let code = text.split_whitespace().nth(1).and_then(|code| code.parse().ok());
+    code.with_context(|| format!("no answer: {ended:?} {:?}", text.lines().next()))
 }
 
 /// `palpate serve` on any free port.

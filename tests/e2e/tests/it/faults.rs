@@ -139,6 +139,107 @@ fn a_studio_killed_while_moving_leaves_servos_that_stop_themselves() {
     bench.wait_until("there", |now| (now.positions[dof] - 0.45).abs() < 0.05).unwrap();
 }
 
+#[test]
+fn a_studio_that_stands_still_for_a_second_leaves_servos_that_stop_themselves_and_says_so() {
+    let Some(tools) = Tools::find() else { return };
+    let scene = Scene::armed(&tools).unwrap();
+    scene.set_in_motion().unwrap();
+    let (all, hand) = scene.dofs();
+    scene.studio.signal("STOP").unwrap();
+    let stopped_ns = scene.bench.now_ns();
+    scene.bench.wait_until("a second later", |now| now.device_ns > stopped_ns + 1000 * MS).unwrap();
+    scene.studio.signal("CONT").unwrap();
+    let log = scene.bench.control.take_motion_log();
+    assert_eq!(log.num_dropped, 0);
+    let hand_ns = still_from_ns(&log.steps, &hand, stopped_ns).expect("the servos stop") - stopped_ns;
+    let all_ns = still_from_ns(&log.steps, &all, stopped_ns).expect("the arm stops") - stopped_ns;
+    eprintln!("studio stood still: servos after {} ms, arm after {} ms", hand_ns / MS, all_ns / MS);
+    assert!(hand_ns <= WATCHDOG_NS, "servos stood after {} ms", hand_ns / MS);
+    assert!(all_ns <= WATCHDOG_NS + SLACK_NS, "the arm stood after {} ms", all_ns / MS);
+
+    // It does not go on by itself with what it was told before.
+    let limp_ns = scene.bench.wait_until_limp().unwrap();
+    let state = scene.watcher.wait_for_phase(Phase::Disarmed).unwrap();
+    eprintln!("limp {} ms after it stood still: {}", (limp_ns - stopped_ns) / MS, state.reason);
+    assert!(!state.reason.is_empty(), "{state:?}");
+    scene.operator.arm(&scene.watcher).unwrap();
+}
+
+/// Accepts what is left of the take that was killed; gives how long that is. 0 where nothing of it is left.
+fn accept_what_is_left(scene: &Scene) -> anyhow::Result<f64> {
+    let step =
+        || -> anyhow::Result<Value> { Ok(scene.studio.get("/recording")?["session"]["steps"][0].take()) };
+    let act = |action: Value| scene.studio.post_under(scene.operator.lease(), "/recording/act", &action);
+    if step()?["state"] != "review" {
+        return Ok(0.0);
+    }
+    let wait_for = |what: &str, wanted: &dyn Fn(&Value) -> bool| -> anyhow::Result<()> {
+        let begun = Instant::now();
+        while !wanted(&step()?) {
+            anyhow::ensure!(begun.elapsed() < PATIENCE, "the take is never {what}");
+            thread::sleep(Duration::from_millis(50));
+        }
+        Ok(())
+    };
+    wait_for("checked", &|step| !step["verdict"].is_null())?;
+    act(json!({ "action": "accept" }))?;
+    wait_for("accepted", &|step| step["state"] == "accepted")?;
+    let session = scene.studio.get("/sessions/monday")?;
+    let take = &session["takes"][0];
+    let path = format!("/api/v1/sessions/monday/takes/{}/trace", take["id"].as_str().unwrap_or_default());
+    let request = format!("GET {path} HTTP/1.0\r\nHost: {}\r\n\r\n", scene.studio.address());
+    let status = scene.studio.raw(request.as_bytes(), PATIENCE)?;
+    anyhow::ensure!(status == 200, "{path} cannot be read: {status}");
+    act(json!({ "action": "select", "step": 0 }))?;
+    scene.watcher.wait_for("the accepted take", |state| recording(state).phase == "review")?;
+    take["duration_s"].as_f64().context("the take has no duration")
+}
+
+/// Files of takes in the session, those that were put aside among them.
+fn num_take_files(scene: &Scene) -> anyhow::Result<usize> {
+    let session = scene.data.path().join("sessions/monday");
+    let count = |dir: &std::path::Path| -> anyhow::Result<usize> {
+        let names = std::fs::read_dir(dir)?.map(|entry| Ok(entry?.path()));
+        let paths: std::io::Result<Vec<_>> = names.collect();
+        Ok(paths?.iter().filter(|path| path.extension().is_some_and(|ending| ending == "mcap")).count())
+    };
+    let discarded = session.join("discarded");
+    Ok(count(&session)? + if discarded.exists() { count(&discarded)? } else { 0 })
+}
+
+/// Kills the studio in the middle of a session again and again, on the same step; `PALPATE_ROUNDS=50` asks for more rounds.
+#[test]
+fn a_session_goes_on_after_kills_at_random_moments() {
+    const LONGEST_MS: f64 = 6_000.0;
+    let Some(tools) = Tools::find() else { return };
+    let rounds = std::env::var("PALPATE_ROUNDS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(4);
+    let mut scene = Scene::armed(&tools).unwrap();
+    scene.begin_session().unwrap();
+    let (mut num_files, mut num_running, mut most_lost_s) = (0, 0, 0.0_f64);
+    // Moments that lie evenly over the time of a take, in an order without a pattern: multiples of the golden ratio.
+    for (round, moment) in (1..=rounds).map(|round| (round, (f64::from(round) * 0.618_034).fract())) {
+        let begun_ns = scene.begin_take().unwrap();
+        thread::sleep(Duration::from_millis((moment * LONGEST_MS) as u64));
+        let state = scene.watcher.newest().and_then(|frame| frame.control).unwrap_or_default();
+        let is_running = recording(&state).phase == "running";
+        let killed_ns = scene.bench.now_ns();
+        scene = scene.killed_and_started_again(&tools).unwrap();
+        let kept_s = accept_what_is_left(&scene).unwrap();
+        if let (Some(begun_ns), true) = (begun_ns, is_running) {
+            let recorded_s = (killed_ns - begun_ns) as f64 * 1e-9;
+            eprintln!("round {round}: killed {recorded_s:.2} s into a take: {kept_s:.2} s of it are kept");
+            // It begins when the loop says so, a little before or after the moment that was seen from here.
+            assert!(kept_s > recorded_s - 1.2, "round {round}: {kept_s} s are left of {recorded_s} s");
+            (num_running, most_lost_s) = (num_running + 1, most_lost_s.max(recorded_s - kept_s));
+        }
+        let files = num_take_files(&scene).unwrap();
+        assert!(files >= num_files, "round {round}: of {num_files} files {files} are left");
+        num_files = files;
+        scene.start_over().unwrap();
+    }
+    eprintln!("{rounds} kills, {num_running} in a running take; {most_lost_s:.2} s were lost at most");
+}
+
 /// Records the first take of the session until its motion has run for some seconds; gives when the take began, in the
 /// station's own time, or `None` if the step has to start over.
 fn record_some_seconds(scene: &Scene) -> anyhow::Result<Option<u64>> {

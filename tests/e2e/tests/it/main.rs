@@ -7,6 +7,7 @@ mod devices_check;
 mod ending;
 mod faults;
 mod flipped_bits;
+mod flood;
 mod full_disk;
 mod page;
 mod probe_bench;

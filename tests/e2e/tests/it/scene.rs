@@ -37,6 +37,23 @@ impl Scene {
         Ok(Self { operator, watcher, studio, data, bench })
     }
 
+    /// Kills the studio as when the machine loses its power, and starts another one on the same data, with an operator who
+    /// has armed and goes on with the session.
+    pub(crate) fn killed_and_started_again(self, tools: &Tools) -> anyhow::Result<Self> {
+        let Self { operator, watcher, studio, data, bench } = self;
+        studio.kill()?;
+        drop((operator, watcher));
+        let studio = Studio::serve(tools, data.path(), bench.station_args())?;
+        let watcher = Watcher::connect(&studio)?;
+        watcher.wait_for("every device to be ready", all_ready)?;
+        let mut operator = Operator::connect(&studio)?;
+        operator.take_control("Ada")?;
+        operator.arm(&watcher)?;
+        let scene = Self { operator, watcher, studio, data, bench };
+        scene.begin_session()?;
+        Ok(scene)
+    }
+
     /// Starts a motion that would take seconds, to where there is room for it, and waits until it goes.
     pub(crate) fn set_in_motion(&self) -> anyhow::Result<()> {
         set_in_motion(&self.bench, &self.operator)
