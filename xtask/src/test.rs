@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::{browser, build, mujoco, paths, python, shell};
+use crate::{browser, build, mujoco, paths, python, shell, slurm};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 pub(crate) const PROPTEST_SEED: &str = "20261121";
@@ -17,6 +17,7 @@ pub(crate) struct TestArgs {
 pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     let python = python::interpreter()?;
     let browser_tests = browser::tests_dir()?;
+    slurm::install()?;
     let palpate = build::dev()?;
     let artifacts = paths::target().join("e2e");
     std::fs::create_dir_all(&artifacts)?;

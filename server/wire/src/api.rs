@@ -1,6 +1,7 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
 mod diagnosis;
+mod jobs;
 mod live;
 mod objects;
 mod recording;
@@ -8,6 +9,7 @@ mod recording;
 use std::collections::BTreeMap;
 
 pub use diagnosis::*;
+pub use jobs::*;
 pub use live::*;
 pub use objects::*;
 pub use recording::*;
@@ -394,6 +396,25 @@ pub enum JobState {
     Failed,
     /// Stopped by somebody.
     Cancelled,
+}
+
+impl JobState {
+    /// Its name in documents.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
+    /// The state of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        let all = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
+        all.into_iter().find(|state| state.name() == name)
+    }
 }
 
 /// `POST /api/v1/calibrations/{job}/save`.
