@@ -8,6 +8,8 @@ mod devices;
 mod diagnose;
 mod emulate;
 mod import;
+mod job;
+mod jobs;
 mod output;
 mod replay;
 mod serve;
@@ -53,6 +55,12 @@ enum Command {
     Serve(serve::ServeArgs),
     /// Hide effects in emulated sessions, diagnose them blind, and score the names
     Blind(blind::BlindArgs),
+    /// The jobs of a studio
+    #[command(subcommand)]
+    Jobs(jobs::JobsCommand),
+    /// What runners of jobs call (docs/jobs.md)
+    #[command(subcommand, hide = true)]
+    Job(job::JobCommand),
     /// Measure a path that has to be fast
     #[command(subcommand)]
     Bench(bench::BenchCommand),
@@ -73,6 +81,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Actuator(command) => actuator::run(&command),
         Command::Serve(args) => serve::run(args),
         Command::Blind(args) => blind::run(&args),
+        Command::Jobs(command) => jobs::run(&command),
+        Command::Job(command) => job::run(&command),
         Command::Bench(command) => bench::run(&command),
     };
     match result {

@@ -2,11 +2,13 @@
 
 use std::{fmt::Write as _, io, path::PathBuf};
 
+use palpate_blind::BlindError;
 use palpate_calibration::CalibrationError;
 use palpate_control::ControlError;
 use palpate_diagnosis::DiagnosisError;
 use palpate_drivers::DriverError;
 use palpate_emulator::EmulationError;
+use palpate_jobs::JobsError;
 use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
 use palpate_sim::SensorModelError;
@@ -45,6 +47,9 @@ pub enum Error {
     /// The devices of a station.
     #[error(transparent)]
     Devices(#[from] DriverError),
+    /// The jobs of the data folder.
+    #[error(transparent)]
+    Jobs(#[from] JobsError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -92,6 +97,19 @@ pub enum Error {
     /// A fault of this program.
     #[error("{0}")]
     Internal(String),
+}
+
+/// A blind bench fails as whatever it is made of would.
+impl From<BlindError> for Error {
+    fn from(err: BlindError) -> Self {
+        match err {
+            BlindError::Emulation(source) => source.into(),
+            BlindError::Model(source) => source.into(),
+            BlindError::Cancelled => Self::Cancelled,
+            BlindError::NoCase(_) => Self::Argument(err.to_string()),
+            other => Self::Content(other.to_string()),
+        }
+    }
 }
 
 /// Whose turn it is after an error.
@@ -158,6 +176,14 @@ impl Error {
             Self::Devices(err) | Self::Control(ControlError::Devices(err)) => match err {
                 DriverError::Thread { .. } => Class::Failed,
                 _ => Class::BadContent,
+            },
+            Self::Jobs(err) => match err {
+                JobsError::NotFound(_) => Class::NotFound,
+                JobsError::Conflict(_) => Class::Conflict,
+                JobsError::Argument(_) => Class::BadArgument,
+                JobsError::Content { .. } => Class::BadContent,
+                JobsError::Io { action, source, .. } => io_class(action, source),
+                _ => Class::Failed,
             },
             Self::Conflict(_) => Class::Conflict,
             Self::TooLarge(_) => Class::TooLarge,

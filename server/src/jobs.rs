@@ -1,7 +1,11 @@
 //! Long work, the same for the command line and the server: inputs, progress and a way to stop it come from the caller.
 
+pub(crate) mod board;
 mod diagnose;
+pub(crate) mod kinds;
+mod legacy;
 pub(crate) mod runs;
+mod work;
 
 use std::{path::Path, sync::Arc, time::Instant};
 
@@ -13,6 +17,7 @@ use palpate_sim::{
     job::{Cancel, Progress},
 };
 use palpate_wire::api::CalibrationReport;
+pub use work::run_job;
 
 use crate::{
     Error,
@@ -21,6 +26,11 @@ use crate::{
         library::{Library, model_readings, nominal_model},
     },
 };
+
+/// Name and version of this program.
+pub(crate) fn software() -> String {
+    format!("palpate {}", env!("CARGO_PKG_VERSION"))
+}
 
 /// What a calibration leaves.
 #[derive(Clone, Debug)]

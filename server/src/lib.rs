@@ -1,8 +1,10 @@
 //! The studio's server and everything the `palpate` command line does.
 //!
 //! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. The folder
-//! `http` uses the state, the state uses `station`, `jobs` and `data`. Long work lives in [`jobs`], which the command line
-//! and the server call alike. Data is plain files below one folder ([`Store`]): `sessions/`, `models/`, `objects/` (one's own), `runs/`, `bars/`, and `trash/` for what was deleted.
+//! `http` uses the state, the state uses `station`, `jobs` and `data`. Long work lives in [`jobs`], which the command
+//! line and the server call alike. Data is plain files below one folder ([`Store`]): `sessions/`, `models/`, `objects/`
+//! (one's own), `runs/` (a folder a job), `bars/`, and `trash/` for what was deleted. The table of jobs is a database
+//! in it (`palpate.sqlite`).
 //!
 //! # Routes
 //!
@@ -36,6 +38,15 @@
 //! | POST | `/api/v1/diagnoses/{id}/cancel` | `DiagnosisRun` |
 //! | POST | `/api/v1/diagnoses/{id}/save` | body `SaveDiagnosisRequest`; 201 (new model) or 200 (added to one) `ModelSummary`, `Location` |
 //! | GET | `/api/v1/diagnoses/{id}/report.html` | the self-contained report |
+//! | GET | `/api/v1/jobs?state=STATE&kind=KIND&limit=N&cursor=CURSOR` | `JobPage`: jobs of every kind, newest first |
+//! | POST | `/api/v1/jobs` | body `JobRequest`; 202 `Job`, `Location`; with a header `Idempotency-Key` that came before: 200 and the job it made then |
+//! | GET, DELETE | `/api/v1/jobs/{id}` | `Job`; DELETE moves one that has ended to the trash, 204 |
+//! | POST | `/api/v1/jobs/{id}/cancel` | asks it to stop, and ends it if it does not; `Job` |
+//! | POST | `/api/v1/jobs/{id}/retry` | queues one that failed or was cancelled once more; `Job` |
+//! | POST | `/api/v1/jobs/{id}/clone` | body `JobChanges`: queues another like it but for these; as `POST /api/v1/jobs` |
+//! | GET | `/api/v1/jobs/{id}/log` | the newest part of what its process printed: text |
+//! | GET | `/api/v1/jobs/{id}/metrics` | the newest part of its curves: JSON lines |
+//! | GET | `/api/v1/jobs/{id}/files/{name}` | a file of its folder, e.g. `report.json` (`docs/jobs.md`) |
 //! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
 //! | GET | `/api/v1/live` | `LiveDocument`; 404 without a live station, as the routes below |
 //! | PUT | `/api/v1/live/model` | body `LiveModel`: what the live twin simulates with |

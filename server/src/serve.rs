@@ -67,7 +67,7 @@ pub async fn serve(
         }
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
-    let access = Access { hosts, insecure: is_exposed };
+    let access = Access { hosts, insecure: is_exposed, program: None };
     let Studio { state, station } = Studio::open(&data, station.as_ref(), access)?;
     if is_exposed {
         tracing::warn!(%listen, "no login: anybody who reaches this address may take control of the robot");

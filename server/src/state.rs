@@ -11,27 +11,32 @@ use tokio::sync::watch;
 use crate::{
     Error, Hub, Store,
     data::library::Library,
-    jobs::runs::{Calibrations, Diagnoses, Queue, Runs},
+    jobs::{
+        board::Jobs,
+        runs::{Calibrations, Diagnoses, Runs},
+    },
     station::{Live, LiveStation, RunningStation},
     work::Work,
 };
 
-/// Who may come in, and who is told about it.
+/// Who may come in, who is told about it, and what runs jobs.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     /// Host names by which the server is known, besides `localhost` and addresses.
     pub hosts: Vec<String>,
     /// It listens beyond this computer without a login; the page says so.
     pub insecure: bool,
+    /// The `palpate` program that jobs run as; without, the one that runs now.
+    pub program: Option<PathBuf>,
 }
 
 /// What requests share.
 pub struct AppState {
+    // The first to go: the folder is free once nothing starts jobs any more.
+    jobs: Jobs,
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
-    calibrations: Runs<Calibrations>,
-    diagnoses: Runs<Diagnoses>,
     live: Option<Live>,
     work: Work,
     access: Access,
@@ -54,9 +59,11 @@ impl Studio {
         let store = Arc::new(Store::open(data)?);
         let library = Arc::new(Library::default());
         let hub = Arc::new(Hub::default());
-        let queue = Queue::start()?;
-        let calibrations = Runs::open(store.clone(), library.clone(), hub.clone(), queue.clone())?;
-        let diagnoses = Runs::open(store.clone(), library.clone(), hub.clone(), queue)?;
+        let program = match &access.program {
+            Some(program) => program.clone(),
+            None => std::env::current_exe().map_err(Error::io("find", "this program"))?,
+        };
+        let jobs = Jobs::open(store.clone(), hub.clone(), &program)?;
         let work = Work::start()?;
         let (live, station) = match station {
             Some(station) => {
@@ -67,8 +74,7 @@ impl Studio {
         };
         let data = data.canonicalize().map_err(Error::io("open", data))?;
         let shutdown = watch::Sender::new(false);
-        let state =
-            AppState { store, library, hub, calibrations, diagnoses, live, work, access, data, shutdown };
+        let state = AppState { jobs, store, library, hub, live, work, access, data, shutdown };
         Ok(Self { state: Arc::new(state), station })
     }
 }
@@ -92,12 +98,16 @@ impl AppState {
         &self.library
     }
 
-    pub(crate) fn calibrations(&self) -> &Runs<Calibrations> {
-        &self.calibrations
+    pub(crate) fn jobs(&self) -> &Jobs {
+        &self.jobs
     }
 
-    pub(crate) fn diagnoses(&self) -> &Runs<Diagnoses> {
-        &self.diagnoses
+    pub(crate) fn calibrations(&self) -> Runs<'_, Calibrations> {
+        Runs::of(&self.jobs)
+    }
+
+    pub(crate) fn diagnoses(&self) -> Runs<'_, Diagnoses> {
+        Runs::of(&self.jobs)
     }
 
     pub(crate) fn live(&self) -> Option<&Live> {
@@ -122,10 +132,9 @@ impl AppState {
         self.shutdown.subscribe()
     }
 
-    /// Ends streams and runs, so that the server can end.
+    /// Ends streams, and starts no job any more, so that the server can end. Jobs that run go on.
     pub fn begin_shutdown(&self) {
         self.shutdown.send_replace(true);
-        self.calibrations.cancel_all();
-        self.diagnoses.cancel_all();
+        self.jobs.scheduler().begin_to_stop();
     }
 }

@@ -95,8 +95,10 @@ pub enum Connection {
     },
 }
 
-/// Ids of diagnoses begin with this, those of calibrations do not.
+/// Ids of diagnoses begin with this.
 const DIAGNOSIS_PREFIX: &str = "diagnosis-";
+/// Ids of calibrations begin with this. Other kinds of jobs have other ids.
+const CALIBRATION_PREFIX: &str = "run-";
 
 type TakeKey = (String, String);
 
@@ -511,7 +513,9 @@ impl Store {
                     if self.diagnoses.update(state, &update) {
                         self.outbox.push(Request::Diagnosis(update.job));
                     }
-                } else if self.calibrations.update(state, &update) {
+                } else if update.job.starts_with(CALIBRATION_PREFIX)
+                    && self.calibrations.update(state, &update)
+                {
                     self.outbox.push(Request::Run(update.job));
                 }
             }

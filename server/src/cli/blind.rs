@@ -3,8 +3,7 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, ValueEnum};
-use palpate_blind::{BlindConfig, BlindError, BlindReport, Scores, actuator, tactile};
-use palpate_server::Error;
+use palpate_blind::{BlindConfig, BlindReport, Scores, actuator, tactile};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
 use super::{Outcome, output};
@@ -66,8 +65,7 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         match args.domain {
             Domain::Tactile => tactile(&args.truth, &config, &bar, &cancel),
             Domain::Actuator => actuator(&config, &bar, &cancel),
-        }
-        .map_err(error)?
+        }?
     };
     if args.json {
         output::json(&report)?;
@@ -75,17 +73,6 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         output::line(&text(&report))?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// As the same trouble is reported by other commands.
-fn error(error: BlindError) -> Error {
-    match error {
-        BlindError::Emulation(source) => source.into(),
-        BlindError::Model(source) => source.into(),
-        BlindError::Cancelled => Error::Cancelled,
-        BlindError::NoCase(_) => Error::Argument(error.to_string()),
-        other => Error::Content(other.to_string()),
-    }
 }
 
 fn text(report: &BlindReport) -> String {

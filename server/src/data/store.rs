@@ -13,10 +13,9 @@ use palpate_recording::{
 };
 use palpate_sim::SensorModel;
 use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport};
-use serde::{Serialize, de::DeserializeOwned};
 
 use super::{cache::lock, files, upload};
-use crate::{Error, chain};
+use crate::Error;
 
 /// Locked by the studio that has the folder open; it holds the number of its process.
 const LOCK_FILE: &str = "studio.lock";
@@ -32,6 +31,16 @@ pub struct Store {
     uploads: upload::Slots,
     /// Unlocked by the operating system, however this process ends. `None` where the file system knows no locks.
     _lock: Option<File>,
+}
+
+/// A document of a run as it was before there was a database.
+pub(crate) struct RunFile {
+    /// Id by its name.
+    pub(crate) id: String,
+    /// Where it is.
+    pub(crate) path: PathBuf,
+    /// What it holds.
+    pub(crate) text: Result<String, Error>,
 }
 
 /// What the trash keeps apart.
@@ -81,6 +90,17 @@ impl Store {
             uploads: upload::Slots::default(),
             _lock: lock,
         })
+    }
+
+    /// The folder `root` for a job's own process, beside the studio that has it open: it reads, and makes what did not
+    /// exist.
+    pub(crate) fn of_job(root: &Path) -> Self {
+        Self {
+            root: root.to_owned(),
+            naming: Mutex::default(),
+            uploads: upload::Slots::default(),
+            _lock: None,
+        }
     }
 
     /// The data folder.
@@ -344,58 +364,33 @@ impl Store {
         fs::rename(&path, &target).map_err(Error::io("move", &path))
     }
 
-    /// `(id, run)` of every run on disk whose id begins with `prefix`, as far as it can be read.
-    pub(crate) fn runs<R: DeserializeOwned>(&self, prefix: &str) -> Result<Vec<(String, R)>, Error> {
-        let mut runs = Vec::new();
-        for (file_name, path) in self.entries("runs")? {
-            let Some(id) = file_name.strip_suffix(".json").filter(|id| id.starts_with(prefix)) else {
-                continue;
-            };
-            let read = self.own_text("runs", &path, MAX_RUN_BYTES).and_then(|text| {
-                serde_json::from_str::<R>(&text).map_err(|err| Error::Content(err.to_string()))
-            });
-            match read {
-                Ok(run) => runs.push((id.to_owned(), run)),
-                Err(err) => tracing::warn!(path = %path.display(), err = chain(&err), "left out a run"),
-            }
-        }
-        Ok(runs)
+    /// Documents of runs, `runs/ID.json`, by name, with their text or why it cannot be read.
+    pub(crate) fn run_documents(&self) -> Result<Vec<RunFile>, Error> {
+        let entries = self.entries("runs")?.into_iter();
+        let documents = entries.filter_map(|(name, path)| {
+            let id = name.strip_suffix(".json")?.to_owned();
+            let text = self.own_text("runs", &path, MAX_RUN_BYTES);
+            Some(RunFile { id, path, text })
+        });
+        Ok(documents.collect())
     }
 
-    /// Writes `run` in place of what was known of it.
-    pub(crate) fn save_run(&self, id: &str, run: &impl Serialize) -> Result<(), Error> {
-        let json = serde_json::to_vec(run).map_err(|err| Error::Internal(err.to_string()))?;
-        files::write(&self.run_path(id, "json"), &json)
+    /// `(id, path)` of every folder in `runs/`, by name.
+    pub(crate) fn run_folders(&self) -> Result<Vec<(String, PathBuf)>, Error> {
+        let entries = self.entries("runs")?.into_iter();
+        let is_folder = |path: &Path| path.symlink_metadata().is_ok_and(|meta| meta.is_dir());
+        Ok(entries.filter(|(_, path)| is_folder(path)).collect())
     }
 
-    /// Writes another file of run `id`, called by its suffix.
-    pub(crate) fn save_run_file(&self, id: &str, suffix: &str, text: &str) -> Result<(), Error> {
-        files::write(&self.run_path(id, suffix), text.as_bytes())
-    }
-
-    /// Another file of run `id`, if it has one with this suffix.
-    pub(crate) fn run_file(&self, id: &str, suffix: &str) -> Result<Option<String>, Error> {
-        files::check_id("run", id)?;
-        let path = self.run_path(id, suffix);
-        match self.own_text("runs", &path, MAX_RUN_BYTES) {
-            Ok(text) => Ok(Some(text)),
-            Err(Error::Recording(RecordingError::Io { source, .. }))
-                if source.kind() == ErrorKind::NotFound =>
-            {
-                Ok(None)
-            }
-            Err(err) => Err(err),
-        }
+    /// The file of model `id`.
+    pub(crate) fn model_file(&self, id: &str) -> Result<PathBuf, Error> {
+        self.existing(Kind::Model, id)
     }
 
     /// The text of the file at `path`, which must lie in `folder`.
     fn own_text(&self, folder: &str, path: &Path, max_bytes: u64) -> Result<String, Error> {
         resolve_in(&self.root.join(folder), path)?;
         Ok(read_text(path, max_bytes)?)
-    }
-
-    fn run_path(&self, id: &str, suffix: &str) -> PathBuf {
-        self.root.join("runs").join(format!("{id}.{suffix}"))
     }
 
     fn path(&self, kind: Kind, id: &str) -> PathBuf {

@@ -2,6 +2,7 @@
 
 mod calibrations;
 mod diagnoses;
+mod jobs;
 mod live;
 mod models;
 mod objects;
@@ -88,6 +89,16 @@ pub fn routes(state: &AppState) -> Vec<Route> {
         route(Method::POST, "/diagnoses/{run}/cancel", Needs::Nothing, post(diagnoses::cancel)),
         route(Method::POST, "/diagnoses/{run}/save", Needs::Nothing, post(diagnoses::save)),
         route(Method::GET, "/diagnoses/{run}/report.html", Needs::Nothing, get(diagnoses::report)),
+        route(Method::GET, "/jobs", Needs::Nothing, get(jobs::list)),
+        route(Method::POST, "/jobs", Needs::Nothing, post(jobs::submit)),
+        route(Method::GET, "/jobs/{job}", Needs::Nothing, get(jobs::detail)),
+        route(Method::DELETE, "/jobs/{job}", Needs::Nothing, delete(jobs::discard)),
+        route(Method::POST, "/jobs/{job}/cancel", Needs::Nothing, post(jobs::cancel)),
+        route(Method::POST, "/jobs/{job}/retry", Needs::Nothing, post(jobs::retry)),
+        route(Method::POST, "/jobs/{job}/clone", Needs::Nothing, post(jobs::clone)),
+        route(Method::GET, "/jobs/{job}/log", Needs::Nothing, get(jobs::log)),
+        route(Method::GET, "/jobs/{job}/metrics", Needs::Nothing, get(jobs::metrics)),
+        route(Method::GET, "/jobs/{job}/files/{file}", Needs::Nothing, get(jobs::file)),
         route(Method::GET, "/stream", Needs::Nothing, get(stream::upgrade)),
         route(Method::GET, "/live", Needs::Nothing, get(live::document)),
         route(Method::PUT, "/live/model", Needs::Nothing, put(live::set_model)),
@@ -117,7 +128,7 @@ pub fn routes(state: &AppState) -> Vec<Route> {
 
 impl AppState {
     /// Runs the work of a request away from the threads that answer requests, within the limits of its kind.
-    async fn run<T: Send + 'static>(
+    pub(super) async fn run<T: Send + 'static>(
         self: &Arc<Self>,
         kind: Kind,
         work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,

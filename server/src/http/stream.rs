@@ -17,7 +17,7 @@ use futures_util::SinkExt as _;
 use prost::Message as _;
 
 use super::{listener::KeepOpen, pacing::Pacing};
-use crate::{AppState, hub::Client};
+use crate::{AppState, hub::Client, work::Kind};
 
 /// Clients answer pings and otherwise send nothing, bytes.
 const MAX_MESSAGE: usize = 1024;
@@ -38,8 +38,9 @@ pub(crate) async fn upgrade(
             }
         };
         let client = state.hub().join();
-        let unfinished = [state.calibrations().unfinished_updates(), state.diagnoses().unfinished_updates()];
-        for update in unfinished.into_iter().flatten() {
+        // A client that is told too little asks for the lists, as it does when it begins.
+        let unfinished = state.run(Kind::Read, |state| state.jobs().unfinished_updates()).await;
+        for update in unfinished.unwrap_or_default() {
             client.push_job(update);
         }
         let mut shutdown = state.shutdown();

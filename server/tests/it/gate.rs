@@ -9,7 +9,7 @@ use axum::{
 };
 use futures_util::{SinkExt as _, StreamExt as _};
 use http_body_util::BodyExt as _;
-use palpate_server::{Access, AppState, LiveStation, Needs, Studio, app, assets, routes, serve_on};
+use palpate_server::{AppState, LiveStation, Needs, Studio, app, assets, routes, serve_on};
 use palpate_wire::{
     api::{LEASE_HEADER, LiveDocument, ProblemDetails, RecordingDocument},
     proto::{
@@ -26,7 +26,7 @@ use tokio_tungstenite::{
 };
 use tower::ServiceExt as _;
 
-use crate::support::get;
+use crate::support::{access, get};
 
 /// An emulated station, its service on a port, and an operator who has armed it and begun a session.
 struct Scene {
@@ -76,7 +76,7 @@ impl Scene {
         let data = tempfile::tempdir().unwrap();
         let (truth, _unpacked) = assets::truth(Path::new("small")).unwrap();
         let station = LiveStation::Emulated(truth);
-        let studio = Studio::open(data.path(), Some(&station), Access::default()).unwrap();
+        let studio = Studio::open(data.path(), Some(&station), access()).unwrap();
         let state = studio.state.clone();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("ws://{}/api/v1/control", listener.local_addr().unwrap());
@@ -179,6 +179,7 @@ fn attempts(path: &str) -> Vec<(String, Value)> {
     let filled =
         path.replace("{session}", "monday").replace("{object}", "sphere_50mm").replace("{primitive}", "tap");
     let filled = filled.replace("{take}", "take-01").replace("{model}", "nominal").replace("{run}", "run-1");
+    let filled = filled.replace("{job}", "run-1").replace("{file}", "report.json");
     let bodies = match path {
         "/recording" => vec![begin("tuesday")],
         "/recording/act" => [

@@ -8,6 +8,7 @@ mod cli;
 mod data_folder;
 mod diagnoses;
 mod gate;
+mod jobs;
 mod stream;
 mod support;
 mod uploads;

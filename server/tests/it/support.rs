@@ -161,7 +161,7 @@ impl Data {
     }
 
     pub(crate) fn state(&self) -> Arc<AppState> {
-        Studio::open(self.root(), None, Access::default()).unwrap().state
+        Studio::open(self.root(), None, access()).unwrap().state
     }
 
     pub(crate) fn app(&self) -> Router {
@@ -174,7 +174,7 @@ impl Data {
         // The thread of runs lets go of the folder a moment after a run has ended.
         let patience = Instant::now();
         loop {
-            match Studio::open(self.root(), None, Access::default()) {
+            match Studio::open(self.root(), None, access()) {
                 Ok(studio) => return palpate_server::app(studio.state),
                 Err(err) => assert!(patience.elapsed() < Duration::from_secs(60), "{err}"),
             }
@@ -208,6 +208,10 @@ pub(crate) fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let Ok(entries) = fs::read_dir(dir) else { return files };
     for entry in entries {
         let path = entry.unwrap().path();
+        if path.to_string_lossy().ends_with(".sqlite-shm") {
+            // What readers of an open database share is no data.
+            continue;
+        }
         if path.is_dir() {
             files.insert(path.clone(), Vec::new());
             files.extend(tree(&path));
@@ -278,6 +282,11 @@ pub(crate) async fn send(app: &Router, method: &str, path: &str, body: Option<(&
     let (parts, body) = response.into_parts();
     let body = body.collect().await.unwrap().to_bytes();
     Answer { status: parts.status, headers: parts.headers, body }
+}
+
+/// As a studio is opened: its jobs run as the command, not as the tests.
+pub(crate) fn access() -> Access {
+    Access { program: Some(env!("CARGO_BIN_EXE_palpate").into()), ..Access::default() }
 }
 
 /// Runs `palpate` with `args`.

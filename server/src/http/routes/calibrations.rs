@@ -23,20 +23,20 @@ pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Body(request): Body<CalibrationRequest>,
 ) -> Answer<Response> {
-    let run = state.run(Kind::Read, move |state| state.calibrations().start(request)).await?;
+    let run = state.run(Kind::Read, move |state| state.calibrations().start(&request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }
 
-pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<CalibrationRun>> {
-    Json(state.calibrations().list())
+pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<CalibrationRun>>> {
+    state.run(Kind::Read, move |state| state.calibrations().list().map(Json)).await
 }
 
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<CalibrationRun>> {
-    Ok(Json(state.calibrations().get(&id)?))
+    state.run(Kind::Read, move |state| state.calibrations().get(&id).map(Json)).await
 }
 
 pub(super) async fn cancel(

@@ -23,20 +23,20 @@ pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Body(request): Body<DiagnosisRequest>,
 ) -> Answer<Response> {
-    let run = state.run(Kind::Read, move |state| state.diagnoses().start(request)).await?;
+    let run = state.run(Kind::Read, move |state| state.diagnoses().start(&request)).await?;
     let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }
 
-pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<DiagnosisRun>> {
-    Json(state.diagnoses().list())
+pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<DiagnosisRun>>> {
+    state.run(Kind::Read, move |state| state.diagnoses().list().map(Json)).await
 }
 
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Json<DiagnosisRun>> {
-    Ok(Json(state.diagnoses().get(&id)?))
+    state.run(Kind::Read, move |state| state.diagnoses().get(&id).map(Json)).await
 }
 
 pub(super) async fn cancel(

@@ -34,8 +34,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     state
         .run(Kind::Read, move |state| {
             state.store().discard(store::Kind::Model, &id)?;
-            state.calibrations().forget_saved(&id, None)?;
-            state.diagnoses().forget_saved(&id, None)?;
+            state.jobs().scheduler().forget_saved(&id, None)?;
             Ok(StatusCode::NO_CONTENT)
         })
         .await
@@ -48,7 +47,7 @@ pub(super) async fn undo(
     state
         .run(Kind::Read, move |state| {
             let (summary, by) = state.store().undo_model(&id)?;
-            state.diagnoses().forget_saved(&id, Some(&by))?;
+            state.jobs().scheduler().forget_saved(&id, Some(&by))?;
             Ok(Json(summary))
         })
         .await

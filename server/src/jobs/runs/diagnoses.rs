@@ -1,24 +1,16 @@
 //! Diagnoses, and what becomes of the effects that they name.
 
-use palpate_diagnosis::DiagnosisConfig;
-use palpate_recording::Session;
 use palpate_sim::SensorModel;
 use palpate_wire::{
     api::{DiagnosisReport, DiagnosisRequest, ModelSummary, NamedEffect, SaveDiagnosisRequest},
     wording,
 };
 
-use super::{Finished, RunKind, Runs, Work, hold_out};
+use super::{RunKind, Runs};
 use crate::{
-    Error, Store,
-    data::bars::Bars,
-    jobs::{BarConfig, check_diagnosis, diagnose_session},
+    Error,
+    jobs::kinds::{BASE_FILE, CALIBRATED_FILE, DIAGNOSE, JobKind},
 };
-
-/// The calibrated model, as a file of the run.
-const CALIBRATED: &str = "calibrated.toml";
-/// The text of the saved model that the run started from.
-const BASE: &str = "base.toml";
 
 /// `palpate diagnose`.
 pub(crate) struct Diagnoses;
@@ -28,41 +20,16 @@ impl RunKind for Diagnoses {
     type Request = DiagnosisRequest;
 
     const HINT: &'static str = "GET /api/v1/diagnoses lists them";
-    const PREFIX: &'static str = "diagnosis-";
+    const KIND: &'static JobKind = &DIAGNOSE;
     const WHAT: &'static str = "diagnosis";
-
-    fn check(store: &Store, request: &DiagnosisRequest) -> Result<(), Error> {
-        let config = config_of(request, &store.session(&request.session)?)?;
-        check_diagnosis(&config, request.null_sessions)?;
-        request.model.as_deref().map_or(Ok(()), |model| store.model(model).map(|_| ()))
-    }
-
-    fn work(cx: &Work<'_>, request: &DiagnosisRequest) -> Result<Finished<DiagnosisReport>, Error> {
-        let session = cx.store.session(&request.session)?;
-        let config = config_of(request, &session)?;
-        let start = request.model.as_deref().map(|model| cx.store.model(model)).transpose()?;
-        let bars = Bars::of(cx.store.root());
-        let artifacts = diagnose_session(
-            cx.library,
-            &session,
-            &config,
-            start.as_ref().map(|(model, _)| model),
-            BarConfig { bars: &bars, null_sessions: request.null_sessions },
-            cx.progress,
-            cx.cancel,
-        )?;
-        let mut files = vec![("html", artifacts.html), (CALIBRATED, artifacts.calibrated.to_toml())];
-        files.extend(start.map(|(_, text)| (BASE, text)));
-        Ok(Finished { report: artifacts.report, model: artifacts.model, files })
-    }
 }
 
-impl Runs<Diagnoses> {
+impl Runs<'_, Diagnoses> {
     /// The calibrated model of run `id`, without the effects that it named.
     pub(crate) fn calibrated(&self, id: &str) -> Result<SensorModel, Error> {
         // Says what is wrong with a run that has found no model.
         self.model(id)?;
-        let text = self.table.store.run_file(id, CALIBRATED)?.ok_or_else(|| Error::NotFound {
+        let text = self.file(id, CALIBRATED_FILE)?.ok_or_else(|| Error::NotFound {
             what: "calibrated model of diagnosis",
             id: id.to_owned(),
             hint: "its file is missing in runs/; run the diagnosis again",
@@ -77,7 +44,7 @@ impl Runs<Diagnoses> {
         let run = self.get(id)?;
         let named = run.report.map(|report| report.effects).unwrap_or_default();
         keep_effects(id, &mut model, &named, request.effects.as_deref())?;
-        let store = &self.table.store;
+        let store = self.jobs.store();
         let summary = match (&request.name, &request.to) {
             (Some(name), None) => {
                 model.name = name.trim().to_owned();
@@ -93,7 +60,7 @@ impl Runs<Diagnoses> {
             }
             (None, Some(to)) => {
                 let (known, text) = store.model(to)?;
-                if store.run_file(id, BASE)?.as_ref() != Some(&text) {
+                if self.file(id, BASE_FILE)?.as_ref() != Some(&text) {
                     return Err(Error::Conflict(format!(
                         "model {:?} has changed since diagnosis {id:?} started from it; undo that, diagnose again, or \
                          save a new model",
@@ -110,7 +77,7 @@ impl Runs<Diagnoses> {
                 ));
             }
         };
-        self.set_saved_as(id, Some(&summary.id))?;
+        self.set_saved_as(id, &summary.id)?;
         Ok(summary)
     }
 }
@@ -142,15 +109,4 @@ fn keep_effects(
         model.provenance.push(format!("left out by the operator: {what}"));
     }
     Ok(())
-}
-
-/// What `request` asks of `session`, or why it cannot be done.
-fn config_of(request: &DiagnosisRequest, session: &Session) -> Result<DiagnosisConfig, Error> {
-    let default = DiagnosisConfig::default();
-    Ok(DiagnosisConfig {
-        hold_out: hold_out(request.hold_out.as_deref(), session)?,
-        max_effects: request.max_effects.unwrap_or(default.max_effects),
-        without: request.without.clone(),
-        ..default
-    })
 }

@@ -1,0 +1,162 @@
+//! `palpate jobs`: the jobs of a data folder, with or without a studio that has it open.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Args, Subcommand};
+use palpate_jobs::{Database, JobFolder, ListFilter};
+use palpate_server::{Error, data::files};
+use palpate_wire::api::{Job, JobState};
+
+use super::{Outcome, output};
+
+/// This much of a log is printed, from its end, bytes.
+const MAX_LOG_BYTES: u64 = 1 << 20;
+
+#[derive(Subcommand)]
+pub(crate) enum JobsCommand {
+    /// Newest first
+    List(ListArgs),
+    /// One job, and where its files are
+    Show(JobArgs),
+    /// Ask a job to stop; a running one is asked by the studio
+    Cancel(JobArgs),
+    /// Queue a job that failed or was cancelled once more; it starts when a studio has the folder open
+    Retry(JobArgs),
+    /// What a job's process printed
+    Log(JobArgs),
+}
+
+#[derive(Args)]
+pub(crate) struct FolderArgs {
+    /// The data folder of `palpate serve`
+    #[arg(long, value_name = "DIR", default_value = "data")]
+    data: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct ListArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    /// Only jobs in this state: queued, running, done, failed or cancelled
+    #[arg(long, value_parser = state)]
+    state: Option<JobState>,
+    /// Only jobs of this kind, e.g. diagnose
+    #[arg(long)]
+    kind: Option<String>,
+    /// Most jobs
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    limit: u32,
+}
+
+#[derive(Args)]
+pub(crate) struct JobArgs {
+    /// Id of the job
+    id: String,
+    #[command(flatten)]
+    folder: FolderArgs,
+}
+
+fn state(name: &str) -> Result<JobState, String> {
+    JobState::from_name(name)
+        .ok_or_else(|| format!("{name:?} is no state; expected queued, running, done, failed or cancelled"))
+}
+
+pub(super) fn run(command: &JobsCommand) -> Outcome {
+    match command {
+        JobsCommand::List(args) => list(args)?,
+        JobsCommand::Show(args) => show(args, &job(args)?)?,
+        JobsCommand::Cancel(args) => {
+            let before = job(args)?;
+            args.folder.database()?.request_cancel(&before.id)?;
+            show(args, &job(args)?)?;
+        }
+        JobsCommand::Retry(args) => {
+            let before = job(args)?;
+            if !args.folder.database()?.retry(&before.id)? {
+                let state = before.state.name();
+                return Err(Error::Conflict(format!(
+                    "job {:?} is {state}; only one that failed or was cancelled can be tried again",
+                    before.id
+                )));
+            }
+            show(args, &job(args)?)?;
+        }
+        JobsCommand::Log(args) => {
+            let log = args.job_folder(&job(args)?).log_tail(MAX_LOG_BYTES)?;
+            match args.folder.json {
+                true => output::json(&log)?,
+                false => output::line(log.trim_end())?,
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+impl FolderArgs {
+    fn database(&self) -> Result<Database, Error> {
+        let path = self.data.join("palpate.sqlite");
+        if !path.is_file() {
+            return Err(Error::Argument(format!(
+                "{:?} holds no table of jobs; give the data folder of a studio (--data)",
+                self.data
+            )));
+        }
+        Ok(Database::open(&path)?)
+    }
+}
+
+impl JobArgs {
+    fn job_folder(&self, job: &Job) -> JobFolder {
+        JobFolder::at(self.folder.data.join("runs").join(&job.id))
+    }
+}
+
+fn list(args: &ListArgs) -> Result<(), Error> {
+    let filter =
+        ListFilter { state: args.state, kind: args.kind.clone(), limit: Some(args.limit), cursor: None };
+    let page = args.folder.database()?.list(&filter)?;
+    if args.folder.json {
+        return output::json(&page);
+    }
+    output::line(&format!("{:<20} {:<10} {:<10} {:<24}  stage", "job", "kind", "state", "created"))?;
+    page.jobs.iter().try_for_each(|job| {
+        let last = job.problem.as_deref().unwrap_or(&job.stage);
+        let state = job.state.name();
+        output::line(&format!("{:<20} {:<10} {state:<10} {:<24}  {last}", job.id, job.kind, job.created))
+    })
+}
+
+fn job(args: &JobArgs) -> Result<Job, Error> {
+    files::check_id("job", &args.id)?;
+    let job = args.folder.database()?.job(&args.id)?;
+    job.ok_or_else(|| Error::NotFound {
+        what: "job",
+        id: args.id.clone(),
+        hint: "`palpate jobs list` lists them",
+    })
+}
+
+fn show(args: &JobArgs, job: &Job) -> Result<(), Error> {
+    if args.folder.json {
+        return output::json(job);
+    }
+    let folder = args.job_folder(job);
+    let mut lines = vec![format!(
+        "{} ({}): {}, {:.0} %, {}",
+        job.id,
+        job.kind,
+        job.state.name(),
+        100.0 * job.fraction,
+        job.stage
+    )];
+    lines.extend(job.problem.iter().map(|problem| format!("problem: {problem}")));
+    lines.push(format!("created {}, attempts {}, runner {}", job.created, job.attempts, job.runner));
+    lines.extend(job.started.iter().map(|time| format!("started {time}")));
+    lines.extend(job.ended.iter().map(|time| format!("ended {time}")));
+    lines.push(format!("request {}", job.spec.request));
+    lines.push(format!("files {}", folder.path().display()));
+    output::line(&lines.join("\n"))
+}

@@ -1,0 +1,45 @@
+//! `palpate calibrate` as a job.
+
+use std::path::PathBuf;
+
+use palpate_calibration::{CalibrationConfig, Method};
+use palpate_recording::Session;
+use palpate_wire::api::CalibrationRequest;
+use serde_json::Value;
+
+use super::{HTML_FILE, JobKind, JobWork, MODEL_FILE, SHORT, files_of, hold_out, parse};
+use crate::{Error, Store, jobs::calibrate_session};
+
+/// Fits the sensor model to a session.
+pub(crate) const CALIBRATE: JobKind =
+    JobKind { name: "calibrate", prefix: "run-", resources: SHORT, check, work };
+
+fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
+    let request: CalibrationRequest = parse(&CALIBRATE, request)?;
+    let session = store.session(&request.session)?;
+    config_of(&request, &session, 0)?;
+    Ok(files_of(&session))
+}
+
+fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
+    let request: CalibrationRequest = parse(&CALIBRATE, request)?;
+    let session = cx.store.session(&request.session)?;
+    let config = config_of(&request, &session, cx.seed)?;
+    let artifacts = calibrate_session(cx.library, &session, &config, cx.progress, cx.cancel)?;
+    cx.save(MODEL_FILE, &artifacts.model.to_toml())?;
+    cx.save(HTML_FILE, &artifacts.html)?;
+    cx.save_report(&artifacts.report)
+}
+
+/// What `request` asks of `session`, or why it cannot be done.
+fn config_of(request: &CalibrationRequest, session: &Session, seed: u64) -> Result<CalibrationConfig, Error> {
+    let method = match request.method.as_deref() {
+        None | Some("exact") => Method::Exact,
+        Some("grid") => Method::Grid,
+        Some(other) => {
+            return Err(Error::Argument(format!("no method {other:?}; expected \"exact\" or \"grid\"")));
+        }
+    };
+    let hold_out = hold_out(request.hold_out.as_deref(), session)?;
+    Ok(CalibrationConfig { method, hold_out, seed, ..CalibrationConfig::default() })
+}
