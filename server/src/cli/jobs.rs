@@ -106,18 +106,33 @@ impl FolderArgs {
         }
         Ok(Database::open(&path)?)
     }
+
+    fn job_folder(&self, job: &Job) -> JobFolder {
+        JobFolder::at(self.data.join("runs").join(&job.id))
+    }
+
+    /// Adds what a running job says itself, which the database learns at its end.
+    fn add_progress(&self, job: &mut Job) {
+        let progress = self.job_folder(job).progress().filter(|progress| progress.attempt == job.attempts);
+        if let Some(progress) = progress.filter(|_| job.state == JobState::Running) {
+            job.fraction = progress.fraction;
+            job.stage = progress.stage;
+            job.seconds_left = progress.seconds_left;
+        }
+    }
 }
 
 impl JobArgs {
     fn job_folder(&self, job: &Job) -> JobFolder {
-        JobFolder::at(self.folder.data.join("runs").join(&job.id))
+        self.folder.job_folder(job)
     }
 }
 
 fn list(args: &ListArgs) -> Result<(), Error> {
     let filter =
         ListFilter { state: args.state, kind: args.kind.clone(), limit: Some(args.limit), cursor: None };
-    let page = args.folder.database()?.list(&filter)?;
+    let mut page = args.folder.database()?.list(&filter)?;
+    page.jobs.iter_mut().for_each(|job| args.folder.add_progress(job));
     if args.folder.json {
         return output::json(&page);
     }
@@ -132,11 +147,13 @@ fn list(args: &ListArgs) -> Result<(), Error> {
 fn job(args: &JobArgs) -> Result<Job, Error> {
     files::check_id("job", &args.id)?;
     let job = args.folder.database()?.job(&args.id)?;
-    job.ok_or_else(|| Error::NotFound {
+    let mut job = job.ok_or_else(|| Error::NotFound {
         what: "job",
         id: args.id.clone(),
         hint: "`palpate jobs list` lists them",
-    })
+    })?;
+    args.folder.add_progress(&mut job);
+    Ok(job)
 }
 
 fn show(args: &JobArgs, job: &Job) -> Result<(), Error> {
