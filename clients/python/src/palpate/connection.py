@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
 import re
@@ -21,6 +22,19 @@ MAX_TRIES = 6
 """A GET that the studio is too busy for is sent at most so often."""
 MAX_WAIT_S = 60.0
 """A Retry-After beyond this is not waited for, s."""
+CLOSE_S = 1.0
+"""A studio that does not say goodbye is not waited for any longer, s."""
+_OPEN: set[ClientConnection] = set()
+
+
+@atexit.register
+def _close_all() -> None:
+    """Closes what is open still, such as the connection of a stream that nobody read to its end.
+
+    Later, when Python takes itself apart, threads stand still and closing would wait for them for ever.
+    """
+    for connection in list(_OPEN):
+        connection.close()
 
 
 class Connection:
@@ -132,6 +146,7 @@ class Connection:
                 compression=None,
                 max_size=None,
                 max_queue=max_queue,
+                close_timeout=CLOSE_S,
                 proxy=None if self._is_local else True,
             )
         except websockets.exceptions.InvalidStatus as error:
@@ -139,8 +154,12 @@ class Connection:
             raise problem(answer.status_code, answer.reason_phrase, bytes(answer.body or b"")) from error
         except (OSError, websockets.exceptions.WebSocketException) as error:
             raise self._unreachable(error) from error
-        with connection:
-            yield connection
+        _OPEN.add(connection)
+        try:
+            with connection:
+                yield connection
+        finally:
+            _OPEN.discard(connection)
 
     def _unreachable(self, error: Exception) -> PalpateError:
         if isinstance(error, httpx.TimeoutException) and not isinstance(error, httpx.ConnectTimeout):

@@ -134,7 +134,7 @@ class Frame:
         time_s: Seconds since the station started.
         joints: Joint names, in the order of `joint_positions`.
         channels: Channel ids, in the order of `active` and `raw`.
-        joint_positions: rad or m.
+        joint_positions: rad or m; NaN as long as they have not been read.
         active: Which channels feel something.
         raw: Readings less their value at rest; zeros where the hardware gives events only.
         expected: What the simulator beside the hardware feels; None while it simulates nothing.
@@ -220,8 +220,8 @@ def frame_of(message: trace_pb2.StreamMessage, station: Station) -> Frame:
         live.time_s,
         station.joints,
         station.channels,
-        np.asarray(live.joint_positions, np.float32),
-        _bits(live.active, num_channels),
+        np.asarray(live.joint_positions, np.float32) if live.joint_positions else np.full(len(station.joints), np.nan),
+        _bits(live.active, num_channels) if live.active else np.zeros(num_channels, np.bool_),
         np.asarray(live.raw, np.float32) if live.raw else np.zeros(num_channels, np.float32),
         _bits(twin, num_channels) if twin else None,
         "disarmed" if phase == "phase_unspecified" else phase,

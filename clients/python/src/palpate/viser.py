@@ -337,7 +337,7 @@ class Viewer:
                         if self._shows != shows:
                             return
                         with self.server.atomic():
-                            scene.pose(frame.joint_positions)
+                            scene.pose(np.nan_to_num(frame.joint_positions))
                             scene.touch(frame.active, frame.raw, frame.expected)
                             scene.place(frame.message.object, list(frame.message.object_pose))
                         if not is_aimed:
