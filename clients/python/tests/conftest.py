@@ -62,17 +62,8 @@ def recorded(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def studio(binary: Path, recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     data = tmp_path_factory.mktemp("data")
     log = (data / "studio.log").open("w")
-    command: list[str | Path] = [
-        binary,
-        "serve",
-        "--listen",
-        "127.0.0.1:0",
-        "--data",
-        data,
-        "--emulate",
-        TRUTH,
-        "--json",
-    ]
+    command: list[str | Path] = [binary, "serve", "--listen", "127.0.0.1:0", "--json", "--data", data]
+    command += ["--emulate", TRUTH]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
     assert process.stdout is not None
     try:

@@ -83,6 +83,11 @@ def test_a_take_is_arrays_and_a_replay_fits_to_it(p: Palpate) -> None:
     assert trace.to_pandas().shape == (take.summary.frames, len(trace.joints) + len(trace.channels))
 
 
+def without_name(model_toml: str) -> list[str]:
+    """A model file but for the name, which people choose."""
+    return [line for line in model_toml.splitlines() if not line.startswith("name = ")]
+
+
 def test_a_calibration_shows_progress_and_its_model_is_kept(p: Palpate, capsys: pytest.CaptureFixture[str]) -> None:
     run = p.calibrate("small", method="exact")
     report = run.wait()
@@ -94,7 +99,8 @@ def test_a_calibration_shows_progress_and_its_model_is_kept(p: Palpate, capsys: 
     take = p.session("small").takes[0]
     unsaved = take.replay(run)
     model = run.save("By a test")
-    assert model.toml() == run.model_toml
+    assert run.model_toml is not None
+    assert without_name(model.toml()) == without_name(run.model_toml)
     assert model.summary.theta == report.theta
     np.testing.assert_array_equal(take.replay(model).active, unsaved.active)
     assert p.model(model.id).summary.name == "By a test"
@@ -205,7 +211,8 @@ def test_a_recording_needs_the_lease_and_has_it(p: Palpate) -> None:
         p.place_object("sphere_50mm")
         p.place_object(None)
         p.set_faults("")
-        assert p.act("leave").session is None
+        p.act("leave")
+        until("left", lambda: p.recording().session is None)
     assert any("recorder" in str(entry) for entry in p.audit())
 
 
@@ -237,7 +244,8 @@ def test_a_slow_reader_gets_new_frames(p: Palpate) -> None:
     next(frames)
     # Threads of the stream go on while nobody reads.
     threading.Event().wait(3.0)
-    for _ in range(4):
-        newest = next(frames)
-    assert p.live().time_s - newest.time_s < 1.5
-    frames.close()  # type: ignore[attr-defined]
+    before, first, second = p.live().time_s, next(frames), next(frames)
+    # One frame may have waited; the next is of now.
+    assert first.time_s > before - 1.0
+    assert second.time_s > before - 0.5
+    assert second.dropped > 20

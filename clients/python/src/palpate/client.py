@@ -12,9 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import httpx
-import websockets.exceptions
 
-from palpate import trace_pb2
 from palpate.connection import Connection
 from palpate.documents import (
     CheckReport,
@@ -31,7 +29,7 @@ from palpate.documents import (
 from palpate.errors import PalpateError
 from palpate.runs import CalibrationRun, DiagnosisRun, Run
 from palpate.station import Station
-from palpate.traces import Frame, Replay, Trace, frame_of, parse, replay_of, trace_of
+from palpate.traces import Frame, NewestFrame, Replay, Trace, frame_of, replay_of, trace_of
 
 if TYPE_CHECKING:
     from palpate.control import Control
@@ -222,14 +220,11 @@ class Palpate:
     def stream(self) -> Iterator[Frame]:
         """Live frames, 30 a second at most; a loop that is slower gets the newest ones. Break off to end it."""
         station = self.station()
-        with self.connection.socket("GET", "/stream", max_queue=2) as socket:
-            try:
-                for data in socket:
-                    message = parse(trace_pb2.StreamMessage, data if isinstance(data, bytes) else data.encode())
-                    if message.HasField("live"):
-                        yield frame_of(message, station)
-            except websockets.exceptions.ConnectionClosedError as error:
-                raise PalpateError("Stream ended", f"{self.connection.url}: {error}") from error
+        with self.connection.socket("GET", "/stream", max_queue=16) as socket:
+            newest = NewestFrame(socket)
+            while (found := newest.wait()) is not None:
+                message, skipped = found
+                yield frame_of(message, station, skipped)
 
     def set_live_model(self, model: str) -> None:
         """Chooses what the simulator beside the hardware simulates with: the id of a saved model, or `nominal`."""

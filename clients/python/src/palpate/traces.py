@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
+from websockets.exceptions import ConnectionClosedError
+from websockets.sync.client import ClientConnection
 
 from palpate import control_pb2, trace_pb2
 from palpate.errors import PalpateError
@@ -210,8 +213,48 @@ def replay_of(data: bytes, station: Station, times_s: Floats) -> Replay:
     )
 
 
-def frame_of(message: trace_pb2.StreamMessage, station: Station) -> Frame:
-    """The live frame of a `StreamMessage`."""
+class NewestFrame:
+    """The newest live frame of a stream socket, which a thread reads: whoever is slow gets no old ones."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._changed = threading.Condition()
+        self._newest: trace_pb2.StreamMessage | None = None
+        self._skipped = 0
+        self._has_ended = False
+        self._error: PalpateError | None = None
+        threading.Thread(target=self._read, name="palpate-stream", daemon=True).start()
+
+    def wait(self) -> tuple[trace_pb2.StreamMessage, int] | None:
+        """Waits for a frame that was not given yet; gives it and how many were left out so far, or None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._has_ended)
+            newest, self._newest = self._newest, None
+            if newest is None and self._error is not None:
+                raise self._error
+            return None if newest is None else (newest, self._skipped)
+
+    def _read(self) -> None:
+        error = None
+        try:
+            for data in self._socket:
+                message = parse(trace_pb2.StreamMessage, data if isinstance(data, bytes) else data.encode())
+                if message.HasField("live"):
+                    with self._changed:
+                        self._skipped += self._newest is not None
+                        self._newest = message
+                        self._changed.notify_all()
+        except PalpateError as damaged:
+            error = damaged
+        except ConnectionClosedError as closed:
+            error = PalpateError("Stream ended", str(closed))
+        with self._changed:
+            self._has_ended, self._error = True, error
+            self._changed.notify_all()
+
+
+def frame_of(message: trace_pb2.StreamMessage, station: Station, skipped: int = 0) -> Frame:
+    """The live frame of a `StreamMessage`; `skipped` others were left out here."""
     live = message.live
     num_channels = (len(station.channels),)
     phase = control_pb2.ControlState.Phase.Name(live.control.phase).lower()
@@ -227,7 +270,7 @@ def frame_of(message: trace_pb2.StreamMessage, station: Station) -> Frame:
         "disarmed" if phase == "phase_unspecified" else phase,
         live.control.reason,
         live.control.holder,
-        message.dropped,
+        message.dropped + skipped,
         live,
     )
 

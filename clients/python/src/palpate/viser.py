@@ -235,7 +235,7 @@ class Viewer:
         self._palpate = palpate
         self._lock = threading.RLock()
         self._shows = 0
-        self._scene: Scene | None = None
+        self.scene: Scene | None = None
         self._take: Take | None = None
         self.server = viser.ViserServer(host=host, port=port, label="Palpate", verbose=False)
         self.url = f"http://{host}:{self.server.get_port()}"
@@ -250,9 +250,9 @@ class Viewer:
         self.plays: Any = gui.add_checkbox("Play", False, visible=False)
         self.status: Any = gui.add_text("State", "", disabled=True)
         gui.add_markdown("**Orange**: felt, brighter with the reading. **Blue, above the skin**: expected.")
-        self.source.on_update(self._by_person(lambda: self._chosen(None)))
-        self.take.on_update(self._by_person(lambda: self._chosen(self.take.value)))
-        self.model.on_update(self._by_person(lambda: self._chosen(self.take.value)))
+        self.source.on_update(self._by_person(lambda: self.choose(None)))
+        self.take.on_update(self._by_person(lambda: self.choose(self.take.value)))
+        self.model.on_update(self._by_person(lambda: self.choose(self.take.value)))
         self.time.on_update(self._by_person(self._draw))
         threading.Thread(target=self._play, name="palpate-play", daemon=True).start()
 
@@ -306,7 +306,7 @@ class Viewer:
 
         return changed
 
-    def _chosen(self, take: str | None) -> None:
+    def choose(self, take: str | None) -> None:
         """Does what the page's controls say."""
         try:
             if self.source.value == LIVE:
@@ -317,9 +317,9 @@ class Viewer:
             self.status.value = str(error)
 
     def _enter(self, station: Station) -> Scene:
-        if self._scene is None or self._scene.station.files != station.files:
-            self._scene = Scene(self.server, station)
-        return self._scene
+        if self.scene is None or self.scene.station.files != station.files:
+            self.scene = Scene(self.server, station)
+        return self.scene
 
     def _follow(self, shows: int) -> None:
         """Draws live frames for as long as nothing else is shown."""
@@ -355,15 +355,15 @@ class Viewer:
     def _draw(self) -> None:
         """Draws the moment of the take that the slider stands at."""
         with self._lock:
-            if self._take is None or self._scene is None:
+            if self._take is None or self.scene is None:
                 return
             trace, pose = self._take.trace(), self._take.summary.object_pose
             frame = self._frame()
             expected = None if self._replay is None else self._replay.active[frame]
             with self.server.atomic():
-                self._scene.pose(trace.joint_positions[frame])
-                self._scene.touch(trace.active[frame], None if self._raw is None else self._raw[frame], expected)
-                self._scene.place(self._take.summary.object, pose)
+                self.scene.pose(trace.joint_positions[frame])
+                self.scene.touch(trace.active[frame], None if self._raw is None else self._raw[frame], expected)
+                self.scene.place(self._take.summary.object, pose)
             text = f"{self._take.summary.primitive}: {trace.active[frame].sum()} felt"
             if expected is not None:
                 text += f", {expected.sum()} expected, {(expected & trace.active[frame]).sum()} both"

@@ -10,6 +10,7 @@ mod flipped_bits;
 mod full_disk;
 mod page;
 mod probe_bench;
+mod python_client;
 mod scene;
 mod takes;
 mod unplugging;
