@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+from tqdm.auto import tqdm
 
 from palpate.documents import CalibrationReport, DiagnosisReport, ModelSummary, decode
 from palpate.errors import PalpateError
@@ -14,6 +18,19 @@ if TYPE_CHECKING:
 R = TypeVar("R")
 POLL_S = 0.25
 """How often a run is asked for, s."""
+
+
+@contextlib.contextmanager
+def progress_bar(what: str, shown: bool) -> Iterator[Callable[[float, str, float | None], None]]:
+    """A progress bar in terminal or notebook; gives what draws a share, a stage and the seconds that are left."""
+    form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
+    with tqdm(total=1.0, desc=what, bar_format=form, disable=not shown) as bar:
+
+        def show(fraction: float, stage: str, seconds_left: float | None) -> None:
+            bar.n = min(fraction, 1.0)
+            bar.set_postfix_str(stage if seconds_left is None else f"{stage}, about {seconds_left:.0f} s left")
+
+        yield show
 
 
 class Run(Generic[R]):
@@ -75,29 +92,16 @@ class Run(Generic[R]):
         Raises PalpateError if the run fails or is cancelled, or takes longer than `timeout_s`; in the last case, as
         with Ctrl-C, it goes on at the studio.
         """
-        from tqdm.auto import tqdm
-
         begun = time.monotonic()
-        form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-        with tqdm(
-            total=1.0, desc=f"{self.WORD} of {self.request.get('session')}", bar_format=form, disable=not progress
-        ) as bar:
-            while True:
-                self.refresh()
-                bar.n = min(self.fraction, 1.0)
-                left = (
-                    f", about {self.seconds_left:.0f} s left"
-                    if self.seconds_left is not None and self.is_unfinished
-                    else ""
-                )
-                bar.set_postfix_str(f"{self.stage or self.state}{left}")
-                if not self.is_unfinished:
-                    break
+        with progress_bar(f"{self.WORD} of {self.request.get('session')}", progress) as show:
+            while self.refresh().is_unfinished:
+                show(self.fraction, self.stage or self.state, self.seconds_left)
                 if timeout_s is not None and time.monotonic() - begun > timeout_s:
                     raise PalpateError(
                         "Timeout", f"{self.WORD} {self.id} has not ended within {timeout_s:g} s; it goes on"
                     )
                 time.sleep(POLL_S)
+            show(self.fraction, self.state, None)
         if self.report is None:
             raise PalpateError(
                 f"{self.WORD} {self.state}", self.error or f"{self.WORD} {self.id} of {self.request['session']}"

@@ -185,13 +185,17 @@ class Scene:
             matrix = self.urdf.get_transform(patch.link)
             places.append(patch.points_m @ matrix[:3, :3].T + matrix[:3, 3])
             ways.append(patch.normals @ matrix[:3, :3].T)
-        points, up = np.concatenate(places), np.array([0.0, 0.0, 1.0])
-        centre = points.mean(axis=0)
-        facing = np.concatenate(ways)[felt if felt.any() else np.ones_like(felt)].mean(axis=0)
-        way = facing + 0.35 * up + 0.5 * np.cross(up, facing)
-        reach = np.linalg.norm(points - centre, axis=1).max()
+        points, normals = np.concatenate(places), np.concatenate(ways)
+        reach = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+        up = np.array([0.0, 0.0, 1.0])
+        if felt.any():
+            # Straight at them, through the object that they touch.
+            centre, way, distance = points[felt].mean(axis=0), normals[felt].mean(axis=0) + 0.2 * up, 1.4 * reach
+        else:
+            facing = normals.mean(axis=0)
+            centre, way, distance = points.mean(axis=0), facing + 0.35 * up + 0.5 * np.cross(up, facing), 2.0 * reach
         self.server.initial_camera.look_at = tuple(centre)
-        self.server.initial_camera.position = tuple(centre + 2.0 * reach * way / max(float(np.linalg.norm(way)), 1e-6))
+        self.server.initial_camera.position = tuple(centre + distance * way / max(float(np.linalg.norm(way)), 1e-6))
 
     def touch(self, active: Bools, raw: Singles | None, expected: Bools | None) -> None:
         """Colours taxels by their readings, or by activation without readings, and shows what a model expects."""
