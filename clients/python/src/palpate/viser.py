@@ -159,7 +159,7 @@ class Scene:
             points = (patch.points_m + OFF_SKIN_M * patch.normals).astype(np.float32)
             above = (patch.points_m + EXPECTED_OFF_SKIN_M * patch.normals).astype(np.float32)
             felt = self._dots(f"{name}/felt", points, QUIET, TAXEL_M)
-            expected = self._dots(f"{name}/expected", above, EXPECTED, 0.7 * TAXEL_M)
+            expected = self._dots(f"{name}/expected", above, EXPECTED, 0.5 * TAXEL_M)
             expected.visible = False
             self.taxels[patch.id] = (frame, felt, expected)
         self._object: tuple[str, viser.MeshHandle] | None = None
