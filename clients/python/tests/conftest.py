@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from palpate import Palpate
+from palpate import Control, Palpate, PalpateError
+from palpate.documents import LiveDocument
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 TRUTH = CHECKOUT / "assets/truth/small.toml"
@@ -43,6 +44,19 @@ def until(what: str, wanted: Callable[[], bool]) -> None:
         if time.monotonic() - begun > PATIENCE_S:
             pytest.fail(f"never {what}")
         time.sleep(0.05)
+
+
+def arm_and_move(hand: Control, positions: dict[str, float]) -> LiveDocument:
+    """Arms and moves. A machine that is busy with other work may keep heartbeats waiting: then it arms again."""
+    begun = time.monotonic()
+    while True:
+        try:
+            if hand.live().phase != "armed":
+                hand.arm()
+            return hand.move(positions)
+        except PalpateError as error:
+            if "nothing was heard" not in error.detail or time.monotonic() - begun > PATIENCE_S:
+                raise
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Studio, until
+from conftest import Studio, arm_and_move, until
 
 from palpate import Palpate, PalpateError, to_pandas
 
@@ -163,7 +163,7 @@ def test_an_operator_arms_moves_stops_and_leaves(p: Palpate, studio: Studio) -> 
         hand.arm()
         assert p.live().holder == "test script"
         before = p.live().joints[JOINT]
-        after = hand.move({JOINT: before + 0.3})
+        after = arm_and_move(hand, {JOINT: before + 0.3})
         assert abs(after.joints[JOINT] - before - 0.3) <= 0.05
         with pytest.raises(PalpateError, match="above its limit"):
             hand.targets({JOINT: 99.0})
@@ -181,8 +181,7 @@ def test_an_operator_arms_moves_stops_and_leaves(p: Palpate, studio: Studio) -> 
         with pytest.raises(PalpateError):
             hand.move({JOINT: before})
         hand.reset_stop()
-        hand.arm()
-        hand.move({JOINT: before})
+        arm_and_move(hand, {JOINT: before})
         hand.disarm()
     until("given back", lambda: p.live().holder == "")
     assert p.connection.lease == 0

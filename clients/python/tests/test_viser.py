@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import CHECKOUT, tool, until
+from conftest import CHECKOUT, arm_and_move, tool, until
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -100,8 +100,7 @@ def test_the_live_hand_is_shown_and_moves(p: Palpate, viewer: Viewer, tmp_path: 
     before = np.array(tip.position)
     until("ready", lambda: all(device.link == "ready" for device in p.live().devices))
     with p.control("viewer test") as hand:
-        hand.arm()
-        hand.move({"index_mcp_forward": p.live().joints["index_mcp_forward"] + 0.4})
+        arm_and_move(hand, {"index_mcp_forward": p.live().joints["index_mcp_forward"] + 0.4})
         until("moved", lambda: bool(np.linalg.norm(np.array(tip.position) - before) > 0.01))
     seen = picture(viewer, "taxels feel something", "live", tmp_path)
     # Robot, grid and background are of many colours; a page that draws nothing has one.
