@@ -347,7 +347,7 @@ class Viewer:
                         if not is_aimed:
                             scene.look_at_taxels(frame.active)
                             is_aimed = True
-                        self.status.value = f"{frame.phase}, {len(frame.felt())} taxels feel something"
+                        self.status.value = f"{frame.phase}: {len(frame.felt())} felt"
             except PalpateError as error:
                 self.status.value = str(error)
             time.sleep(1.0)
