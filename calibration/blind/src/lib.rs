@@ -21,8 +21,8 @@ use palpate_wire::api::DiagnosisReport;
 use rayon::prelude::*;
 
 use answers::{Answer, Answers, Asked, Secret};
-use second::{Kept, Second};
 pub use score::{BlindReport, LeftOut, Pairs, Scores, StrengthScores};
+use second::{Kept, Second};
 
 /// Whose physics the sessions of touch have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

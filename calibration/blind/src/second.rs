@@ -125,7 +125,8 @@ impl Second {
         let pacing = Pacing::new(&motion.spans, motion.duration_s(), &imperfections.operator, &mut rng);
         let (object_id, base_from_object) = (&planned.object, &self.stage.poses()[take]);
         let true_pose = imperfections.object_offset * shifted(base_from_object, hidden, object_id);
-        let factor = imperfections.object_scale * value(hidden, "object_scale", "factor", object_id).unwrap_or(1.0);
+        let factor =
+            imperfections.object_scale * value(hidden, "object_scale", "factor", object_id).unwrap_or(1.0);
         let shape = station.objects[object_id].shape.scaled(factor);
         let surface = Arc::new(SignedDistance::new(&shape).map_err(BlindError::Shape)?);
         let mut skin = Skin::new(station, imperfections, hidden);
@@ -192,7 +193,9 @@ fn motion_of(hidden: &[Hidden], id: &str, of: &str) -> Option<(Vector3<f64>, Uni
 
 /// Where an object really stands that is recorded to stand at `base_from_object`.
 fn shifted(base_from_object: &Isometry3<f64>, hidden: &[Hidden], object: &str) -> Isometry3<f64> {
-    let Some((shift, turn)) = motion_of(hidden, "object_pose_offset", object) else { return *base_from_object };
+    let Some((shift, turn)) = motion_of(hidden, "object_pose_offset", object) else {
+        return *base_from_object;
+    };
     let translation = Translation3::from(base_from_object.translation.vector + shift);
     Isometry3::from_parts(translation, turn * base_from_object.rotation)
 }
@@ -223,7 +226,8 @@ fn measured(
             let offset = value(hidden, "joint_offset", "offset", &joint.name).unwrap_or(0.0);
             let reading = motor + zero + offset + JOINT_NOISE * normal(rng);
             let counts = COUNTS_PER_TURN[usize::from(station.carrier_dofs.contains(&dof))];
-            let quantum = if joint.kind == JointKind::Revolute { std::f64::consts::TAU / counts } else { 1e-6 };
+            let quantum =
+                if joint.kind == JointKind::Revolute { std::f64::consts::TAU / counts } else { 1e-6 };
             (reading / quantum).round() * quantum
         })
         .collect()

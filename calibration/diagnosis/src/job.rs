@@ -236,7 +236,8 @@ fn recalibrated(
     let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
     let mut anew = nominal.clone();
     set_thresholds(station, &observed, &mut anew)?;
-    let [before, after] = [gap(&judge(station, &observed, nominal)?), gap(&judge(station, &observed, &anew)?)];
+    let [before, after] =
+        [gap(&judge(station, &observed, nominal)?), gap(&judge(station, &observed, &anew)?)];
     Ok(if after < (1.0 - CHANCE_IN_GAP) * before { anew } else { nominal.clone() })
 }
 
@@ -323,7 +324,8 @@ impl Steps {
         };
         let allowance = if first.effects.is_empty() { CHANCE_IN_GAP } else { 0.0 };
         let (before, after) = (mistaken(first)?, mistaken(last)?);
-        let fired = Fired { rule: rules::GAP_GROWS, measured: after / before.max(1.0), limit: 1.0 + allowance };
+        let fired =
+            Fired { rule: rules::GAP_GROWS, measured: after / before.max(1.0), limit: 1.0 + allowance };
         Ok((after > (1.0 + allowance) * before).then_some(fired))
     }
 }

@@ -132,10 +132,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         unexplained,
         next_experiment: next_experiment(station, domain, naming, fitted)?,
         residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
-        takes: BTreeMap::from([
-            ("fit".to_owned(), ids(fitted)),
-            ("confirm".to_owned(), ids(&steps.confirm)),
-        ]),
+        takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(&steps.confirm))]),
         bar: Bar {
             evidence: evidence.least_evidence,
             ..evidence.bar.map_or_else(Bar::default, NullBar::to_report)

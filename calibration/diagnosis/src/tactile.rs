@@ -622,10 +622,12 @@ mod tests {
         let bits = |domain: &TactileDomain<'_>| -> Vec<u64> {
             domain.take(0).signals.iter().flatten().map(|value| value.to_bits()).collect()
         };
-        assert!(bits(&alone) == bits(&beside), "what is expected of the firmware depends on the confirm take");
-        let frozen = |domain: &TactileDomain<'_>| -> Vec<bool> {
-            domain.frozen.iter().map(Option::is_some).collect()
-        };
+        assert!(
+            bits(&alone) == bits(&beside),
+            "what is expected of the firmware depends on the confirm take"
+        );
+        let frozen =
+            |domain: &TactileDomain<'_>| -> Vec<bool> { domain.frozen.iter().map(Option::is_some).collect() };
         assert_eq!(frozen(&alone), frozen(&beside));
         assert!(frozen(&TactileDomain::new(station, &takes, &[0, 1], &nominal).unwrap().0).contains(&true));
         assert_eq!(alone.candidates(), beside.candidates());

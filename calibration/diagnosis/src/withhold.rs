@@ -6,8 +6,8 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
-use crate::rules::{self, Fired, InForce};
 use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
+use crate::rules::{self, Fired, InForce};
 use crate::tactile::{TactileDomain, is_local};
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
@@ -62,9 +62,11 @@ fn withhold_disagreeing(
 ) -> Result<(), DiagnosisError> {
     // How many times as much as it may, and by which rule.
     let excess = |of: Disagreement| {
-        let measures = [(rules::BY_TAKE, of.by_take, MOST_BY_TAKE), (rules::BY_PART, of.by_part, MOST_BY_PART)];
+        let measures =
+            [(rules::BY_TAKE, of.by_take, MOST_BY_TAKE), (rules::BY_PART, of.by_part, MOST_BY_PART)];
         let in_force = measures.into_iter().filter(|(rule, ..)| rules.has(rule));
-        let ratios = in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));
+        let ratios =
+            in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));
         ratios.max_by(|(one, _), (other, _)| one.total_cmp(other))
     };
     while naming.model.effects.len() > known {

@@ -74,7 +74,10 @@ fn a_model_with_effects_is_not_calibrated_as_if_it_had_none() {
     let config = CalibrationConfig::default();
     let refused = calibrate(&config, &layout, &model, &takes, &NoProgress, &Cancel::default(), &|| 0.0);
     let message = refused.expect_err("effects would be ignored").to_string();
-    assert!(message.contains("has effects (latency), beside which theta cannot be calibrated alone"), "{message}");
+    assert!(
+        message.contains("has effects (latency), beside which theta cannot be calibrated alone"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -1,6 +1,9 @@
 //! `palpate blind`.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::{Args, ValueEnum};
 use palpate_blind::{BlindConfig, BlindError, BlindReport, Scores, World, actuator, tactile};
@@ -26,9 +29,10 @@ pub(crate) struct BlindArgs {
     /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported from CSV
     #[arg(long, value_enum, default_value = "a")]
     world: Physics,
-    /// Station and motions of the touch sessions, and what world a is like
-    #[arg(long, value_name = "TRUTH.toml", default_value = "assets/truth/blind_report.toml")]
-    truth: PathBuf,
+    /// Station and motions of the touch sessions, and what world a is like [default: assets/truth/blind_report.toml, of world b
+    /// assets/truth/blind_b.toml]
+    #[arg(long, value_name = "TRUTH.toml")]
+    truth: Option<PathBuf>,
     /// Leave out the second diagnosis of each session without its raw readings
     #[arg(long)]
     raw_only: bool,
@@ -77,11 +81,16 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         only: args.only.clone(),
         answers: args.answers.clone(),
     };
+    let default = match args.world {
+        Physics::A => "assets/truth/blind_report.toml",
+        Physics::B => "assets/truth/blind_b.toml",
+    };
+    let truth = args.truth.as_deref().unwrap_or_else(|| Path::new(default));
     let report = {
         let bar = Bar::new();
         let cancel = cancel_on_ctrl_c();
         match args.domain {
-            Domain::Tactile => tactile(&args.truth, &config, &bar, &cancel),
+            Domain::Tactile => tactile(truth, &config, &bar, &cancel),
             Domain::Actuator => actuator(&config, &bar, &cancel),
         }
         .map_err(error)?

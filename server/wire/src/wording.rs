@@ -117,7 +117,8 @@ pub fn withheld_sentence(withheld: &WithheldName) -> String {
 
 /// How likely evidence as strong as that for a named effect is by chance, where null sessions of the station tell.
 pub fn chance(p_value: Option<f64>) -> String {
-    p_value.map_or_else(|| "no null sessions of this station say how likely by chance".to_owned(), self::p_value)
+    p_value
+        .map_or_else(|| "no null sessions of this station say how likely by chance".to_owned(), self::p_value)
 }
 
 /// Share of the calibrated model's gap that adding `effect` removes, on takes that nothing was fitted to.

@@ -136,7 +136,9 @@ impl Board {
                 .map(|(idx, _)| idx)
                 .collect(),
             stuck: ids()
-                .filter_map(|(idx, channel)| Some((idx, value(hidden, "stuck_channel", "rise_raw", &channel.id)?)))
+                .filter_map(|(idx, channel)| {
+                    Some((idx, value(hidden, "stuck_channel", "rise_raw", &channel.id)?))
+                })
                 .collect(),
             swapped: swapped.collect(),
         };
@@ -200,8 +202,10 @@ impl Board {
             let neighbours = neighbours.filter_map(|other| analog.get(other));
             let leaked: f64 = neighbours.map(|other| self.faults.leak * (other - analog[idx])).sum();
             let touch = if self.faults.dead.contains(&idx) { 0.0 } else { analog[idx] + leaked };
-            let quiet = line.wander + self.wander + hum + line.drift_per_s * warm_s + self.config.noise * normal(rng);
-            readings.push((line.rest + self.threshold * (touch + quiet)).round().clamp(self.raw[0], self.raw[1]));
+            let quiet =
+                line.wander + self.wander + hum + line.drift_per_s * warm_s + self.config.noise * normal(rng);
+            readings
+                .push((line.rest + self.threshold * (touch + quiet)).round().clamp(self.raw[0], self.raw[1]));
         }
         for &(idx, rise) in &self.faults.stuck {
             // It reads rightly before, so that its reference is that of rest.

@@ -69,7 +69,8 @@ impl TakeFiles {
             of(SpanKind::Repetition).map(|span| (by_hand(span), span.label.as_str())).collect();
         repetitions.retain(|([start_s, end_s], _)| end_s > start_s);
         if operator.marks != Marks::None {
-            let times: Vec<String> = repetitions.iter().map(|([a, b], _)| format!("[{a:.3}, {b:.3}]")).collect();
+            let times: Vec<String> =
+                repetitions.iter().map(|([a, b], _)| format!("[{a:.3}, {b:.3}]")).collect();
             let _ = writeln!(self.config, "repetitions_s = [{}]", times.join(", "));
         }
         if operator.marks == Marks::Labelled {

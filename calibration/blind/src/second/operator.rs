@@ -13,7 +13,12 @@ pub(super) struct Pacing {
 }
 
 impl Pacing {
-    pub(super) fn new(spans: &[Span], duration_s: f64, operator: &OperatorConfig, rng: &mut ChaCha8Rng) -> Self {
+    pub(super) fn new(
+        spans: &[Span],
+        duration_s: f64,
+        operator: &OperatorConfig,
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
         let mut pacing = Self { knots: vec![[0.0, 0.0]] };
         for span in spans.iter().filter(|span| span.kind == SpanKind::Repetition) {
             pacing.go_on(span.start_s, 1.0);

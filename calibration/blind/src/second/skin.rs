@@ -65,7 +65,8 @@ impl Skin {
             let of = |id: &str, size: &str| {
                 value(hidden, id, size, &patch.id).or_else(|| value(hidden, id, size, &stream.id))
             };
-            let mut pad = Pad::new(patch, stream.kind, skin, of("elastic_crosstalk", "added_m").unwrap_or(0.0));
+            let mut pad =
+                Pad::new(patch, stream.kind, skin, of("elastic_crosstalk", "added_m").unwrap_or(0.0));
             pad.mount(&imperfections.mounts[idx], motion_of(hidden, "sensor_mount_offset", &patch.id), patch);
             pad.gap_m = of("preload", "depth_m").unwrap_or(0.0);
             pad.damping_s = of("rate_dependence", "damping_s").unwrap_or(0.0);
@@ -95,7 +96,8 @@ impl Skin {
     pub(super) fn step(&mut self, step_s: f64) {
         for pad in &mut self.pads {
             for (idx, channel) in pad.channels.iter_mut().enumerate() {
-                self.felt[pad.first_channel + idx] = channel.step(&pad.skin, pad.lingering, step_s) / pad.unit;
+                self.felt[pad.first_channel + idx] =
+                    channel.step(&pad.skin, pad.lingering, step_s) / pad.unit;
             }
         }
     }

@@ -31,7 +31,12 @@ fn the_same_seed_has_the_same_bits_and_every_session_its_own_imperfections() {
     let bits = |seed: u64, threads: usize| -> Vec<u32> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let takes = pool.install(|| second.record(&[], seed, Kept::Readings)).unwrap();
-        takes.iter().flat_map(|take| &take.streams).flat_map(|log| &log.raw).map(|raw| raw.to_bits()).collect()
+        takes
+            .iter()
+            .flat_map(|take| &take.streams)
+            .flat_map(|log| &log.raw)
+            .map(|raw| raw.to_bits())
+            .collect()
     };
     let one = bits(1, 1);
     assert!(!one.is_empty() && one == bits(1, 3));
@@ -45,7 +50,9 @@ fn the_same_seed_has_the_same_bits_and_every_session_its_own_imperfections() {
 fn onsets(take: &Take, stream: usize, width: usize) -> Vec<Option<f64>> {
     let log = &take.streams[stream];
     (0..width)
-        .map(|idx| (0..log.times_s.len()).find(|sample| log.active[sample * width + idx]).map(|at| log.times_s[at]))
+        .map(|idx| {
+            (0..log.times_s.len()).find(|sample| log.active[sample * width + idx]).map(|at| log.times_s[at])
+        })
         .collect()
 }
 
@@ -92,6 +99,7 @@ fn an_operator_waits_and_has_a_pace_of_his_own_and_marks_follow() {
     }
     let times: Vec<f64> = (0..1000).map(|step| pacing.motion_s(0.02 * f64::from(step))).collect();
     assert!(times.is_sorted());
-    let lengths = [[2.0, 4.0], [5.0, 7.0]].map(|[start_s, end_s]| pacing.real_s(end_s) - pacing.real_s(start_s));
+    let lengths =
+        [[2.0, 4.0], [5.0, 7.0]].map(|[start_s, end_s]| pacing.real_s(end_s) - pacing.real_s(start_s));
     assert!((lengths[0] - lengths[1]).abs() > 0.01, "{lengths:?}");
 }

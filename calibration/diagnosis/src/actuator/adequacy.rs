@@ -4,8 +4,8 @@ use palpate_sim::actuator::{ActuatorEffect, actuator};
 use palpate_sim::effects::Effect;
 
 use crate::DiagnosisError;
-use crate::rules::Fired;
 use crate::engine::{Domain as _, Model, loss_by_unit, share_left};
+use crate::rules::Fired;
 
 use super::ActuatorDomain;
 use super::domain::SIGNALS;

@@ -159,10 +159,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         waterfall,
         metrics: BTreeMap::new(),
         residual_map: Vec::new(),
-        takes: BTreeMap::from([
-            ("fit".to_owned(), ids(fitted)),
-            ("confirm".to_owned(), ids(judged_on)),
-        ]),
+        takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(judged_on))]),
         bar: Bar { evidence: config.bar.unwrap_or(ACTUATOR_BAR), ..Bar::default() },
         notes,
         seconds: evidence.seconds,

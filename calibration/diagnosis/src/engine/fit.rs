@@ -117,7 +117,12 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         columns.extend(tried.effect_columns(tried.model.effects.len() - 1)?);
         let of_steps = tried.assess(&columns, &tried.residual).held_out_gains;
         // At an optimum no step gains anything; one that does was not taken.
-        Ok(self.gains(tried).into_iter().zip(of_steps).map(|(gain, of_step)| gain + of_step.min(0.0)).collect())
+        Ok(self
+            .gains(tried)
+            .into_iter()
+            .zip(of_steps)
+            .map(|(gain, of_step)| gain + of_step.min(0.0))
+            .collect())
     }
 
     /// `ended`, or what it becomes at a size between the doses.
@@ -404,8 +409,13 @@ mod tests {
         let events = Events { observed, block: 0..EVENTS };
         let parameters = BTreeMap::from([("doubt".to_owned(), 0.3)]);
         let place = Place::Stream("all".to_owned());
-        let doubt =
-            Effect { id: "doubt".to_owned(), place, parameters, interval: BTreeMap::new(), takes: Vec::new() };
+        let doubt = Effect {
+            id: "doubt".to_owned(),
+            place,
+            parameters,
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        };
         let model = Model { base: vec![0.0], effects: Vec::new() };
         let sure = Linear::without_nuisances(&events, &model, &[0]).unwrap();
         let unsure = sure.moved_to(sure.with(doubt)).unwrap();

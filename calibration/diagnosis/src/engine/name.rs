@@ -233,7 +233,8 @@ pub fn name<D: Domain>(
         tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
-        let chosen = if more { choose(domain, &model, linear.deviance(), &tried, takes, config)? } else { None };
+        let chosen =
+            if more { choose(domain, &model, linear.deviance(), &tried, takes, config)? } else { None };
         unsettled = rounds.len();
         let Some(chosen) = chosen else {
             rounds.push(Round { before: model.clone(), tried, named: None, class: Vec::new() });

@@ -298,7 +298,8 @@ fn an_effect_that_was_given_stays_though_the_takes_do_not_show_it() {
     let start = Model { base: vec![0.7], effects: vec![given.clone()] };
     for hidden in [&[][..], &[("slow", 0.3)], &[("slow", 0.3), ("square", -0.2)]] {
         let naming = name(&Sines::new(hidden, 8), &start, &[0, 1, 2, 3], &config(), &|_, _| Ok(())).unwrap();
-        let expected: Vec<&str> = ["not_exercised"].into_iter().chain(hidden.iter().map(|(id, _)| *id)).collect();
+        let expected: Vec<&str> =
+            ["not_exercised"].into_iter().chain(hidden.iter().map(|(id, _)| *id)).collect();
         assert_eq!(ids(&naming), expected);
         assert_eq!(naming.model.effects[0], given);
         assert!(naming.dropped.is_empty(), "{:?}", naming.dropped);

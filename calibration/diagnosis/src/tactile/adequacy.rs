@@ -5,8 +5,8 @@ use palpate_robot_model::{Place, SensorKind, Station};
 use super::judge::repeated;
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
-use crate::rules::{self, Fired, InForce};
 use crate::engine::{Domain, Model, Series, huber};
+use crate::rules::{self, Fired, InForce};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -404,8 +404,9 @@ mod tests {
 
     #[test]
     fn names_of_a_limb_leave_little_in_its_worst_patch() {
-        let leaves =
-            |before: f64, after: f64| leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]).is_some();
+        let leaves = |before: f64, after: f64| {
+            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]).is_some()
+        };
         assert!(leaves(2.4, 2.3), "another pad of that finger was named");
         assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
         assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");

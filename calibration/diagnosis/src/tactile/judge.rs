@@ -213,10 +213,7 @@ fn aligned(
     }
     let least = first.len().min(second.len()) / 2;
     let shifted = (1..=MOST_SHIFTED).flat_map(|shift| {
-        [
-            (first.start + shift..first.end, second.clone()),
-            (first.clone(), second.start + shift..second.end),
-        ]
+        [(first.start + shift..first.end, second.clone()), (first.clone(), second.start + shift..second.end)]
     });
     shifted
         .filter(|(first, second)| first.len().min(second.len()) > least)

@@ -13,8 +13,8 @@ use palpate_robot_model::{SensorKind, Station};
 use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
-use crate::rules::{self, Fired};
 use crate::engine::{Domain, Model};
+use crate::rules::{self, Fired};
 
 /// How the size of a patch's response changes with a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]

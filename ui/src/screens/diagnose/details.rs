@@ -174,10 +174,7 @@ pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Dia
             },
         );
     }
-    for (part, about) in [
-        ("fit", "fitted on"),
-        ("confirm", "judged on, opened once"),
-    ] {
+    for (part, about) in [("fit", "fitted on"), ("confirm", "judged on, opened once")] {
         if let Some(takes) = report.takes.get(part).filter(|takes| !takes.is_empty()) {
             ui.label(RichText::new(format!("{about}: {}", takes.join(", "))).color(cx.palette.text_weak));
         }
