@@ -102,8 +102,8 @@ pub enum CalibrationError {
 
 /// Fits theta on the takes that are not held out and judges it on all of them.
 ///
-/// Refuses a `nominal` model with effects: the searches know theta alone, and thresholds that are fitted as if an effect were
-/// absent absorb a part of it.
+/// Refuses a `nominal` model with effects: the searches know theta alone, and thresholds that are fitted as if an
+/// effect were absent absorb a part of it.
 ///
 /// A parameter that the fitted takes say nothing about (a modality without any real contact) keeps its nominal value,
 /// and the report's notes say so. `clock_s` gives seconds since any fixed moment; only its differences are used, for the

@@ -30,8 +30,8 @@ pub enum World {
     /// The emulated station's, on which the constants of the diagnosis were chosen.
     #[default]
     A,
-    /// Another skin, other boards, geometry that is a little off, and a person's pace: for reports alone. It hides what it can of the
-    /// catalogue, and its sessions are imported from CSV files.
+    /// Another skin, other boards, geometry that is a little off, and a person's pace: for reports alone. It hides what
+    /// it can of the catalogue, and its sessions are imported from CSV files.
     B,
 }
 

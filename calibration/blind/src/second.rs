@@ -1,6 +1,7 @@
 //! The second world of touch, written from physics and not from the library of effects.
 //!
-//! It shares kinematics, geometry and the catalogue of what is hidden with the emulated station, and nothing of its physics:
+//! It shares kinematics, geometry and the catalogue of what is hidden with the emulated station, and nothing of its
+//! physics:
 //!
 //! | | emulated station | here |
 //! |---|---|---|

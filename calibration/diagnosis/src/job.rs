@@ -61,7 +61,8 @@ pub struct DiagnosisOutcome {
     pub report: DiagnosisReport,
     /// The calibrated model with the named effects.
     pub model: SensorModel,
-    /// The calibrated model; of a start with effects, that model, its thresholds set anew where that lowers the mismatch.
+    /// The calibrated model; of a start with effects, that model, its thresholds set anew where that lowers the
+    /// mismatch.
     pub calibrated: SensorModel,
     /// Highest evidence of any effect in the first round: what a null bar is made of.
     pub first_evidence: f64,
@@ -224,9 +225,9 @@ pub(crate) fn prepare<'a>(
     Ok(Prepared { domain, start, calibrated, fitted })
 }
 
-/// `nominal`, which has effects, with its thresholds set anew beside them where the takes `fitted` show that they have moved:
-/// where that lowers the mismatch by more than chance does. Otherwise the model stays as it is, to the bit, so that a second
-/// diagnosis begins where the first ended.
+/// `nominal`, which has effects, with its thresholds set anew beside them where the takes `fitted` show that they have
+/// moved: where that lowers the mismatch by more than chance does. Otherwise the model stays as it is, to the bit, so
+/// that a second diagnosis begins where the first ended.
 fn recalibrated(
     station: &Station,
     domain: &TactileDomain<'_>,
@@ -285,7 +286,8 @@ impl Steps {
         Ok(Self { confirm, models })
     }
 
-    /// The model of the step that adds the effect at `idx`, with `rival` in the place of that effect and everything fitted anew.
+    /// The model of the step that adds the effect at `idx`, with `rival` in the place of that effect and everything
+    /// fitted anew.
     pub(crate) fn with_rival(
         &self,
         station: &Station,
@@ -302,9 +304,10 @@ impl Steps {
         deployed(station, domain, &model, model.effects.clone(), &self.models[0], fitted)
     }
 
-    /// Fires if the last model mistakes more events than the first on the takes `fitted`, on channels that it does not say
-    /// flicker by chance. Names that do not shrink the gap that they were made for are no use. A model that has effects
-    /// already is held to it without an allowance for chance, so that diagnoses in a row cannot make it worse bit by bit.
+    /// Fires if the last model mistakes more events than the first on the takes `fitted`, on channels that it does not
+    /// say flicker by chance. Names that do not shrink the gap that they were made for are no use. A model that has
+    /// effects already is held to it without an allowance for chance, so that diagnoses in a row cannot make it worse
+    /// bit by bit.
     fn widen_the_gap(
         &self,
         station: &Station,

@@ -28,9 +28,9 @@ impl NullBar {
     pub const ADEQUACY: Adequacy =
         Adequacy { repeating: 0.5, at_patch: 0.85, common_mode: 1.5, loss: 0.61, switching: 0.03 };
 
-    /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The normal
-    /// distribution would not do in their place: standard errors leave out that the model is only roughly right, so that it
-    /// gives probabilities many orders of magnitude too small.
+    /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The
+    /// normal distribution would not do in their place: standard errors leave out that the model is only roughly right,
+    /// so that it gives probabilities many orders of magnitude too small.
     pub fn p_value(&self, evidence: f64) -> Option<f64> {
         let as_strong = self.maxima.iter().filter(|maximum| **maximum >= evidence).count();
         (!self.maxima.is_empty()).then(|| (1 + as_strong) as f64 / (1 + self.maxima.len()) as f64)

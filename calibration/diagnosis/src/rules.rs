@@ -1,7 +1,7 @@
 //! The rules that withhold names of touch: what each measures, and its limit.
 //!
-//! `docs/diagnosis.md` shows this table; a test compares them. A rule that is switched off ([`DiagnosisConfig::without_rules`])
-//! withholds nothing, so that benches can tell what each is good for.
+//! `docs/diagnosis.md` shows this table; a test compares them. A rule that is switched off
+//! ([`DiagnosisConfig::without_rules`]) withholds nothing, so that benches can tell what each is good for.
 //!
 //! [`DiagnosisConfig::without_rules`]: crate::DiagnosisConfig::without_rules
 

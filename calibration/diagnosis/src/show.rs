@@ -218,8 +218,8 @@ fn candidate(station: &Station, tried: &Tried) -> Candidate {
     }
 }
 
-/// Share of the calibrated gap that is left, of what lies above the noise floor; of all of it where the floor is no floor,
-/// as where it comes from motions that were repeated only roughly.
+/// Share of the calibrated gap that is left, of what lies above the noise floor; of all of it where the floor is no
+/// floor, as where it comes from motions that were repeated only roughly.
 fn share_left(gap: &Gap) -> f64 {
     let floor = gap.noise_floor.filter(|floor| *floor < gap.calibrated).unwrap_or(0.0);
     let removable = gap.calibrated - floor;

@@ -114,9 +114,9 @@ const SOFTNESS_M: f64 = 2e-4;
 const LEAST_NOISE: f64 = 0.01;
 
 impl<'a> TactileDomain<'a> {
-    /// Prepares `takes` of `station`. `start` gives the parameters around which the model is built. What is taken from the
-    /// recordings themselves (which objects are touched, how streams freeze, whether firmware counts from a known reading)
-    /// comes from the takes with the indices `fitted` alone.
+    /// Prepares `takes` of `station`. `start` gives the parameters around which the model is built. What is taken from
+    /// the recordings themselves (which objects are touched, how streams freeze, whether firmware counts from a known
+    /// reading) comes from the takes with the indices `fitted` alone.
     ///
     /// Refuses takes whose object the station does not know, naming both.
     pub fn new(

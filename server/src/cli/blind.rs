@@ -26,11 +26,12 @@ pub(crate) struct BlindArgs {
     /// Sessions with nothing hidden in each round
     #[arg(long, value_name = "N", default_value_t = 20)]
     nulls: usize,
-    /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported from CSV
+    /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported
+    /// from CSV
     #[arg(long, value_enum, default_value = "a")]
     world: Physics,
-    /// Station and motions of the touch sessions, and what world a is like [default: assets/truth/blind_report.toml, of world b
-    /// assets/truth/blind_b.toml]
+    /// Station and motions of the touch sessions, and what world a is like [default: assets/truth/blind_report.toml, of
+    /// world b assets/truth/blind_b.toml]
     #[arg(long, value_name = "TRUTH.toml")]
     truth: Option<PathBuf>,
     /// Leave out the second diagnosis of each session without its raw readings

@@ -74,7 +74,8 @@ const WANDER_S: f64 = 20.0;
 /// Time in which a drifting amplifier is warm, s.
 const WARM_S: f64 = 120.0;
 const MAINS_HZ: f64 = 50.0;
-/// Reading of a force resistor at which it switches, as a share of full scale, over one less that: what its conductance is then.
+/// Reading of a force resistor at which it switches, as a share of full scale, over one less that: what its conductance
+/// is then.
 const PAD_POWER: f64 = 0.85;
 /// The firmware takes its reference from the first half second, s.
 const TARE_S: f64 = 0.5;

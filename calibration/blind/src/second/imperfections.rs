@@ -10,7 +10,8 @@ use super::{normal, within};
 /// What is mild and usual about a station on one day.
 #[derive(Clone, Debug)]
 pub(super) struct Imperfections {
-    /// Measured less true position, per degree of freedom: hands are zeroed by eye against a jig, to about a milliradian.
+    /// Measured less true position, per degree of freedom: hands are zeroed by eye against a jig, to about a
+    /// milliradian.
     pub(super) encoder_zeros: Vec<f64>,
     /// Where each patch sits beside its place, m.
     pub(super) mounts: Vec<Vector3<f64>>,
@@ -28,8 +29,8 @@ pub(super) struct Imperfections {
 
 /// A skin of one stream.
 ///
-/// Stiffening and hysteresis are those of filled silicone under indentation (Mullins 1969; Bergstrom and Boyce 1998), creep
-/// that of soft tactile skins: some per cent over seconds (Dahiya et al. 2010).
+/// Stiffening and hysteresis are those of filled silicone under indentation (Mullins 1969; Bergstrom and Boyce 1998),
+/// creep that of soft tactile skins: some per cent over seconds (Dahiya et al. 2010).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SkinConfig {
     pub(super) thickness_m: f64,
@@ -88,7 +89,7 @@ pub(super) enum Marks {
 impl Imperfections {
     pub(super) fn draw(station: &Station, rng: &mut ChaCha8Rng) -> Self {
         let layout = &station.layout;
-        let mut vector = |size: f64, rng: &mut ChaCha8Rng| Vector3::from_fn(|_, _| size * normal(rng));
+        let vector = |size: f64, rng: &mut ChaCha8Rng| Vector3::from_fn(|_, _| size * normal(rng));
         let encoder_zeros = station
             .robot
             .dofs()

@@ -48,8 +48,8 @@ struct Felt {
     lingering: f64,
 }
 
-/// Loads, in units of the pressure at a strain of one, at which a channel switches: a taxel right under a ball that has sunk in
-/// by about 0.4 mm, and a pad of which a sixth is touched so.
+/// Loads, in units of the pressure at a strain of one, at which a channel switches: a taxel right under a ball that has
+/// sunk in by about 0.4 mm, and a pad of which a sixth is touched so.
 const TAXEL_LOAD: f64 = 0.03;
 const PAD_LOAD: f64 = 0.006;
 /// Looks at a patch whose object is nearer than this, m.

@@ -35,8 +35,8 @@ impl Chosen {
     }
 }
 
-/// Chooses from what was `tried` beside `model`, which has this `deviance`: the best that passes and lowers it; a rival that
-/// explains nearly as much with fewer parameters is the better name.
+/// Chooses from what was `tried` beside `model`, which has this `deviance`: the best that passes and lowers it; a rival
+/// that explains nearly as much with fewer parameters is the better name.
 pub(super) fn choose<D: Domain>(
     domain: &D,
     model: &Model,

@@ -110,8 +110,8 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         Ok(Some(Profiled { held_out_gains: self.held_out_gains(&best.tried)?, model: best.tried.model }))
     }
 
-    /// [`Self::gains`], less what each take loses when the parameters are fitted to the others: a step from where all of them
-    /// have it.
+    /// [`Self::gains`], less what each take loses when the parameters are fitted to the others: a step from where all
+    /// of them have it.
     fn held_out_gains(&self, tried: &Linear<'a, D>) -> Result<Vec<f64>, DiagnosisError> {
         let mut columns = tried.base_columns(&self.free)?;
         columns.extend(tried.effect_columns(tried.model.effects.len() - 1)?);

@@ -100,8 +100,8 @@ pub(crate) struct Assessment {
     pub(crate) score: DVector<f64>,
     /// Standard error of each, robust against dependence within blocks.
     pub(crate) standard_errors: Vec<f64>,
-    /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them. The nuisances
-    /// are projected out with their coefficients of all takes.
+    /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them. The
+    /// nuisances are projected out with their coefficients of all takes.
     pub(crate) held_out_gains: Vec<f64>,
 }
 
@@ -203,8 +203,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         pairs.filter(|(_, (before, after))| !Arc::ptr_eq(before, after)).map(|(idx, (a, b))| (idx, a, b))
     }
 
-    /// Minus twice the logarithm of the likelihood, up to a constant: Huber's loss plus the logarithms of the variances that
-    /// the model allows its rows. Models compare by this and not by [`Self::loss`], in which a model that allows more wins.
+    /// Minus twice the logarithm of the likelihood, up to a constant: Huber's loss plus the logarithms of the variances
+    /// that the model allows its rows. Models compare by this and not by [`Self::loss`], in which a model that allows
+    /// more wins.
     pub(crate) fn deviance(&self) -> f64 {
         let of_segment = |(idx, segment): (usize, &Arc<Segment>)| {
             let (take, signal) = (self.takes[self.rows.take(idx)], self.rows.signal(idx));

@@ -16,9 +16,9 @@ use crate::DiagnosisError;
 const FITS: usize = 3;
 
 /// Puts one effect in the place of two or more effects beyond the first `known`, if it is beyond doubt and has a lower
-/// deviance than they do: of effects that reach one unit each, if it reaches all of their units; of all that are named, if one of
-/// them reaches as far as all, and it reaches as far as the others and no farther than that one. `dropped` effects are not
-/// tried. Says whether it did.
+/// deviance than they do: of effects that reach one unit each, if it reaches all of their units; of all that are named,
+/// if one of them reaches as far as all, and it reaches as far as the others and no farther than that one. `dropped`
+/// effects are not tried. Says whether it did.
 pub(super) fn merge<D: Domain>(
     domain: &D,
     model: &mut Model,

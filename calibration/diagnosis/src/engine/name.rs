@@ -44,8 +44,8 @@ pub struct Tried {
     pub base: Vec<f64>,
     /// On the scale of [`NamingConfig::bar`].
     pub evidence: f64,
-    /// Loss that it removes on takes that its own parameters were not fitted to; the model's other parameters are projected
-    /// out, or fitted beside it, on all of them.
+    /// Loss that it removes on takes that its own parameters were not fitted to; the model's other parameters are
+    /// projected out, or fitted beside it, on all of them.
     pub held_out_gain: f64,
     /// The same over the loss before, in the kinds of rows that the effect changes.
     pub share: f64,
@@ -514,8 +514,8 @@ pub(super) fn founded<D: Domain>(
     Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
 }
 
-/// Drops identified effects that lost their evidence to later ones, the weakest first. The first `known` effects were given
-/// with the model and stay: the takes at hand may not exercise them, which is no evidence against them.
+/// Drops identified effects that lost their evidence to later ones, the weakest first. The first `known` effects were
+/// given with the model and stay: the takes at hand may not exercise them, which is no evidence against them.
 fn drop_one<D: Domain>(
     domain: &D,
     model: &mut Model,

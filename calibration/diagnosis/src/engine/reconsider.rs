@@ -18,8 +18,8 @@ const LEAST_REMOVED: f64 = 0.5;
 const LEAST_BETTER: f64 = 0.005;
 
 /// Puts a rival that was tried in the same round in the place of every effect of a whole stream beyond the first `known`, if the
-/// whole model has a lower deviance with it, and a lower one than with the name fitted anew, and its evidence reaches the `bar`. The
-/// round then has the rival for its name.
+/// whole model has a lower deviance with it, and a lower one than with the name fitted anew, and its evidence reaches
+/// the `bar`. The round then has the rival for its name.
 pub(super) fn reconsider<D: Domain>(
     domain: &D,
     model: &mut Model,

@@ -16,8 +16,8 @@ pub(crate) struct Screened {
     /// The effect with its estimated parameters, within their bounds.
     pub(crate) effect: Effect,
     pub(crate) parameters: Vec<Parameter>,
-    /// Loss that it promises to remove: to first order on takes it was not fitted to, or, where that is more, what a large
-    /// dose removes from all takes. It orders what is fitted, and decides nothing else.
+    /// Loss that it promises to remove: to first order on takes it was not fitted to, or, where that is more, what a
+    /// large dose removes from all takes. It orders what is fitted, and decides nothing else.
     pub(crate) promise: f64,
     /// The same over the loss in the kinds of rows that it changes.
     pub(crate) promised_share: f64,

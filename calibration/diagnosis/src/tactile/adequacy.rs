@@ -27,8 +27,8 @@ pub struct Adequacy {
 }
 
 impl Adequacy {
-    /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel that is
-    /// taken for a flickering one: its errors shrink, but become the same in every repetition.
+    /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel
+    /// that is taken for a flickering one: its errors shrink, but become the same in every repetition.
     pub(crate) fn repeats_more(&self, before: &Self) -> Option<Fired> {
         if self.repeating > MOST_RAISED * before.repeating {
             let measured = self.repeating / before.repeating.max(TINY);
@@ -272,8 +272,8 @@ pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
     of_patch.collect()
 }
 
-/// Fires if names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with that
-/// limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
+/// Fires if names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with
+/// that limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
 pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[usize]) -> Option<Fired> {
     let is_much = |patch: &&usize| after[**patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[**patch]);
     let patch = *patches.iter().find(is_much)?;

@@ -19,7 +19,8 @@ pub enum Verdict {
     Unexplained,
     /// Nothing beyond noise.
     NoDiscrepancy,
-    /// No motion is repeated, so that nobody can tell whether anything is left beside the named effects, if there are any.
+    /// No motion is repeated, so that nobody can tell whether anything is left beside the named effects, if there are
+    /// any.
     CannotBeJudged,
 }
 
@@ -40,10 +41,11 @@ pub struct DiagnosisReport {
     /// Smallest set of cells that holds 80 % of the excess of the calibrated model.
     #[serde(rename = "where")]
     pub cells: Vec<Cell>,
-    /// Gap on the takes that were fitted: mean L1 mismatch a channel-second (tactile), mean absolute position error in rad
-    /// (actuator).
+    /// Gap on the takes that were fitted: mean L1 mismatch a channel-second (tactile), mean absolute position error in
+    /// rad (actuator).
     pub gap: Gap,
-    /// The same on the confirm takes, which nothing but this report has looked at; of all takes where none is kept for it.
+    /// The same on the confirm takes, which nothing but this report has looked at; of all takes where none is kept for
+    /// it.
     pub held_out: Gap,
     /// The gap on confirm takes step by step: nominal, calibrated, then one more effect each, with 95 % intervals.
     pub waterfall: Vec<WaterfallStep>,
@@ -81,8 +83,8 @@ pub struct NamedEffect {
     pub gap_before: f64,
     /// Gap on confirm takes after it was added.
     pub gap_after: f64,
-    /// Share of sessions simulated with nothing missing in which any candidate has evidence this strong; absent where the
-    /// station has no such sessions ([`Bar::null_sessions`]).
+    /// Share of sessions simulated with nothing missing in which any candidate has evidence this strong; absent where
+    /// the station has no such sessions ([`Bar::null_sessions`]).
     #[serde(default)]
     pub p_value: Option<f64>,
     /// Evidence for it, on the scale of [`Bar::evidence`].
