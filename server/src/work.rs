@@ -1,7 +1,8 @@
 //! How much work requests may make at a time, by kind. Whatever does not fit waits for a while, then is refused with the
 //! request to come back later; nothing grows without bound, and no kind of work can hold up another.
 //!
-//! Work that computes has threads of its own, of low priority, so that an operator's requests never wait for a core.
+//! Work that computes has threads of its own, of low priority, so that an operator's requests never wait for a core. Command
+//! sockets have a thread of their own, so that a stop never waits behind streams, uploads and answers.
 
 use std::{
     sync::{
@@ -14,7 +15,10 @@ use std::{
 
 use crossbeam_channel::{Sender, bounded};
 use palpate_drivers::priority;
-use tokio::sync::{Semaphore, oneshot};
+use tokio::{
+    runtime,
+    sync::{Semaphore, oneshot},
+};
 
 use crate::Error;
 
@@ -47,6 +51,7 @@ pub(crate) struct Work {
     reads: Turns,
     controls: Turns,
     computations: Sender<Computation>,
+    commands: CommandThread,
 }
 
 type Computation = Box<dyn FnOnce() + Send>;
@@ -83,7 +88,13 @@ impl Work {
             reads: turns(MAX_READS, "the disk"),
             controls: turns(MAX_CONTROLS, "the control loop"),
             computations,
+            commands: CommandThread::start()?,
         })
+    }
+
+    /// Where command sockets are read and written: a thread that does nothing else, with an event loop of its own.
+    pub(crate) fn commands(&self) -> &runtime::Handle {
+        &self.commands.handle
     }
 
     /// Runs `work` away from the threads that answer requests, once it is its turn. Work that has not begun when the client
@@ -120,6 +131,38 @@ impl Work {
             ))
         })?;
         told.await.unwrap_or_else(|_| Err(failed()))
+    }
+}
+
+/// The thread of command sockets; it ends when this is dropped.
+#[derive(Debug)]
+struct CommandThread {
+    handle: runtime::Handle,
+    /// There until this is dropped.
+    runtime: Option<runtime::Runtime>,
+}
+
+impl CommandThread {
+    fn start() -> Result<Self, Error> {
+        let runtime = runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("commands")
+            .on_thread_start(priority::ahead)
+            .enable_all()
+            .build()
+            .map_err(|err| {
+                Error::Internal(format!("failed to start the thread of command sockets: {err}"))
+            })?;
+        Ok(Self { handle: runtime.handle().clone(), runtime: Some(runtime) })
+    }
+}
+
+impl Drop for CommandThread {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            // Sockets that are still open are closed with it; waiting for them is not allowed where this may be dropped.
+            runtime.shutdown_background();
+        }
     }
 }
 

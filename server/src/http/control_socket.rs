@@ -13,18 +13,29 @@ use std::{
 };
 
 use axum::{
-    body::Bytes,
-    extract::{
-        Extension, State, WebSocketUpgrade,
-        ws::{CloseFrame, Message, WebSocket, close_code},
-    },
+    body::{Body, Bytes},
+    extract::{Extension, FromRequestParts as _, Request as HttpRequest, State, WebSocketUpgrade},
+    http::{HeaderValue, StatusCode, header},
     response::{IntoResponse as _, Response},
 };
 use futures_util::{SinkExt as _, StreamExt as _};
+use hyper::upgrade::{OnUpgrade, Upgraded};
+use hyper_util::rt::TokioIo;
 use palpate_control::{Caller, Handle};
 use palpate_wire::proto::{ControlReply, ControlRequest, control_request::Request};
 use prost::Message as _;
-use tokio::sync::{mpsc, oneshot};
+use tokio::{
+    net::TcpStream,
+    sync::{mpsc, oneshot},
+};
+use tokio_tungstenite::{
+    WebSocketStream,
+    tungstenite::{
+        Message,
+        handshake::derive_accept_key,
+        protocol::{CloseFrame, Role, WebSocketConfig, frame::coding::CloseCode},
+    },
+};
 
 use super::{bucket::Bucket, extract::Peer, listener::KeepOpen, problem::Problem};
 use crate::{AppState, Error};
@@ -47,23 +58,77 @@ pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,
     Peer(peer): Peer,
     open: Option<Extension<KeepOpen>>,
-    upgrade: WebSocketUpgrade,
+    request: HttpRequest,
 ) -> Response {
     let Some(live) = state.live() else {
         return Problem(Error::no_station()).into_response();
     };
     let handle = live.handle().clone();
-    upgrade.max_message_size(MAX_REQUEST).on_upgrade(move |socket| async move {
+    let (mut parts, _) = request.into_parts();
+    // Refuses what is no WebSocket of the version that everybody speaks.
+    if let Err(refused) = WebSocketUpgrade::from_request_parts(&mut parts.clone(), &state).await {
+        return refused.into_response();
+    }
+    let (Some(key), Some(connection)) =
+        (parts.headers.get(header::SEC_WEBSOCKET_KEY), parts.extensions.remove::<OnUpgrade>())
+    else {
+        return Problem(Error::Argument("this connection cannot become a WebSocket".to_owned()))
+            .into_response();
+    };
+    let accept = derive_accept_key(key.as_bytes());
+    let commands = state.work().commands().clone();
+    let ends = ends(&state);
+    let converse = async move {
         let _open = open;
         let caller = Caller { connection: CONNECTIONS.fetch_add(1, Ordering::Relaxed), peer };
-        let mut shutdown = state.shutdown();
-        let gone = Gone { handle: handle.clone(), connection: caller.connection };
-        let ends = async move {
-            let _ = shutdown.wait_for(|&ends| ends).await;
+        let socket = match connection.await.map_err(std::io::Error::other).and_then(here) {
+            Ok(io) => websocket(io).await,
+            Err(err) => {
+                tracing::debug!(%err, "a command socket ended before it began");
+                return;
+            }
         };
+        let gone = Gone { handle: handle.clone(), connection: caller.connection };
         converse(socket, &handle, &caller, ends).await;
         drop(gone);
-    })
+    };
+    // The task ends with its socket, and all of them with the thread.
+    drop(commands.spawn(converse));
+    switching_protocols(&accept)
+}
+
+/// Completes when the server ends.
+fn ends(state: &AppState) -> impl Future<Output = ()> + Send + use<> {
+    let mut shutdown = state.shutdown();
+    async move {
+        let _ = shutdown.wait_for(|&ends| ends).await;
+    }
+}
+
+/// Takes a connection over into the event loop of the calling thread, with the bytes that have been read from it already.
+fn here(upgraded: Upgraded) -> std::io::Result<(TcpStream, Bytes)> {
+    let parts = upgraded
+        .downcast::<TokioIo<TcpStream>>()
+        .map_err(|_| std::io::Error::other("the connection is not a plain TCP connection"))?;
+    Ok((TcpStream::from_std(parts.io.into_inner().into_std()?)?, parts.read_buf))
+}
+
+async fn websocket((stream, read): (TcpStream, Bytes)) -> WebSocketStream<TcpStream> {
+    let config = WebSocketConfig::default().max_message_size(Some(MAX_REQUEST));
+    WebSocketStream::from_partially_read(stream, read.to_vec(), Role::Server, Some(config)).await
+}
+
+/// The answer that ends the handshake.
+fn switching_protocols(accept: &str) -> Response {
+    let mut response = Response::new(Body::empty());
+    *response.status_mut() = StatusCode::SWITCHING_PROTOCOLS;
+    let headers = response.headers_mut();
+    headers.insert(header::CONNECTION, HeaderValue::from_static("upgrade"));
+    headers.insert(header::UPGRADE, HeaderValue::from_static("websocket"));
+    if let Ok(accept) = HeaderValue::from_str(accept) {
+        headers.insert(header::SEC_WEBSOCKET_ACCEPT, accept);
+    }
+    response
 }
 
 /// Tells the control loop, however the conversation ends, that nobody is there any more.
@@ -79,7 +144,12 @@ impl Drop for Gone {
 }
 
 /// Answers requests until the client leaves or the server `ends`.
-async fn converse(socket: WebSocket, handle: &Handle, caller: &Caller, ends: impl Future<Output = ()>) {
+async fn converse(
+    socket: WebSocketStream<TcpStream>,
+    handle: &Handle,
+    caller: &Caller,
+    ends: impl Future<Output = ()>,
+) {
     let (mut sink, mut requests) = socket.split();
     let (replies, mut outgoing) = mpsc::channel::<ControlReply>(MAX_REPLIES);
     let send = async {
@@ -118,7 +188,7 @@ async fn converse(socket: WebSocket, handle: &Handle, caller: &Caller, ends: imp
         () = ends => true,
     };
     if is_ending {
-        let close = CloseFrame { code: close_code::AWAY, reason: "the studio is shutting down".into() };
+        let close = CloseFrame { code: CloseCode::Away, reason: "the studio is shutting down".into() };
         // The client may be gone already, or never read it.
         let _ =
             tokio::time::timeout(crate::http::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close))))
@@ -160,7 +230,7 @@ impl Reader<'_> {
                 return self.refuse(0, "expected a binary message with a ControlRequest".to_owned());
             }
             Message::Close(_) => return false,
-            Message::Ping(_) | Message::Pong(_) => return true,
+            Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => return true,
         };
         let is_stop = matches!(request.request, Some(Request::Stop(_)));
         let passes = self.bucket.take(Instant::now());

@@ -6,7 +6,10 @@ use std::{
     time::Duration,
 };
 
-use palpate_wire::proto::{Disarm, ResetStop, Stop, control_request::Request, control_state::Phase};
+use palpate_control::Caller;
+use palpate_wire::proto::{
+    ControlRequest, Disarm, Heartbeat, ResetStop, Stop, control_request::Request, control_state::Phase,
+};
 
 use crate::bench::{Bench, Operator, still_from_ns, targets};
 
@@ -174,4 +177,37 @@ fn a_stop_is_answered_when_readings_confirm_it_and_outlives_the_program() {
     again.accepted(Request::Disarm(Disarm {}));
     bench.end_control();
     assert!(!latch.exists(), "it was reset");
+}
+
+#[test]
+fn a_control_loop_that_panics_lets_go_of_every_motor_and_never_says_that_it_was_confirmed() {
+    let mut bench = Bench::new();
+    let operator = Operator::armed(&bench, 1);
+    set_in_motion(&bench, &operator);
+    let panicked_ns = bench.emulated.snapshot().device_ns;
+    // Whoever waits for an answer is told on the loop's own thread.
+    let caller = Caller { connection: 7, peer: "a test".into() };
+    let request = ControlRequest { sequence: 1, lease: 0, request: Some(Request::Heartbeat(Heartbeat {})) };
+    bench.handle.submit(
+        &caller,
+        bench.handle.now_ns(),
+        request,
+        Box::new(|_| panic!("a defect of the loop")),
+    );
+    let limp_ns = bench.wait_until("limp", |now| !now.torque_on.contains(&true));
+    eprintln!("limp {} ms after the panic", (limp_ns - panicked_ns) / MS);
+    assert!(limp_ns - panicked_ns < SLACK_NS, "limp after {} ms", (limp_ns - panicked_ns) / MS);
+    drop(operator);
+    let ending = bench.end_control();
+    assert!(!ending.is_safe(), "{ending}");
+
+    // A control loop that is started again finds everything and moves nothing by itself.
+    bench.restart_control();
+    bench.emulated.log_motion(60_000);
+    let operator = Operator::in_control(&bench, 2);
+    operator.arm(&bench);
+    let log = bench.emulated.take_motion_log();
+    let fastest =
+        log.steps.iter().flat_map(|step| &step.velocities).fold(0.0, |most: f64, v| most.max(v.abs()));
+    assert!(fastest < 1.0, "armed with a jump of {fastest} rad/s");
 }

@@ -6,34 +6,30 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, PackageId};
 
 use crate::root;
 
-/// The level of each crate: a crate uses only crates of lower levels, also in its tests.
-const LEVELS: &[(&str, u32)] = &[
-    ("palpate_device_protocol", 0),
-    ("palpate_robot_model", 0),
-    ("palpate_training", 0),
-    ("palpate_encoder", 1),
-    ("palpate_ppo", 1),
-    ("palpate_safety", 1),
-    ("palpate_wire", 1),
-    ("palpate_recording", 2),
-    ("palpate_sim", 2),
-    ("palpate_calibration", 3),
-    ("palpate_grasp", 3),
-    ("palpate_motion", 3),
-    ("palpate_terminal", 3),
-    ("palpate_emulator", 4),
-    ("palpate_diagnosis", 5),
-    ("palpate_drivers", 5),
-    ("palpate_blind", 6),
-    ("palpate_control", 6),
-    ("palpate_server", 7),
-    ("palpate_ui", 7),
-    ("palpate_train", 5),
-    ("e2e", 8),
-    // Tools use no crate of ours and no crate of ours uses them: they must build when nothing else does.
-    ("tidy", 0),
-    ("xtask", 0),
-];
+/// A row of the table of crates in `ARCHITECTURE.md`.
+struct Row {
+    level: u32,
+    folder: String,
+}
+
+/// The table of crates in `ARCHITECTURE.md`, by the name of the crate.
+fn table() -> BTreeMap<String, Row> {
+    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let head = "| crate | level | folder | what it does | what it never does |";
+    let (_, rows) = page.split_once(head).unwrap_or_else(|| panic!("ARCHITECTURE.md has no table {head:?}"));
+    let rows = rows.lines().skip(2).take_while(|line| line.starts_with('|'));
+    rows.map(|line| {
+        let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
+        let [name, level, folder, does, never] = cells[..] else { panic!("expected five cells in {line:?}") };
+        assert!(
+            !does.is_empty() && !never.is_empty(),
+            "{line:?} does not say what the crate does and never does"
+        );
+        let level = level.parse().unwrap_or_else(|_| panic!("{level:?} in {line:?} is no level"));
+        (name.trim_matches('`').to_owned(), Row { level, folder: folder.trim_matches('`').to_owned() })
+    })
+    .collect()
+}
 
 /// The resolved graph for one platform. Without a platform, cargo would want the packages of all of them on disk.
 fn metadata(platform: &str) -> Metadata {
@@ -81,31 +77,33 @@ fn assert_reaches_none(metadata: &Metadata, from: &str, forbidden: &[&str]) {
 
 #[test]
 fn a_crate_uses_only_crates_of_lower_levels() {
-    let levels: BTreeMap<&str, u32> = LEVELS.iter().copied().collect();
+    let table = table();
     let metadata = metadata(&host());
     let members = metadata.workspace_packages();
+    let tools = ["tidy", "xtask"];
     for package in &members {
         let name = package.name.as_str();
-        let level = levels
-            .get(name)
-            .unwrap_or_else(|| panic!("crate {name} has no level: give it one here and in ARCHITECTURE.md"));
+        let Row { level, folder } =
+            table.get(name).unwrap_or_else(|| panic!("crate {name} has no row in ARCHITECTURE.md"));
+        let lies_in = package.manifest_path.parent().expect("a folder");
+        assert_eq!(lies_in.as_std_path(), root().join(folder), "the folder of {name} in ARCHITECTURE.md");
         for dependency in package.dependencies.iter().filter(|dependency| dependency.path.is_some()) {
-            let used = levels[dependency.name.as_str()];
+            let used = table[dependency.name.as_str()].level;
             assert!(
                 used < *level,
                 "{name} (level {level}) uses {} (level {used}), expected a lower level",
                 dependency.name
             );
             assert!(
-                !["tidy", "xtask"].contains(&dependency.name.as_str()),
-                "{name} uses the tool {}",
+                !tools.contains(&name) && !tools.contains(&dependency.name.as_str()),
+                "{name} uses {}: tools must build when nothing else does",
                 dependency.name
             );
         }
     }
     let names: BTreeSet<&str> = members.iter().map(|package| package.name.as_str()).collect();
-    for name in levels.keys() {
-        assert!(names.contains(name), "{name} is listed here but is no crate of the workspace");
+    for name in table.keys() {
+        assert!(names.contains(name.as_str()), "{name} of ARCHITECTURE.md is no crate of the workspace");
     }
 }
 
