@@ -4,8 +4,11 @@ use std::collections::BTreeMap;
 
 use crate::{CalibrationError, HoldOut, PairedTake};
 
-/// For each take, whether it is held out.
-pub(crate) fn held_out(choice: &HoldOut, takes: &[PairedTake]) -> Result<Vec<bool>, CalibrationError> {
+/// For each of `takes`, whether `choice` holds it out.
+///
+/// # Errors
+/// A take that is not there, or a choice that leaves none to fit.
+pub fn held_out(choice: &HoldOut, takes: &[PairedTake]) -> Result<Vec<bool>, CalibrationError> {
     let held_out = match choice {
         HoldOut::Auto => automatic(takes),
         HoldOut::Takes(ids) => by_id(ids, takes)?,

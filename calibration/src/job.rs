@@ -102,6 +102,9 @@ pub enum CalibrationError {
 
 /// Fits theta on the takes that are not held out and judges it on all of them.
 ///
+/// Refuses a `nominal` model with effects: the searches know theta alone, and thresholds that are fitted as if an
+/// effect were absent absorb a part of it.
+///
 /// A parameter that the fitted takes say nothing about (a modality without any real contact) keeps its nominal value,
 /// and the report's notes say so. `clock_s` gives seconds since any fixed moment; only its differences are used, for the
 /// report. All else depends on the other arguments alone, to the bit, for any number of threads.
@@ -114,7 +117,7 @@ pub fn calibrate(
     cancel: &Cancel,
     clock_s: &dyn Fn() -> f64,
 ) -> Result<CalibrationOutcome, CalibrationError> {
-    check_inputs(config, layout, takes)?;
+    check_inputs(config, layout, nominal, takes)?;
     let held_out = held_out(&config.hold_out, takes)?;
     let fitted_takes: Vec<&PairedTake> =
         takes.iter().zip(&held_out).filter(|&(_, &held_out)| !held_out).map(|(take, _)| take).collect();
@@ -166,9 +169,19 @@ pub fn calibrate(
 fn check_inputs(
     config: &CalibrationConfig,
     layout: &TactileLayout,
+    nominal: &SensorModel,
     takes: &[PairedTake],
 ) -> Result<(), CalibrationError> {
     let fail = |problem: String| Err(CalibrationError::Input(problem));
+    if !nominal.effects.is_empty() {
+        let ids: Vec<&str> = nominal.effects.iter().map(|effect| effect.id.as_str()).collect();
+        return fail(format!(
+            "model {:?} has effects ({}), beside which theta cannot be calibrated alone; diagnose the session from this \
+             model, or calibrate a model without effects",
+            nominal.name,
+            ids.join(", ")
+        ));
+    }
     if config.num_alphas < 2 || config.num_lambdas < 2 {
         return fail(format!(
             "a search needs at least 2 values of alpha and of each lambda, not {} and {}",

@@ -15,6 +15,7 @@ pub mod report;
 pub mod sweep;
 mod timelines;
 
+pub use hold_out::held_out;
 pub use job::{CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, calibrate};
 pub use paired::PairedTake;
 pub use timelines::{StreamEvents, TakeTimeline};

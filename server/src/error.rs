@@ -105,6 +105,7 @@ impl From<BlindError> for Error {
         match err {
             BlindError::Emulation(source) => source.into(),
             BlindError::Model(source) => source.into(),
+            BlindError::Recording(source) => source.into(),
             BlindError::Cancelled => Self::Cancelled,
             BlindError::NoCase(_) => Self::Argument(err.to_string()),
             other => Self::Content(other.to_string()),

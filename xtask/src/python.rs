@@ -1,4 +1,4 @@
-//! The Python environment of the third-party checks.
+//! The Python environment of the third-party checks and of the Python client's tests.
 
 use std::{path::PathBuf, process::Command};
 
@@ -12,14 +12,17 @@ pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
     let python = dir.join("bin").join("python");
     let requirements = paths::root().join("tests/e2e/python/requirements.txt");
     let stamp = dir.join("requirements.txt");
-    let wanted = std::fs::read(&requirements).with_context(|| format!("failed to read {requirements:?}"))?;
+    let client = paths::root().join("clients/python");
+    let read = |path: &PathBuf| std::fs::read(path).with_context(|| format!("failed to read {path:?}"));
+    // The client itself is installed in place: of its files, only this one is read when it is.
+    let wanted = [read(&requirements)?, read(&client.join("pyproject.toml"))?].concat();
     if python.exists() && std::fs::read(&stamp).is_ok_and(|installed| installed == wanted) {
         return Ok(python);
     }
     if !shell::exists("python3") {
         shell::install_debian_packages(
             &["python3", "python3-venv"],
-            "checking takes with third-party readers",
+            "checking takes with third-party readers and testing the Python client",
         )?;
     }
     let mut venv = Command::new("python3");
@@ -34,6 +37,13 @@ pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
             .arg(&requirements),
     )
     .context("failed to install the Python packages of tests/e2e/python/requirements.txt")?;
+    shell::run(
+        Command::new(&python)
+            .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"])
+            .args(["--no-deps", "--no-build-isolation", "--editable"])
+            .arg(&client),
+    )
+    .context("failed to install the Python client of clients/python")?;
     std::fs::write(&stamp, wanted)?;
     Ok(python)
 }

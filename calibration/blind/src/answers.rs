@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use palpate_emulator::{Expected, Hidden};
-use palpate_wire::api::{Candidate, DiagnosisReport, Gap, NamedEffect, Verdict};
+use palpate_wire::api::{Candidate, DiagnosisReport, Gap, NamedEffect, Verdict, WithheldName};
 use serde::{Deserialize, Serialize};
 
 use crate::BlindError;
@@ -57,6 +57,9 @@ pub(crate) struct Answer {
     pub(crate) verdict: Verdict,
     /// In order.
     pub(crate) named: Vec<NamedEffect>,
+    /// What rules withheld.
+    #[serde(default)]
+    pub(crate) withheld: Vec<WithheldName>,
     /// On confirm takes.
     pub(crate) gap: Gap,
     /// The first of what was tried in the first round and not named.
@@ -75,7 +78,8 @@ impl Answer {
             asked,
             verdict: report.verdict,
             named: report.effects,
-            gap: report.gap,
+            withheld: report.withheld,
+            gap: report.held_out,
             candidates: report.candidates,
             notes: report.notes,
         }

@@ -5,6 +5,7 @@
 
 mod answers;
 mod score;
+mod second;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,8 +13,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
 use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, diagnose};
 use palpate_emulator::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
-use palpate_emulator::{EmulationError, Expected, Stage, Strength, cases};
-use palpate_recording::Take;
+use palpate_emulator::{Case, EmulationError, Expected, Hidden, Stage, Strength, cases};
+use palpate_recording::{RecordingError, Take};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, SensorModelError};
 use palpate_wire::api::DiagnosisReport;
@@ -21,10 +22,24 @@ use rayon::prelude::*;
 
 use answers::{Answer, Answers, Asked, Secret};
 pub use score::{BlindReport, LeftOut, Pairs, Scores, StrengthScores};
+use second::{Kept, Second};
+
+/// Whose physics the sessions of touch have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum World {
+    /// The emulated station's, on which the constants of the diagnosis were chosen.
+    #[default]
+    A,
+    /// Another skin, other boards, geometry that is a little off, and a person's pace: for reports alone. It hides what
+    /// it can of the catalogue, and its sessions are imported from CSV files.
+    B,
+}
 
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct BlindConfig {
+    /// Whose physics the sessions of touch have.
+    pub world: World,
     /// Rounds of the catalogue, each with places and noise of its own.
     pub seeds: u64,
     /// The first seed.
@@ -35,6 +50,8 @@ pub struct BlindConfig {
     pub binary_only: bool,
     /// Whether effects are diagnosed again with themselves left out of the library.
     pub leave_out: bool,
+    /// Rules of the diagnosis that withhold nothing, by id (touch only): what each is good for.
+    pub without_rules: Vec<String>,
     /// Run only cases whose label contains one of these; empty: all.
     pub only: Vec<String>,
     /// Where answers are kept, one a line: those that are there are not asked for again.
@@ -65,6 +82,15 @@ pub enum BlindError {
     /// The station's nominal model.
     #[error(transparent)]
     Model(#[from] SensorModelError),
+    /// The takes of the second world.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// An object without an inside.
+    #[error("cannot be touched: {0}")]
+    Shape(String),
+    /// The files of the second world.
+    #[error("failed to write CSV files for the importer")]
+    Disk(#[source] std::io::Error),
     /// The file of answers.
     #[error("answers {path}: {source}")]
     Answers {
@@ -92,14 +118,27 @@ pub fn tactile(
     let stage = Stage::read(truth)?;
     let nominal =
         SensorModel::from_toml("nominal model of the station", &stage.station().nominal_model_toml)?;
+    let station_name = stage.truth().name.clone();
+    let world = match config.world {
+        World::A => Physics::Emulated(stage),
+        World::B => Physics::Second(Second::new(stage)),
+    };
     let rounds = config.first_seed..config.first_seed + config.seeds;
     let mut all = Vec::new();
     for seed in rounds {
-        all.extend(cases(&stage, config.nulls, seed)?);
+        all.extend(world.cases(config.nulls, seed)?);
     }
+    let name = match config.world {
+        World::A => station_name,
+        World::B => format!("{station_name}, second world"),
+    };
+    let name = match &config.without_rules[..] {
+        [] => name,
+        rules => format!("{name}, without {}", rules.join(", ")),
+    };
     let sessions = all.into_iter().map(|case| {
         let secret = Secret {
-            world: stage.truth().name.clone(),
+            world: name.clone(),
             label: case.label,
             seed: case.seed,
             hidden: case.hidden.iter().map(|hidden| hidden.id.clone()).collect(),
@@ -110,12 +149,10 @@ pub fn tactile(
         (secret, ())
     });
     let diagnosed = |secret: &Secret, (): &(), asked: Asked| {
-        let mut takes = stage.record(&secret.details, secret.seed)?;
-        if asked == Asked::EventsOnly {
-            takes.iter_mut().for_each(take_raw_away);
-        }
+        let takes = world.record(&secret.details, secret.seed, asked == Asked::EventsOnly)?;
         let config = DiagnosisConfig {
             without: without(secret, asked),
+            without_rules: config.without_rules.clone(),
             bootstrap_resamples: 0,
             ..DiagnosisConfig::default()
         };
@@ -123,6 +160,36 @@ pub fn tactile(
         outcome.map(|outcome| outcome.report).map_err(|source| failed(&secret.label, source))
     };
     run(sessions.collect(), config, config.binary_only, progress, cancel, &diagnosed)
+}
+
+/// Where sessions of touch come from.
+enum Physics {
+    Emulated(Stage),
+    Second(Second),
+}
+
+impl Physics {
+    fn cases(&self, nulls: usize, seed: u64) -> Result<Vec<Case>, BlindError> {
+        match self {
+            Self::Emulated(stage) => Ok(cases(stage, nulls, seed)?),
+            Self::Second(second) => second.cases(nulls, seed),
+        }
+    }
+
+    fn record(&self, hidden: &[Hidden], seed: u64, events_only: bool) -> Result<Vec<Take>, BlindError> {
+        match self {
+            Self::Emulated(stage) => {
+                let mut takes = stage.record(hidden, seed)?;
+                if events_only {
+                    takes.iter_mut().for_each(take_raw_away);
+                }
+                Ok(takes)
+            }
+            Self::Second(second) => {
+                second.record(hidden, seed, if events_only { Kept::Events } else { Kept::Readings })
+            }
+        }
+    }
 }
 
 /// Runs the bench of joint servos.

@@ -27,8 +27,16 @@ pub struct Scores {
     pub named_correctly: usize,
     /// Of those, sessions in which a reported class holds the effect.
     pub class_correct: usize,
+    /// Of those, sessions whose effect was identified and then withheld by a rule.
+    pub withheld: usize,
+    /// Of those, sessions with a name of another effect.
+    pub misnamed: usize,
     /// Names in sessions that hide nothing.
     pub false_alarms: usize,
+    /// Sessions that hide nothing and were given a name.
+    pub null_named: usize,
+    /// Verdicts of sessions that hide nothing.
+    pub null_verdicts: BTreeMap<Verdict, usize>,
     /// Sessions that hide nothing.
     pub null_cases: usize,
     /// Sessions that hide something outside the library and were left without a name, as unexplained.
@@ -41,6 +49,8 @@ pub struct Scores {
     pub left_out: LeftOut,
     /// Median share of the removable gap that was removed on confirm takes, over sessions that were named correctly.
     pub median_gap_removed: Option<f64>,
+    /// How often each rule withheld an effect that is hidden.
+    pub withheld_by: BTreeMap<String, usize>,
     /// The first three, by strength.
     pub by_strength: BTreeMap<String, StrengthScores>,
     /// How often each effect (`nothing` for none) was answered with which first name.
@@ -118,6 +128,8 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
             (Expected::Nothing, _) => {
                 scores.null_cases += 1;
                 scores.false_alarms += answer.named.len();
+                scores.null_named += usize::from(!answer.named.is_empty());
+                *scores.null_verdicts.entry(answer.verdict).or_default() += 1;
             }
             (Expected::Unexplained, _) => {
                 scores.unknown_cases += 1;
@@ -126,6 +138,12 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
             (Expected::Named, [one]) => {
                 let named = first == *one;
                 let in_class = answer.has_in_class(one);
+                let by_rule = answer.withheld.iter().find(|withheld| withheld.id == *one);
+                if let Some(by_rule) = by_rule.filter(|_| !named) {
+                    scores.withheld += 1;
+                    *scores.withheld_by.entry(by_rule.rule.clone()).or_default() += 1;
+                }
+                scores.misnamed += usize::from(answer.named.iter().any(|named| named.id != *one));
                 let strength = answer.secret.strength.clone().unwrap_or_default();
                 let by_strength = scores.by_strength.entry(strength).or_default();
                 for (cases, correct, class) in [
@@ -161,10 +179,11 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
     scores
 }
 
-fn verdict_name(verdict: Verdict) -> String {
+pub(crate) fn verdict_name(verdict: Verdict) -> String {
     match verdict {
         Verdict::Unexplained | Verdict::PartlyExplained => "unexplained",
         Verdict::NoDiscrepancy | Verdict::Explained => "no_discrepancy",
+        Verdict::CannotBeJudged => "cannot_be_judged",
     }
     .to_owned()
 }
@@ -179,7 +198,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use palpate_robot_model::Place;
-    use palpate_wire::api::{Gap, NamedEffect};
+    use palpate_wire::api::{Gap, NamedEffect, WithheldName};
 
     use super::*;
     use crate::answers::Secret;
@@ -192,7 +211,7 @@ mod tests {
             interval: BTreeMap::new(),
             gap_before: 0.02,
             gap_after: 0.01,
-            p_value: 0.01,
+            p_value: None,
             evidence: 50.0,
             takes_improved: "8/9".to_owned(),
             class: vec![id.to_owned()],
@@ -216,6 +235,7 @@ mod tests {
             verdict: if named.is_empty() { Verdict::Unexplained } else { Verdict::Explained },
             named: named.iter().map(|id| name(id)).collect(),
             gap: Gap { calibrated: 0.02, diagnosed: 0.01, ..Gap::default() },
+            withheld: Vec::new(),
             candidates: Vec::new(),
             notes: Vec::new(),
         }
@@ -237,6 +257,25 @@ mod tests {
     }
 
     #[test]
+    fn a_right_name_that_was_withheld_counts_for_its_rule() {
+        let mut withheld = answer(&["latency"], Expected::Named, Some("strong"), &[]);
+        withheld.withheld.push(WithheldName {
+            id: "latency".to_owned(),
+            place: Place::Stream("all".to_owned()),
+            parameters: BTreeMap::new(),
+            rule: "posture".to_owned(),
+            measured: 2.0,
+            limit: 1.0,
+        });
+        let mut beside = answer(&["latency"], Expected::Named, Some("strong"), &["low_pass"]);
+        beside.withheld = withheld.withheld.clone();
+        beside.withheld[0].id = "preload".to_owned();
+        let scores = BlindReport::new(&[withheld, beside]).scores;
+        assert_eq!((scores.withheld, scores.misnamed), (1, 1));
+        assert_eq!(scores.withheld_by, BTreeMap::from([("posture".to_owned(), 1)]));
+    }
+
+    #[test]
     fn names_where_nothing_is_hidden_are_false_alarms_and_a_name_for_the_unknown_is_no_flag() {
         let scores = BlindReport::new(&[
             answer(&[], Expected::Nothing, None, &["latency", "low_pass"]),
@@ -245,7 +284,9 @@ mod tests {
             answer(&["mains_hum"], Expected::Unexplained, Some("strong"), &["baseline_drift"]),
         ])
         .scores;
-        assert_eq!((scores.false_alarms, scores.null_cases), (2, 2));
+        assert_eq!((scores.false_alarms, scores.null_cases, scores.null_named), (2, 2, 1));
+        let verdicts = BTreeMap::from([(Verdict::Explained, 1), (Verdict::Unexplained, 1)]);
+        assert_eq!(scores.null_verdicts, verdicts);
         assert_eq!((scores.unknown_flagged, scores.unknown_cases), (1, 2));
     }
 

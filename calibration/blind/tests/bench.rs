@@ -5,10 +5,10 @@
 
 use std::path::Path;
 
-use palpate_blind::{BlindConfig, BlindError, BlindReport, actuator, tactile};
+use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
 use palpate_diagnosis::{DiagnosisConfig, diagnose};
 use palpate_emulator::{Stage, cases};
-use palpate_recording::Take;
+use palpate_recording::{SpanKind, Take};
 use palpate_sim::{
     SensorModel,
     job::{Cancel, NoProgress},
@@ -19,11 +19,13 @@ const TUNE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blin
 
 fn config(only: &str, first_seed: u64) -> BlindConfig {
     BlindConfig {
+        world: World::A,
         seeds: 1,
         first_seed,
         nulls: 1,
         binary_only: false,
         leave_out: false,
+        without_rules: Vec::new(),
         only: vec![only.to_owned()],
         answers: None,
     }
@@ -58,6 +60,36 @@ fn a_diagnosis_has_the_same_bits_for_any_number_of_threads() {
         serde_json::to_string(&pool.install(run).unwrap().report).unwrap()
     };
     assert_eq!(report(1), report(3));
+}
+
+#[test]
+fn a_second_diagnosis_begins_where_the_first_ended_and_keeps_what_it_found() {
+    let (takes, nominal) = session("latency strong", 3);
+    let config = DiagnosisConfig { bootstrap_resamples: 0, ..DiagnosisConfig::default() };
+    let diagnosed = |start: &SensorModel| {
+        diagnose(&config, &takes, start, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap()
+    };
+    let first = diagnosed(&nominal);
+    let names: Vec<&str> = first.report.effects.iter().map(|effect| effect.id.as_str()).collect();
+    assert_eq!(names, ["latency"]);
+    let second = diagnosed(&first.model);
+    assert_eq!(second.report.held_out.nominal, first.report.held_out.diagnosed);
+    assert!(second.report.gap.calibrated <= first.report.gap.diagnosed, "{:?}", second.report.gap);
+    assert!(second.report.gap.diagnosed <= second.report.gap.calibrated, "{:?}", second.report.gap);
+    assert!(second.report.held_out.diagnosed <= 1.1 * second.report.held_out.nominal, "{:?}", second.report);
+    assert!(second.report.effects.is_empty(), "{:?}", second.report.effects);
+    assert_eq!(second.model.effects, first.model.effects);
+}
+
+#[test]
+fn without_marks_of_repetitions_nobody_can_tell_whether_something_is_left() {
+    let (mut takes, nominal) = session("latency strong", 3);
+    takes.iter_mut().for_each(|take| take.spans.retain(|span| span.kind != SpanKind::Repetition));
+    let config = DiagnosisConfig { bootstrap_resamples: 0, max_effects: 1, ..DiagnosisConfig::default() };
+    let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
+    let report = outcome.unwrap().report;
+    assert_eq!(report.verdict, Verdict::CannotBeJudged, "{}", report.sentence);
+    assert!(report.sentence.contains("no motion is repeated"), "{}", report.sentence);
 }
 
 #[test]

@@ -162,8 +162,8 @@ pub fn diagnose_actuator(
                 Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
             steps.push(fit_well(&domain, &partial, &fitted, config)?);
         }
-        let Some(inadequate) = adequacy::inadequate(&domain, &steps, &fitted)? else { break };
-        naming.withhold_one(&domain, inadequate, &fitted)?;
+        let Some((inadequate, why)) = adequacy::inadequate(&domain, &steps, &fitted)? else { break };
+        naming.withhold_one(&domain, inadequate, &fitted, why)?;
         steps.truncate(inadequate + 1);
     }
     watch(0.92, "judging on logs that nothing was fitted to")?;

@@ -2,22 +2,23 @@
 
 use std::collections::BTreeMap;
 
-use palpate_calibration::{CalibrationConfig, CalibrationError, HoldOut, PairedTake, calibrate};
+use palpate_calibration::{CalibrationConfig, CalibrationError, HoldOut, PairedTake, calibrate, held_out};
 use palpate_recording::Take;
 use palpate_robot_model::{Place, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{self, Effect};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
-use palpate_wire::api::DiagnosisReport;
+use palpate_wire::api::{DiagnosisReport, WithheldName};
 use rayon::prelude::*;
 
-use crate::engine::{self, Domain, Model, Naming, NamingConfig};
+use crate::engine::{self, Domain, Model, Naming, NamingConfig, Tried};
 use crate::null::NullBar;
+use crate::rules::{self, Fired, InForce, RULES, Withheld};
 use crate::tactile::adequacy::{
     Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal, leave_most_at_a_patch,
     repeating_by_patch,
 };
-use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
+use crate::tactile::judge::{Judged, flickering, gap, judge, set_thresholds};
 use crate::tactile::posture::with_posture;
 use crate::tactile::{Observed, TactileDomain};
 use crate::withhold::withhold;
@@ -32,6 +33,8 @@ pub struct DiagnosisConfig {
     pub max_effects: usize,
     /// Effects to leave out of the library, by id.
     pub without: Vec<String>,
+    /// Rules that withhold nothing, by id: for benches that ask what each of [`RULES`] is good for.
+    pub without_rules: Vec<String>,
     /// Resamples behind intervals.
     pub bootstrap_resamples: usize,
     /// Seed of resampling.
@@ -44,6 +47,7 @@ impl Default for DiagnosisConfig {
             hold_out: HoldOut::Auto,
             max_effects: 8,
             without: Vec::new(),
+            without_rules: Vec::new(),
             bootstrap_resamples: 1000,
             seed: 0,
         }
@@ -57,7 +61,8 @@ pub struct DiagnosisOutcome {
     pub report: DiagnosisReport,
     /// The calibrated model with the named effects.
     pub model: SensorModel,
-    /// The calibrated model.
+    /// The calibrated model; of a start with effects, that model, its thresholds set anew where that lowers the
+    /// mismatch.
     pub calibrated: SensorModel,
     /// Highest evidence of any effect in the first round: what a null bar is made of.
     pub first_evidence: f64,
@@ -126,7 +131,8 @@ pub fn diagnose(
         naming.settle(&domain, &fitted)?;
     }
     let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
-    withhold(&domain, &start, &mut naming, &fitted, is_cut_short)?;
+    let rules = InForce::all_but(&config.without_rules);
+    withhold(&domain, &start, &mut naming, &fitted, is_cut_short, rules)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
@@ -140,14 +146,20 @@ pub fn diagnose(
     let by_patch = [&left_before, &left].map(|left| repeating_by_patch(station, left));
     let mut bent = with_posture(&domain, &naming.model, &fitted)?;
     let evidence = naming.evidence[start.effects.len()..].iter().sum();
-    let is_of_something_else = leave_most_at_a_patch(&by_patch, &of_limb)
-        || bent.iter().any(|change| change.outweighs(evidence, &of_limb));
-    let account = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short)
-        && !(of_channels_only && adequacy.repeats_more(&before))
-        && (is_cut_short || !is_of_something_else);
+    let of_something_else = || {
+        let at_patch = rules.keep(leave_most_at_a_patch(&by_patch, &of_limb));
+        at_patch.or_else(|| bent.iter().find_map(|change| rules.keep(change.outweighs(evidence, &of_limb))))
+    };
+    let fired = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short, rules)
+        .or_else(|| rules.keep(adequacy.repeats_more(&before).filter(|_| of_channels_only)))
+        .or_else(|| of_something_else().filter(|_| !is_cut_short));
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
-    if domain.num_raw_takes() > 0 && !(account && steps.shrink_the_gap(station, &domain, &fitted)?) {
-        naming.withhold(&start);
+    let fired = match fired {
+        None if domain.num_raw_takes() > 0 => rules.keep(steps.widen_the_gap(station, &domain, &fitted)?),
+        fired => fired.filter(|_| domain.num_raw_takes() > 0),
+    };
+    if let Some(why) = fired {
+        naming.withhold(&start, why);
         adequacy = before;
         bent = with_posture(&domain, &start, &fitted)?;
         steps.models.truncate(1);
@@ -191,20 +203,43 @@ pub(crate) fn prepare<'a>(
     cancel: &Cancel,
 ) -> Result<Prepared<'a>, DiagnosisError> {
     let paired: Vec<PairedTake> = takes.par_iter().map(PairedTake::from_take).collect::<Result<_, _>>()?;
+    let is_confirm = held_out(&config.hold_out, &paired)?;
+    let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !is_confirm[idx]).collect();
+    if !nominal.effects.is_empty() {
+        // Thresholds that were calibrated without the effects would have absorbed a part of them.
+        let (domain, start) = TactileDomain::new(station, takes, &fitted, nominal)?;
+        let start = engine::refit(&domain, &start, &fitted, FIRST_STEPS)?;
+        let calibrated = recalibrated(station, &domain, nominal, &fitted)?;
+        return Ok(Prepared { domain, start, calibrated, fitted });
+    }
     let calibration = CalibrationConfig {
         hold_out: config.hold_out.clone(),
         bootstrap_resamples: 0,
         ..CalibrationConfig::default()
     };
     let outcome = calibrate(&calibration, &station.layout, nominal, &paired, &NoProgress, cancel, &|| 0.0)?;
-    let confirm_ids = outcome.report.held_out_takes;
-    let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !confirm_ids.contains(&takes[idx].id)).collect();
     let mut calibrated = outcome.model;
-    calibrated.effects = nominal.effects.clone();
     calibrated.response = nominal.response.clone();
-    let (domain, start) = TactileDomain::new(station, takes, &calibrated)?;
+    let (domain, start) = TactileDomain::new(station, takes, &fitted, &calibrated)?;
     let start = engine::refit(&domain, &start, &fitted, FIRST_STEPS)?;
     Ok(Prepared { domain, start, calibrated, fitted })
+}
+
+/// `nominal`, which has effects, with its thresholds set anew beside them where the takes `fitted` show that they have
+/// moved: where that lowers the mismatch by more than chance does. Otherwise the model stays as it is, to the bit, so
+/// that a second diagnosis begins where the first ended.
+fn recalibrated(
+    station: &Station,
+    domain: &TactileDomain<'_>,
+    nominal: &SensorModel,
+    fitted: &[usize],
+) -> Result<SensorModel, DiagnosisError> {
+    let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
+    let mut anew = nominal.clone();
+    set_thresholds(station, &observed, &mut anew)?;
+    let [before, after] =
+        [gap(&judge(station, &observed, nominal)?), gap(&judge(station, &observed, &anew)?)];
+    Ok(if after < (1.0 - CHANCE_IN_GAP) * before { anew } else { nominal.clone() })
 }
 
 /// Models as deployed: calibrated, then with one more effect each.
@@ -228,7 +263,6 @@ impl Steps {
         if confirm.is_empty() {
             confirm = (0..takes.len()).collect();
         }
-        let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
         let ids: Vec<String> = fitted.iter().map(|&take| takes[take].id.clone()).collect();
         let first = naming.rounds.first().map_or(0, |round| round.before.effects.len());
         let all = naming.model.effects.len();
@@ -238,20 +272,13 @@ impl Steps {
                 Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
             let partial =
                 if count == all { partial } else { engine::refit_roughly(domain, &partial, fitted)? };
-            let (theta, response) = domain.theta_and_response(&partial);
-            let mut model = SensorModel {
-                name: format!("{}, diagnosed", calibrated.name),
-                theta,
-                response,
-                effects: described(domain, naming, &partial.effects, &ids, first),
-                ..calibrated.clone()
-            };
+            let effects = described(domain, naming, &partial.effects, &ids, first);
+            let mut model = deployed(station, domain, &partial, effects, calibrated, fitted)?;
             model.provenance.push(format!(
                 "effects named by palpate {} on takes {}",
                 env!("CARGO_PKG_VERSION"),
                 ids.join(", ")
             ));
-            set_thresholds(station, &observed, &mut model)?;
             Ok(model)
         };
         let mut models = vec![calibrated.clone()];
@@ -259,15 +286,35 @@ impl Steps {
         Ok(Self { confirm, models })
     }
 
-    /// Whether the last model mistakes no more events than the first on the takes `fitted`, on channels that it does not say
-    /// flicker by chance. Names that do not shrink the gap that they were made for are no use.
-    fn shrink_the_gap(
+    /// The model of the step that adds the effect at `idx`, with `rival` in the place of that effect and everything
+    /// fitted anew.
+    pub(crate) fn with_rival(
+        &self,
+        station: &Station,
+        domain: &TactileDomain<'_>,
+        naming: &Naming,
+        fitted: &[usize],
+        idx: usize,
+        rival: &Tried,
+    ) -> Result<SensorModel, DiagnosisError> {
+        let mut effects = naming.model.effects[..=idx].to_vec();
+        effects[idx] = rival.effect.clone();
+        let model = Model { base: naming.model.base.clone(), effects };
+        let model = engine::refit_roughly(domain, &model, fitted)?;
+        deployed(station, domain, &model, model.effects.clone(), &self.models[0], fitted)
+    }
+
+    /// Fires if the last model mistakes more events than the first on the takes `fitted`, on channels that it does not
+    /// say flicker by chance. Names that do not shrink the gap that they were made for are no use. A model that has
+    /// effects already is held to it without an allowance for chance, so that diagnoses in a row cannot make it worse
+    /// bit by bit.
+    fn widen_the_gap(
         &self,
         station: &Station,
         domain: &TactileDomain<'_>,
         fitted: &[usize],
-    ) -> Result<bool, DiagnosisError> {
-        let [first, .., last] = &self.models[..] else { return Ok(true) };
+    ) -> Result<Option<Fired>, DiagnosisError> {
+        let [first, .., last] = &self.models[..] else { return Ok(None) };
         let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
         let flickers = flickering(station, &observed, last);
         let mistaken = |model: &SensorModel| -> Result<f64, DiagnosisError> {
@@ -278,12 +325,37 @@ impl Steps {
                 .map(|(sum, _)| sum.false_positives + sum.false_negatives);
             Ok(frames.sum::<u64>() as f64)
         };
-        Ok(mistaken(last)? <= (1.0 + CHANCE_IN_GAP) * mistaken(first)?)
+        let allowance = if first.effects.is_empty() { CHANCE_IN_GAP } else { 0.0 };
+        let (before, after) = (mistaken(first)?, mistaken(last)?);
+        let fired =
+            Fired { rule: rules::GAP_GROWS, measured: after / before.max(1.0), limit: 1.0 + allowance };
+        Ok((after > (1.0 + allowance) * before).then_some(fired))
     }
 }
 
+/// `model` as a file that starts from `calibrated`: with `effects`, and with thresholds set on the takes `fitted`.
+fn deployed(
+    station: &Station,
+    domain: &TactileDomain<'_>,
+    model: &Model,
+    effects: Vec<Effect>,
+    calibrated: &SensorModel,
+    fitted: &[usize],
+) -> Result<SensorModel, DiagnosisError> {
+    let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
+    let (theta, response) = domain.theta_and_response(model);
+    let name = calibrated.name.trim_end_matches(DIAGNOSED);
+    let mut model =
+        SensorModel { name: format!("{name}{DIAGNOSED}"), theta, response, effects, ..calibrated.clone() };
+    set_thresholds(station, &observed, &mut model)?;
+    Ok(model)
+}
+
+/// What the names of diagnosed models end with.
+const DIAGNOSED: &str = ", diagnosed";
+
 /// What may be added to the gap by chance, over what it is.
-const CHANCE_IN_GAP: f64 = 0.1;
+pub(crate) const CHANCE_IN_GAP: f64 = 0.1;
 
 /// `effects` with intervals and takes, as they go into a model file.
 fn described(
@@ -336,7 +408,27 @@ pub(crate) fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&
             )));
         }
     }
+    if let Some(id) = config.without_rules.iter().find(|id| !RULES.iter().any(|rule| rule.id == **id)) {
+        let known: Vec<&str> = RULES.iter().map(|rule| rule.id).collect();
+        return Err(DiagnosisError::Input(format!(
+            "there is no rule {id:?} to switch off; the rules are {}",
+            known.join(", ")
+        )));
+    }
     Ok(&first.station)
+}
+
+/// What was withheld, as a report has it.
+pub(crate) fn withheld(naming: &Naming) -> Vec<WithheldName> {
+    let of = |withheld: &Withheld| WithheldName {
+        id: withheld.effect.id.clone(),
+        place: withheld.effect.place.clone(),
+        parameters: withheld.effect.parameters.clone(),
+        rule: withheld.why.rule.to_owned(),
+        measured: withheld.why.measured,
+        limit: withheld.why.limit,
+    };
+    naming.withheld.iter().map(of).collect()
 }
 
 impl From<CalibrationError> for DiagnosisError {

@@ -10,6 +10,7 @@ pub mod engine;
 mod job;
 mod null;
 pub mod report;
+pub mod rules;
 mod show;
 pub mod tactile;
 mod withhold;

@@ -18,9 +18,6 @@ pub struct NullBar {
     pub evidence: f64,
     /// Highest evidence in each null session, ascending.
     pub maxima: Vec<f64>,
-    /// What adequacy statistics may be without anything being left.
-    #[serde(skip, default = "NullBar::default_adequacy")]
-    pub adequacy: Adequacy,
 }
 
 impl NullBar {
@@ -28,27 +25,15 @@ impl NullBar {
     pub const DEFAULT_EVIDENCE: f64 = 12.0;
 
     /// Limits of the adequacy statistics, tuned likewise.
-    pub const DEFAULT_ADEQUACY: Adequacy =
+    pub const ADEQUACY: Adequacy =
         Adequacy { repeating: 0.5, at_patch: 0.85, common_mode: 1.5, loss: 0.61, switching: 0.03 };
 
-    fn default_adequacy() -> Adequacy {
-        Self::DEFAULT_ADEQUACY
-    }
-
-    /// Probability of evidence this strong if nothing is missing, from the null sessions.
-    pub fn p_value(&self, evidence: f64) -> f64 {
+    /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The
+    /// normal distribution would not do in their place: standard errors leave out that the model is only roughly right,
+    /// so that it gives probabilities many orders of magnitude too small.
+    pub fn p_value(&self, evidence: f64) -> Option<f64> {
         let as_strong = self.maxima.iter().filter(|maximum| **maximum >= evidence).count();
-        (1 + as_strong) as f64 / (1 + self.maxima.len()) as f64
-    }
-
-    /// The same from the normal distribution and the number of candidates, where there are no null sessions: an upper
-    /// bound (Bonferroni).
-    pub fn default_p_value(evidence: f64) -> f64 {
-        const CANDIDATES: f64 = 500.0;
-        let z = evidence.max(0.0).sqrt();
-        // Mills' ratio bounds the normal tail.
-        let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-        (2.0 * CANDIDATES * density / z.max(1.0)).min(1.0)
+        (!self.maxima.is_empty()).then(|| (1 + as_strong) as f64 / (1 + self.maxima.len()) as f64)
     }
 
     pub(crate) fn to_report(&self) -> Bar {
@@ -100,9 +85,18 @@ pub fn null_bar(
     let position = (BELOW_BAR * maxima.len() as f64).ceil() as usize;
     let of_null = maxima.get(position.saturating_sub(1)).copied().unwrap_or(0.0);
     progress.report(1.0, "done");
-    Ok(NullBar {
-        evidence: of_null.max(NullBar::DEFAULT_EVIDENCE),
-        maxima,
-        adequacy: NullBar::DEFAULT_ADEQUACY,
-    })
+    Ok(NullBar { evidence: of_null.max(NullBar::DEFAULT_EVIDENCE), maxima })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_probability_comes_from_null_sessions_or_not_at_all() {
+        let bar = NullBar { evidence: 12.0, maxima: vec![2.0, 5.0, 11.0] };
+        assert_eq!(bar.p_value(5.0), Some(0.75));
+        assert_eq!(bar.p_value(1200.0), Some(0.25), "three sessions tell no smaller one");
+        assert_eq!(NullBar { maxima: Vec::new(), ..bar }.p_value(1200.0), None);
+    }
 }

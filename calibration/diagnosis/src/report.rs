@@ -35,6 +35,7 @@ fn write_page(
         Verdict::PartlyExplained => ("partly explained", "so-so"),
         Verdict::Unexplained => ("unexplained", "bad"),
         Verdict::NoDiscrepancy => ("no discrepancy", "plain"),
+        Verdict::CannotBeJudged => ("cannot be judged", "so-so"),
     };
     write!(
         page,
@@ -47,6 +48,9 @@ fn write_page(
         station = Escaped(source.station),
         sentence = Escaped(&report.sentence),
     )?;
+    for withheld in &report.withheld {
+        writeln!(page, "<p class=\"note\">{}.</p>", Escaped(&wording::withheld_sentence(withheld)))?;
+    }
     for note in &report.notes {
         writeln!(page, "<p class=\"note\">Note: {}.</p>", Escaped(note.trim_end_matches('.')))?;
     }
@@ -112,7 +116,7 @@ fn write_effect(page: &mut String, report: &DiagnosisReport, effect: &NamedEffec
         "<details><summary>Evidence: {} against a bar of {} ({})</summary>",
         wording::number(effect.evidence),
         wording::number(report.bar.evidence),
-        Escaped(&wording::p_value(effect.p_value))
+        Escaped(&wording::chance(effect.p_value))
     )?;
     tables::write_effect(page, effect)?;
     page.push_str("</details>\n</article>\n");

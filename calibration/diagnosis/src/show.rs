@@ -10,14 +10,15 @@ use palpate_wire::api::{
 };
 
 use palpate_wire::wording::effect_at;
+use rayon::prelude::*;
 
 use crate::DiagnosisError;
 use crate::engine::{Naming, Tried};
-use crate::job::{DiagnosisConfig, Steps, interval, judge_all};
+use crate::job::{DiagnosisConfig, Steps, interval, judge_all, withheld};
 use crate::null::NullBar;
 use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
-use crate::tactile::judge::{Judged, gap, gap_interval, metrics, noise_floor};
+use crate::tactile::judge::{Judged, gap, gap_interval, judge, metrics, noise_floor, repeated};
 use crate::tactile::next::next_experiment;
 use crate::tactile::posture::WithPosture;
 use crate::tactile::{Observed, TactileDomain};
@@ -49,7 +50,16 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let last = judged.len() - 1;
     let floor = noise_floor(station, &observed);
     let gaps: Vec<f64> = judged.iter().map(|judged| gap(judged)).collect();
-    let the_gap = Gap { nominal: gaps[0], calibrated: gaps[1], diagnosed: gaps[last], noise_floor: floor };
+    let held_out = Gap { nominal: gaps[0], calibrated: gaps[1], diagnosed: gaps[last], noise_floor: floor };
+    let on_fitted: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
+    let of_fitted = |model: &SensorModel| Ok::<_, DiagnosisError>(gap(&judge(station, &on_fitted, model)?));
+    let of_fit = Gap {
+        nominal: of_fitted(nominal)?,
+        calibrated: of_fitted(&models[1])?,
+        diagnosed: of_fitted(&models[last])?,
+        noise_floor: noise_floor(station, &on_fitted),
+    };
+    let repeats = on_fitted.iter().any(|observed| !repeated(observed).is_empty());
     let named: Vec<&Effect> =
         steps.models[steps.models.len() - 1].effects.iter().skip(nominal.effects.len()).collect();
 
@@ -68,10 +78,8 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     for (idx, effect) in named.iter().enumerate() {
         reported.push(named_effect(evidence, effect, idx, [&gaps[idx + 1], &gaps[idx + 2]], &judged)?);
     }
-    let verdict = verdict(evidence, &reported);
-    let removable = the_gap.calibrated - floor.unwrap_or(0.0);
-    let left = the_gap.diagnosed - floor.unwrap_or(0.0);
-    let fraction = if removable > 0.0 { (left / removable).clamp(0.0, 1.0) } else { 0.0 };
+    let verdict = verdict(evidence, &reported, repeats);
+    let fraction = share_left(&held_out);
     let unexplained = Unexplained {
         fraction,
         significant: matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained),
@@ -93,12 +101,6 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     if evidence.bar.is_none() {
         notes.push("no null bar of this station: the shipped one applies".to_owned());
     }
-    for effect in &naming.withheld {
-        notes.push(format!(
-            "{} comes nearest, but leaves too much unexplained to be the name of what is missing",
-            effect_at(&effect.id, &effect.place)
-        ));
-    }
     for effect in &naming.dropped {
         notes.push(format!(
             "{} was named at first and dropped when later effects accounted for it",
@@ -108,7 +110,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     notes.extend(evidence.with_posture.iter().map(|change| change.sentence(station)));
     Ok(DiagnosisReport {
         verdict,
-        sentence: sentence(verdict, &reported, &the_gap),
+        sentence: sentence(verdict, &reported, &held_out),
         candidates: first
             .tried
             .iter()
@@ -117,9 +119,10 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             .map(|(_, tried)| candidate(station, tried))
             .collect(),
         effects: reported,
+        withheld: withheld(naming),
         cells: cells(station, &observed, &judged[1], config.seed),
-        held_out: the_gap.clone(),
-        gap: the_gap,
+        held_out,
+        gap: of_fit,
         waterfall,
         metrics: BTreeMap::from([
             ("nominal".to_owned(), metrics(&judged[0])),
@@ -129,11 +132,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         unexplained,
         next_experiment: next_experiment(station, domain, naming, fitted)?,
         residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
-        takes: BTreeMap::from([
-            ("fit".to_owned(), ids(fitted)),
-            ("select".to_owned(), ids(fitted)),
-            ("confirm".to_owned(), ids(&steps.confirm)),
-        ]),
+        takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(&steps.confirm))]),
         bar: Bar {
             evidence: evidence.least_evidence,
             ..evidence.bar.map_or_else(Bar::default, NullBar::to_report)
@@ -150,15 +149,16 @@ fn named_effect(
     [before, after]: [&f64; 2],
     judged: &[Vec<Judged>],
 ) -> Result<NamedEffect, DiagnosisError> {
-    let Evidence { station, domain, naming, nominal, bar, .. } = *evidence;
+    let Evidence { station, domain, naming, steps, nominal, fitted, bar, .. } = *evidence;
     let at = nominal.effects.len() + idx;
-    let round = naming.rounds.iter().find(|round| {
+    // The last of the rounds that named it, which is the one whose name a second look may have changed.
+    let round = naming.rounds.iter().rev().find(|round| {
         round.named.is_some_and(|named| {
             round.tried[named].effect.id == effect.id && round.tried[named].effect.place == effect.place
         })
     });
     let mut class = vec![effect.id.clone()];
-    let mut rivals = Vec::new();
+    let (mut members, mut rivals) = (Vec::new(), Vec::new());
     if let Some(round) = round {
         for &member in &round.class {
             let other = &round.tried[member].effect;
@@ -170,14 +170,18 @@ fn named_effect(
             if !class.contains(&other.id) {
                 class.push(other.id.clone());
             }
-            let share = round.tried[member].held_out_gain
-                / round.tried[round.named.unwrap_or(member)].held_out_gain.max(f64::MIN_POSITIVE);
-            rivals.push(Rival {
-                id: other.id.clone(),
-                place: other.place.clone(),
-                gap_after: before - share * (before - after),
-            });
+            members.push(member);
         }
+    }
+    if let Some(round) = round {
+        let confirm: Vec<&Observed<'_>> = steps.confirm.iter().map(|&take| domain.take(take)).collect();
+        let rival = |member: usize| {
+            let tried = &round.tried[member];
+            let model = steps.with_rival(station, domain, naming, fitted, at, tried)?;
+            let (id, place) = (tried.effect.id.clone(), tried.effect.place.clone());
+            Ok(Rival { id, place, gap_after: gap(&judge(station, &confirm, &model)?) })
+        };
+        rivals = members.into_par_iter().map(rival).collect::<Result<Vec<_>, DiagnosisError>>()?;
     }
     let takes = judged[idx + 1].iter().zip(&judged[idx + 2]);
     let mismatch = |judged: &Judged| judged.mismatch_s.iter().sum::<f64>();
@@ -190,7 +194,7 @@ fn named_effect(
         interval: interval(domain, effect, &naming.standard_errors[at]),
         gap_before: *before,
         gap_after: *after,
-        p_value: bar.map_or_else(|| NullBar::default_p_value(strength), |bar| bar.p_value(strength)),
+        p_value: bar.and_then(|bar| bar.p_value(strength)),
         evidence: strength,
         takes_improved: format!("{improved}/{}", judged[0].len()),
         class,
@@ -214,8 +218,17 @@ fn candidate(station: &Station, tried: &Tried) -> Candidate {
     }
 }
 
-fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
-    let limits = evidence.bar.map_or(NullBar::DEFAULT_ADEQUACY, |bar| bar.adequacy);
+/// Share of the calibrated gap that is left, of what lies above the noise floor; of all of it where the floor is no
+/// floor, as where it comes from motions that were repeated only roughly.
+fn share_left(gap: &Gap) -> f64 {
+    let floor = gap.noise_floor.filter(|floor| *floor < gap.calibrated).unwrap_or(0.0);
+    let removable = gap.calibrated - floor;
+    if removable > 0.0 { ((gap.diagnosed - floor) / removable).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// `repeats`: whether any motion is repeated, by which to tell what is left.
+fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect], repeats: bool) -> Verdict {
+    let limits = NullBar::ADEQUACY;
     let of = &evidence.adequacy;
     let left = of.repeating > limits.repeating
         || of.at_patch > limits.at_patch
@@ -224,6 +237,7 @@ fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect]) -> Verdict {
         || !evidence.with_posture.is_empty()
         || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);
     match (named.is_empty(), left) {
+        (_, false) if !repeats => Verdict::CannotBeJudged,
         (true, true) => Verdict::Unexplained,
         (true, false) => Verdict::NoDiscrepancy,
         (false, true) => Verdict::PartlyExplained,
@@ -248,8 +262,31 @@ fn sentence(verdict: Verdict, named: &[NamedEffect], gap: &Gap) -> String {
         Verdict::Unexplained => {
             "Something repeats that no effect of the library accounts for: see where.".to_owned()
         }
+        Verdict::CannotBeJudged if named.is_empty() => {
+            "No effect of the library is found. No motion is repeated, so that nobody can tell whether something else is \
+             missing: mark the repetitions of each motion."
+                .to_owned()
+        }
+        Verdict::CannotBeJudged => {
+            format!("{found}; no motion is repeated, by which to tell whether something else is missing.")
+        }
         Verdict::NoDiscrepancy => {
             "Simulation and measurement agree as well as repetitions of the same motion do.".to_owned()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_is_of_what_lies_above_the_floor_if_that_is_one() {
+        let left = |diagnosed: f64, noise_floor: Option<f64>| {
+            share_left(&Gap { nominal: 0.03, calibrated: 0.02, diagnosed, noise_floor })
+        };
+        assert!((left(0.015, Some(0.01)) - 0.5).abs() < 1e-12);
+        assert!((left(0.015, None) - 0.75).abs() < 1e-12);
+        assert!((left(0.02, Some(0.025)) - 1.0).abs() < 1e-12, "a floor above the gap hides nothing");
     }
 }

@@ -114,17 +114,20 @@ const SOFTNESS_M: f64 = 2e-4;
 const LEAST_NOISE: f64 = 0.01;
 
 impl<'a> TactileDomain<'a> {
-    /// Prepares `takes` of `station`. `start` gives the parameters around which the model is built.
+    /// Prepares `takes` of `station`. `start` gives the parameters around which the model is built. What is taken from
+    /// the recordings themselves (which objects are touched, how streams freeze, whether firmware counts from a known
+    /// reading) comes from the takes with the indices `fitted` alone.
     ///
     /// Refuses takes whose object the station does not know, naming both.
     pub fn new(
         station: &'a Station,
         takes: &'a [Take],
+        fitted: &[usize],
         start: &SensorModel,
     ) -> Result<(Self, Model), DiagnosisError> {
         let mut takes: Vec<Observed<'a>> =
             takes.iter().map(|take| Observed::new(station, take)).collect::<Result<_, _>>()?;
-        ignore_uncertain_switching(station, &mut takes);
+        ignore_uncertain_switching(station, &mut takes, fitted);
         let has = |kind: SensorKind| station.layout.streams.iter().any(|stream| stream.kind == kind);
         let raw = takes.iter().any(|take| take.has_raw);
         let theta = start.theta;
@@ -164,7 +167,7 @@ impl<'a> TactileDomain<'a> {
                 add(Base::Pattern(set, taxel), format!("gain.{}.{taxel}", first.id), 1.0, [0.2, 5.0], 0.1);
             }
         }
-        let touched: Vec<&str> = takes.iter().map(|take| take.object.id.as_str()).collect();
+        let touched: Vec<&str> = fitted.iter().map(|&take| takes[take].object.id.as_str()).collect();
         let candidates = effects::TACTILE
             .iter()
             .flat_map(|kind| kind.places(station).into_iter().map(move |place| (kind, place)))
@@ -186,7 +189,8 @@ impl<'a> TactileDomain<'a> {
         let memories = memories(station, takes.len());
         let gain_names =
             station.layout.channels.iter().map(|channel| format!("gain_{}", channel.id)).collect();
-        let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&takes, stream)).collect();
+        let seen: Vec<&Observed<'_>> = fitted.iter().map(|&take| &takes[take]).collect();
+        let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&seen, stream)).collect();
         let moves = moves(station);
         let domain = Self {
             station,
@@ -349,10 +353,10 @@ fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {
 /// from where the firmware counts.
 const STEADY: f64 = 0.03;
 
-/// Ignores what firmware makes of readings where it is uncertain what it takes for no touch.
-fn ignore_uncertain_switching(station: &Station, takes: &mut [Observed<'_>]) {
+/// Ignores what firmware makes of readings where the takes `fitted` leave it uncertain what it takes for no touch.
+fn ignore_uncertain_switching(station: &Station, takes: &mut [Observed<'_>], fitted: &[usize]) {
     for (channel, config) in station.layout.channels.iter().enumerate() {
-        let references = takes.iter().filter_map(|take| take.reference(station, channel));
+        let references = fitted.iter().filter_map(|&take| takes[take].reference(station, channel));
         let (least, most) =
             references.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
         if most - least > STEADY * station.streams[config.stream].on_threshold {
@@ -558,7 +562,7 @@ struct Frozen {
 }
 
 impl Frozen {
-    fn of(takes: &[Observed<'_>], stream: usize) -> Option<Self> {
+    fn of(takes: &[&Observed<'_>], stream: usize) -> Option<Self> {
         let spans: Vec<f64> = takes.iter().flat_map(|take| take.frozen_spans_s(stream)).collect();
         let frozen_s: f64 = spans.iter().sum();
         let duration_s: f64 = takes.iter().map(|take| take.take.duration_s()).sum();
@@ -585,4 +589,47 @@ const DEPTH: f64 = 0.2;
 /// (drift) read as they are.
 fn reading(load: f64, exponent: f64) -> f64 {
     if load > 0.0 { load.powf(exponent) } else { load }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use palpate_emulator::Stage;
+
+    use super::*;
+
+    #[test]
+    fn takes_that_are_kept_for_judging_change_nothing_of_what_is_fitted() {
+        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
+        let stage = Stage::read(truth).unwrap();
+        let station = stage.station();
+        let nominal = SensorModel::from_toml("nominal", &station.nominal_model_toml).unwrap();
+        let mut takes = stage.record(&[], 1).unwrap();
+        takes.truncate(1);
+        let mut confirm = takes[0].clone();
+        confirm.id = "confirm".to_owned();
+        for (stream, log) in station.layout.streams.iter().zip(&mut confirm.streams) {
+            // Its readings without touch are others, and it stands still for half of the take.
+            log.reference.iter_mut().for_each(|reference| *reference += 1000.0);
+            let (width, half) = (stream.channels.len(), log.times_s.len() / 2);
+            let first: Vec<f32> = log.raw[..width].to_vec();
+            log.raw[..half * width].chunks_exact_mut(width).for_each(|sample| sample.copy_from_slice(&first));
+        }
+        takes.push(confirm);
+        let of = |takes| TactileDomain::new(station, takes, &[0], &nominal).unwrap().0;
+        let (alone, beside) = (of(&takes[..1]), of(&takes));
+        let bits = |domain: &TactileDomain<'_>| -> Vec<u64> {
+            domain.take(0).signals.iter().flatten().map(|value| value.to_bits()).collect()
+        };
+        assert!(
+            bits(&alone) == bits(&beside),
+            "what is expected of the firmware depends on the confirm take"
+        );
+        let frozen =
+            |domain: &TactileDomain<'_>| -> Vec<bool> { domain.frozen.iter().map(Option::is_some).collect() };
+        assert_eq!(frozen(&alone), frozen(&beside));
+        assert!(frozen(&TactileDomain::new(station, &takes, &[0, 1], &nominal).unwrap().0).contains(&true));
+        assert_eq!(alone.candidates(), beside.candidates());
+    }
 }

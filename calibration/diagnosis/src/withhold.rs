@@ -7,19 +7,20 @@ use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
 use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
+use crate::rules::{self, Fired, InForce};
 use crate::tactile::{TactileDomain, is_local};
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
-const LEAST_BESIDE: f64 = 0.2;
+pub(crate) const LEAST_BESIDE: f64 = 0.2;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.
-const MOST_BY_TAKE: f64 = 0.8;
+pub(crate) const MOST_BY_TAKE: f64 = 0.8;
 /// Loss, in variances, that sizes of its own for each channel in each take remove at most of a right name: on the tuning
 /// stations up to 26 (crosstalk along a layer); where a joint is named for an object that has moved, 40 to 150.
-const MOST_BY_PART: f64 = 32.0;
+pub(crate) const MOST_BY_PART: f64 = 32.0;
 /// Cosine between what two names add to the readings from which they do nearly the same: of right ones at most 0.11, of a bent
 /// joint and a stiffer layer in place of a preload 0.7.
-const ALIKE: f64 = 0.3;
+pub(crate) const ALIKE: f64 = 0.3;
 /// Faults of so many kinds at one patch are one of another kind.
 const MANY_KINDS: usize = 3;
 
@@ -32,17 +33,23 @@ pub(crate) fn withhold(
     naming: &mut Naming,
     fitted: &[usize],
     is_part: bool,
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     let known = start.effects.len();
     let has_readings = domain.num_raw_takes() > 0;
     if has_readings && !is_part {
-        withhold_disagreeing(domain, known, naming, fitted)?;
+        withhold_disagreeing(domain, known, naming, fitted, rules)?;
     }
-    withhold_remainders(domain, known, naming, fitted)?;
-    if has_readings {
+    if rules.has(rules::REMAINDER) {
+        withhold_remainders(domain, known, naming, fitted)?;
+    }
+    if has_readings && rules.has(rules::ALIKE) {
         withhold_alike(domain, known, naming, fitted)?;
     }
-    withhold_at_one_place(domain, start, naming, fitted)
+    if rules.has(rules::ONE_PLACE) {
+        withhold_at_one_place(domain, start, naming, fitted)?;
+    }
+    Ok(())
 }
 
 /// Takes back names beyond the first `known` on whose size the takes do not agree, the worst first.
@@ -51,15 +58,24 @@ fn withhold_disagreeing(
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
-    // How many times as much as it may.
-    let excess = |of: Disagreement| (of.by_take / MOST_BY_TAKE).max(of.by_part / MOST_BY_PART);
+    // How many times as much as it may, and by which rule.
+    let excess = |of: Disagreement| {
+        let measures =
+            [(rules::BY_TAKE, of.by_take, MOST_BY_TAKE), (rules::BY_PART, of.by_part, MOST_BY_PART)];
+        let in_force = measures.into_iter().filter(|(rule, ..)| rules.has(rule));
+        let ratios =
+            in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));
+        ratios.max_by(|(one, _), (other, _)| one.total_cmp(other))
+    };
     while naming.model.effects.len() > known {
         let disagreements = Contributions::of(domain, &naming.model, fitted)?.disagreements()?;
-        let of_names = disagreements.into_iter().enumerate().skip(known).map(|(idx, of)| (idx, excess(of)));
-        let worst = of_names.max_by(|(_, one), (_, other)| one.total_cmp(other));
-        let Some((worst, _)) = worst.filter(|(_, excess)| *excess > 1.0) else { break };
-        naming.withhold_one(domain, worst, fitted)?;
+        let of_names = disagreements.into_iter().enumerate().skip(known);
+        let of_names = of_names.filter_map(|(idx, of)| excess(of).map(|(ratio, why)| (idx, ratio, why)));
+        let worst = of_names.max_by(|(_, one, _), (_, other, _)| one.total_cmp(other));
+        let Some((worst, _, why)) = worst.filter(|(_, ratio, _)| *ratio > 1.0) else { break };
+        naming.withhold_one(domain, worst, fitted, why)?;
     }
     Ok(())
 }
@@ -79,18 +95,22 @@ fn withhold_remainders(
     loop {
         let named = &naming.model.effects[known..];
         let evidence = &naming.evidence[known..];
-        let is_remainder = |idx: usize| {
+        let stronger = |idx: usize| {
             let reach = domain.reach(&named[idx]);
-            named.iter().zip(evidence).any(|(other, of_other)| {
+            let mut others = named.iter().zip(evidence);
+            others.find(|(other, of_other)| {
                 other.id != named[idx].id
                     && is_placed(other)
-                    && evidence[idx] < LEAST_BESIDE * of_other
+                    && evidence[idx] < LEAST_BESIDE * **of_other
                     && within(&domain.reach(other), &reach)
             })
         };
-        let remainder = (0..named.len()).filter(|&idx| is_placed(&named[idx])).find(|&idx| is_remainder(idx));
-        let Some(remainder) = remainder else { return Ok(()) };
-        naming.withhold_one(domain, known + remainder, fitted)?;
+        let placed = (0..named.len()).filter(|&idx| is_placed(&named[idx]));
+        let remainder = placed.filter_map(|idx| Some((idx, *stronger(idx)?.1))).next();
+        let Some((remainder, of_stronger)) = remainder else { return Ok(()) };
+        let measured = of_stronger / evidence[remainder];
+        let why = Fired { rule: rules::REMAINDER, measured, limit: 1.0 / LEAST_BESIDE };
+        naming.withhold_one(domain, known + remainder, fitted, why)?;
     }
 }
 
@@ -108,10 +128,13 @@ fn withhold_alike(
         let placed: Vec<usize> = (known..naming.model.effects.len()).filter(is_placed).collect();
         let pairs =
             placed.iter().enumerate().flat_map(|(at, &two)| placed[..at].iter().map(move |&one| (one, two)));
-        let mut alike = pairs.filter(|&(one, two)| contributions.likeness(one, two).abs() > ALIKE);
-        let Some((one, two)) = alike.next() else { break };
-        naming.withhold_one(domain, two, fitted)?;
-        naming.withhold_one(domain, one, fitted)?;
+        let mut alike = pairs.filter_map(|(one, two)| {
+            let cosine = contributions.likeness(one, two).abs();
+            Fired::above(rules::ALIKE, cosine, ALIKE).map(|why| (one, two, why))
+        });
+        let Some((one, two, why)) = alike.next() else { break };
+        naming.withhold_one(domain, two, fitted, why)?;
+        naming.withhold_one(domain, one, fitted, why)?;
     }
     Ok(())
 }
@@ -126,11 +149,14 @@ fn withhold_at_one_place(
     let known = start.effects.len();
     let named = &naming.model.effects[known..];
     let patches: Vec<BTreeSet<usize>> = named.iter().map(|effect| domain.patches(effect)).collect();
-    match num_standing(named, &patches, &domain.limbs()) {
-        0 => naming.withhold(start),
+    let (standing, count) = (num_standing(named, &patches, &domain.limbs()), named.len());
+    let why = Fired { rule: rules::ONE_PLACE, measured: (count - standing) as f64, limit: 0.0 };
+    match standing {
+        _ if standing == count => {}
+        0 => naming.withhold(start, why),
         standing => {
             while naming.model.effects.len() > known + standing {
-                naming.withhold_one(domain, known + standing, fitted)?;
+                naming.withhold_one(domain, known + standing, fitted, why)?;
             }
         }
     }

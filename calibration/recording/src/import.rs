@@ -38,6 +38,8 @@ struct TakeConfig {
     primitive: String,
     #[serde(default)]
     repetitions_s: Vec<[f64; 2]>,
+    /// What each repetition does, one for each; absent: all do what the primitive says.
+    repetition_labels: Option<Vec<String>>,
     /// Needed unless the take is binary.
     baseline_s: Option<[f64; 2]>,
     #[serde(default)]
@@ -178,10 +180,22 @@ fn read_take(station: &Station, dir: &Path) -> Result<CheckedTake, RecordingErro
         end_s: end_s - zero_s,
         label: label.to_owned(),
     };
+    if let Some(labels) = &config.repetition_labels
+        && labels.len() != config.repetitions_s.len()
+    {
+        let problem = format!(
+            "{} labels for {} spans of repetitions_s; give one for each, alike for repetitions of the same motion, or leave \
+             them out",
+            labels.len(),
+            config.repetitions_s.len()
+        );
+        return Err(config_error("repetition_labels", problem));
+    }
     for (span_idx, &span) in config.repetitions_s.iter().enumerate() {
         check_span(span, first_s, last_s)
             .map_err(|problem| config_error(&format!("repetitions_s, span {}", span_idx + 1), problem))?;
-        spans.push(labelled(SpanKind::Repetition, &config.primitive, span));
+        let label = config.repetition_labels.as_ref().map_or(&config.primitive, |labels| &labels[span_idx]);
+        spans.push(labelled(SpanKind::Repetition, label, span));
     }
     match config.baseline_s {
         Some(span) => {

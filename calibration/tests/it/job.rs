@@ -61,6 +61,26 @@ fn exact_fit_is_at_least_as_good_as_the_grid_and_the_nominal_model() {
 }
 
 #[test]
+fn a_model_with_effects_is_not_calibrated_as_if_it_had_none() {
+    let (layout, takes) = session();
+    let mut model = crate::nominal();
+    model.effects.push(palpate_sim::effects::Effect {
+        id: "latency".to_owned(),
+        place: palpate_robot_model::Place::Stream("gel".to_owned()),
+        parameters: [("delay_s".to_owned(), 0.1)].into(),
+        interval: [].into(),
+        takes: Vec::new(),
+    });
+    let config = CalibrationConfig::default();
+    let refused = calibrate(&config, &layout, &model, &takes, &NoProgress, &Cancel::default(), &|| 0.0);
+    let message = refused.expect_err("effects would be ignored").to_string();
+    assert!(
+        message.contains("has effects (latency), beside which theta cannot be calibrated alone"),
+        "{message}"
+    );
+}
+
+#[test]
 fn parts_of_the_report_add_up() {
     let (layout, takes) = session();
     let outcome = run(&CalibrationConfig::default(), &layout, &takes).expect("a sound session");

@@ -25,6 +25,8 @@ pub struct Trainer {
     pub(crate) networks: Networks,
     pub(crate) adam: Adam,
     pub(crate) updates: u64,
+    /// An epoch, and the order of its samples: drawn once for all of its updates.
+    pub(crate) order: Option<(u64, Vec<usize>)>,
     /// What the samples were made from, by name.
     pub(crate) sources: BTreeMap<String, String>,
 }
@@ -63,6 +65,7 @@ impl Trainer {
             num_samples: data.len(),
             config,
             updates: 0,
+            order: None,
             sources,
         })
     }
@@ -102,7 +105,10 @@ impl Trainer {
         let (epoch, batch) =
             (self.updates / self.updates_per_epoch(), self.updates % self.updates_per_epoch());
         let size = self.config.batch_size;
-        let order = permutation(&mut generator(self.config.seed, SHUFFLE, epoch, 0), self.num_samples);
+        let order = match self.order.take() {
+            Some((drawn, order)) if drawn == epoch => order,
+            _ => permutation(&mut generator(self.config.seed, SHUFFLE, epoch, 0), self.num_samples),
+        };
         let numbers = &order[batch as usize * size..][..size];
         let parts: Vec<_> = numbers
             .par_chunks(CHUNK_SAMPLES)
@@ -125,6 +131,7 @@ impl Trainer {
         let parameters = self.networks.arrays.iter_mut().map(|array| &mut array.values);
         self.adam.step(parameters, &total, rate, self.config.weight_decay);
         self.updates += 1;
+        self.order = Some((epoch, order));
         Ok((terms, norm))
     }
 

@@ -125,10 +125,11 @@ fn draw(svg: &mut String, curves: &[(String, Vec<Point>)]) -> fmt::Result {
             svg,
             "<path d=\"M{left} {top}V{bottom}H{right}\" fill=\"none\" stroke=\"#999\"/>\n\
              <path d=\"M{left} {top}H{right}M{left} {mid}H{right}\" stroke=\"#ddd\"/>\n\
-             <text x=\"{left}\" y=\"{}\" font-weight=\"bold\">{name}</text>\n\
+             <text x=\"{left}\" y=\"{}\" font-weight=\"bold\">{}</text>\n\
              <text x=\"{left}\" y=\"{}\">0</text>\n\
              <text x=\"{right}\" y=\"{}\" text-anchor=\"end\">{:.0} k steps</text>",
             top - 6.0,
+            escaped(name),
             bottom + 14.0,
             bottom + 14.0,
             1e-3 * most_steps,
@@ -157,6 +158,11 @@ fn draw(svg: &mut String, curves: &[(String, Vec<Point>)]) -> fmt::Result {
         }
     }
     writeln!(svg, "</svg>")
+}
+
+/// `text` as the content of an XML element: names of files may hold `<` and `&`.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 const RATE: &str = "#1565c0";
@@ -201,6 +207,13 @@ mod tests {
             point(400, 160, Some(0.25)),
         ];
         assert_eq!(rates(&points), [(300, 90.0 / 120.0), (400, 70.0 / 100.0)]);
+    }
+
+    #[test]
+    fn a_name_is_text_and_no_markup() {
+        let mut svg = String::new();
+        draw(&mut svg, &[("cube <b> & co".to_owned(), vec![point(50, 3, None)])]).expect("a picture");
+        assert!(svg.contains(">cube &lt;b&gt; &amp; co</text>") && !svg.contains("<b>"), "{svg}");
     }
 
     #[test]

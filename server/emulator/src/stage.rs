@@ -52,6 +52,16 @@ impl Stage {
         &self.emulation.plan
     }
 
+    /// The planned motion of each take.
+    pub fn motions(&self) -> &[TakeMotion] {
+        &self.motions
+    }
+
+    /// Where the object of each take is planned to stand, in the base frame.
+    pub fn poses(&self) -> &[Isometry3<f64>] {
+        &self.poses
+    }
+
     /// The station.
     pub fn station(&self) -> &Station {
         &self.emulation.station

@@ -7,7 +7,7 @@ use palpate_diagnosis::actuator::{ActuatorConfig, LogHoldOut, diagnose_actuator}
 use palpate_recording::{ServoLog, Session};
 use palpate_server::Error;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::DiagnosisReport;
+use palpate_wire::{api::DiagnosisReport, wording};
 
 use super::{Outcome, output};
 
@@ -121,6 +121,7 @@ fn text(report: &DiagnosisReport) -> String {
     }
     lines.push(String::new());
     lines.extend(report.next_experiment.iter().map(|next| next.sentence.clone()));
+    lines.extend(report.withheld.iter().map(wording::withheld_sentence));
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines.push(format!("{:.1} s", report.seconds));
     lines.join("\n")

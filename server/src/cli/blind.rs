@@ -1,9 +1,12 @@
 //! `palpate blind`.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::{Args, ValueEnum};
-use palpate_blind::{BlindConfig, BlindReport, Scores, actuator, tactile};
+use palpate_blind::{BlindConfig, BlindReport, Scores, World, actuator, tactile};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
 use super::{Outcome, output};
@@ -22,15 +25,23 @@ pub(crate) struct BlindArgs {
     /// Sessions with nothing hidden in each round
     #[arg(long, value_name = "N", default_value_t = 20)]
     nulls: usize,
-    /// The world of the touch sessions
-    #[arg(long, value_name = "TRUTH.toml", default_value = "assets/truth/blind_report.toml")]
-    truth: PathBuf,
+    /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported
+    /// from CSV
+    #[arg(long, value_enum, default_value = "a")]
+    world: Physics,
+    /// Station and motions of the touch sessions, and what world a is like [default: assets/truth/blind_report.toml, of
+    /// world b assets/truth/blind_b.toml]
+    #[arg(long, value_name = "TRUTH.toml")]
+    truth: Option<PathBuf>,
     /// Leave out the second diagnosis of each session without its raw readings
     #[arg(long)]
     raw_only: bool,
     /// Leave out the diagnoses with an effect taken out of the library
     #[arg(long)]
     whole_library: bool,
+    /// Switch a rule that withholds names off, by its id in docs/diagnosis.md; may be given several times
+    #[arg(long, value_name = "ID")]
+    without_rule: Vec<String>,
     /// Run only cases whose label contains this; may be given several times
     #[arg(long, value_name = "TEXT")]
     only: Vec<String>,
@@ -49,21 +60,37 @@ enum Domain {
     Actuator,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum Physics {
+    A,
+    B,
+}
+
 pub(super) fn run(args: &BlindArgs) -> Outcome {
     let config = BlindConfig {
+        world: match args.world {
+            Physics::A => World::A,
+            Physics::B => World::B,
+        },
         seeds: args.seeds,
         first_seed: args.first_seed,
         nulls: args.nulls,
         binary_only: !args.raw_only,
         leave_out: !args.whole_library,
+        without_rules: args.without_rule.clone(),
         only: args.only.clone(),
         answers: args.answers.clone(),
     };
+    let default = match args.world {
+        Physics::A => "assets/truth/blind_report.toml",
+        Physics::B => "assets/truth/blind_b.toml",
+    };
+    let truth = args.truth.as_deref().unwrap_or_else(|| Path::new(default));
     let report = {
         let bar = Bar::new();
         let cancel = cancel_on_ctrl_c();
         match args.domain {
-            Domain::Tactile => tactile(&args.truth, &config, &bar, &cancel),
+            Domain::Tactile => tactile(truth, &config, &bar, &cancel),
             Domain::Actuator => actuator(&config, &bar, &cancel),
         }?
     };
@@ -90,13 +117,37 @@ fn text(report: &BlindReport) -> String {
     lines.join("\n")
 }
 
+fn by_rule(scores: &Scores) -> String {
+    let of_rules: Vec<String> =
+        scores.withheld_by.iter().map(|(rule, count)| format!("{rule} {count}")).collect();
+    if of_rules.is_empty() { String::new() } else { format!(" ({})", of_rules.join(", ")) }
+}
+
+fn verdicts(scores: &Scores) -> String {
+    let counts: Vec<String> =
+        scores.null_verdicts.iter().map(|(verdict, count)| format!("{verdict:?} {count}")).collect();
+    counts.join(", ")
+}
+
 fn scores(scores: &Scores) -> Vec<String> {
     let mut lines = vec![
         format!(
             "  one effect hidden: {} of {} named, {} in the reported class",
             scores.named_correctly, scores.cases, scores.class_correct
         ),
-        format!("  nothing hidden: {} names in {} sessions", scores.false_alarms, scores.null_cases),
+        format!(
+            "  of the others, {} identified and withheld{}; {} sessions with another name",
+            scores.withheld,
+            by_rule(scores),
+            scores.misnamed
+        ),
+        format!(
+            "  nothing hidden: {} names in {} of {} sessions; verdicts {}",
+            scores.false_alarms,
+            scores.null_named,
+            scores.null_cases,
+            verdicts(scores)
+        ),
         format!(
             "  hidden outside the library: {} of {} unexplained",
             scores.unknown_flagged, scores.unknown_cases

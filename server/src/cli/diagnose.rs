@@ -128,7 +128,7 @@ fn text(report: &DiagnosisReport) -> String {
             "   evidence {}, bar {}, {}",
             wording::number(effect.evidence),
             wording::number(report.bar.evidence),
-            wording::p_value(effect.p_value)
+            wording::chance(effect.p_value)
         ));
         lines.extend(wording::rivals_sentence(effect).map(|rivals| format!("   {rivals}")));
     }
@@ -167,6 +167,7 @@ fn text(report: &DiagnosisReport) -> String {
         sessions => format!("bar: from {sessions} simulated sessions with nothing missing"),
     });
     lines.push(format!("{:.1} s", report.seconds));
+    lines.extend(report.withheld.iter().map(wording::withheld_sentence));
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n")
 }

@@ -5,6 +5,7 @@ mod api;
 mod bad_input;
 mod calibrations;
 mod cli;
+mod client_paths;
 mod data_folder;
 mod diagnoses;
 mod gate;

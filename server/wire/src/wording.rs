@@ -2,7 +2,7 @@
 
 use palpate_robot_model::Place;
 
-use crate::api::{Cell, DiagnosisReport, ModelEffect, NamedEffect};
+use crate::api::{Cell, DiagnosisReport, ModelEffect, NamedEffect, WithheldName};
 
 /// An id in the words it is made of: `joint_backlash` gives `joint backlash`.
 pub fn words(id: &str) -> String {
@@ -104,6 +104,23 @@ pub fn p_value(p_value: f64) -> String {
     if p_value < 0.001 { "p < 0.001".to_owned() } else { format!("p = {p_value:.3}") }
 }
 
+/// What an operator should know of a withheld effect: which it is, and what speaks against it.
+pub fn withheld_sentence(withheld: &WithheldName) -> String {
+    format!(
+        "{} comes near, but is withheld by the rule {}: {}, at most {} is allowed",
+        effect_at(&withheld.id, &withheld.place),
+        withheld.rule,
+        number(withheld.measured),
+        number(withheld.limit)
+    )
+}
+
+/// How likely evidence as strong as that for a named effect is by chance, where null sessions of the station tell.
+pub fn chance(p_value: Option<f64>) -> String {
+    p_value
+        .map_or_else(|| "no null sessions of this station say how likely by chance".to_owned(), self::p_value)
+}
+
 /// Share of the calibrated model's gap that adding `effect` removes, on takes that nothing was fitted to.
 pub fn share_removed(effect: &NamedEffect, report: &DiagnosisReport) -> Option<f64> {
     let whole = report.held_out.calibrated;
@@ -191,7 +208,7 @@ mod tests {
             interval: BTreeMap::from([("delay_s".into(), [0.0521, 0.0704])]),
             gap_before: 0.5,
             gap_after: 0.3,
-            p_value: 0.0001,
+            p_value: Some(0.0001),
             evidence: 80.0,
             takes_improved: "8/9".into(),
             class: vec!["latency".into()],
@@ -206,6 +223,7 @@ mod tests {
             verdict: Verdict::Explained,
             sentence: String::new(),
             effects: Vec::new(),
+            withheld: Vec::new(),
             candidates: Vec::new(),
             cells: Vec::new(),
             gap: gap(),

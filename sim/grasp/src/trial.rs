@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use palpate_statistics::wilson;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -117,18 +118,10 @@ impl Score {
     }
 }
 
-/// The interval in which the rate behind `successes` of `trials` lies with 95 % confidence (Wilson, "Probable
-/// inference, the law of succession, and statistical inference", 1927); 0 to 1 without trials.
+/// Wilson's interval of the success rate with 95 % confidence; 0 to 1 without trials.
 fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
-    const Z: f64 = 1.959_963_984_540_054;
-    if trials == 0 {
-        return [0.0, 1.0];
-    }
-    let n = trials as f64;
-    let rate = successes as f64 / n;
-    let center = (rate + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
-    let half = Z / (1.0 + Z * Z / n) * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
-    [(center - half).max(0.0), (center + half).min(1.0)]
+    let interval = wilson(successes as u64, trials as u64, 0.95);
+    interval.map_or([0.0, 1.0], |interval| [interval.low, interval.high])
 }
 
 /// What happened in a trial.

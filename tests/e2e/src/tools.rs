@@ -13,7 +13,7 @@ use serde_json::Value;
 pub struct Tools {
     /// The `palpate` binary with the page inside.
     pub palpate: PathBuf,
-    /// A Python with the packages of `python/requirements.txt`.
+    /// A Python with the packages of `python/requirements.txt` and the Python client.
     pub python: PathBuf,
     /// The folder of the browser tests, with playwright-core installed.
     pub browser_tests: PathBuf,

@@ -5,6 +5,7 @@ use palpate_sim::effects::Effect;
 
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, loss_by_unit, share_left};
+use crate::rules::Fired;
 
 use super::ActuatorDomain;
 use super::domain::SIGNALS;
@@ -44,7 +45,7 @@ pub(super) fn losses(
     loss_by_unit(domain, model, takes)
 }
 
-/// The last effect that stands in for something else, if any; `steps` are models with one effect more each.
+/// The last effect that stands in for something else, if any, and why; `steps` are models with one effect more each.
 ///
 /// It does where it makes a signal worse, where it leaves most of what was there before it, and where all names together
 /// leave too much in the signals that it changes: less if none of them is a model of something. What an effect leaves is judged beside those that came after it: the
@@ -53,7 +54,7 @@ pub(super) fn inadequate(
     domain: &ActuatorDomain<'_>,
     steps: &[Model],
     takes: &[usize],
-) -> Result<Option<usize>, DiagnosisError> {
+) -> Result<Option<(usize, Fired)>, DiagnosisError> {
     let losses: Vec<Vec<f64>> =
         steps.iter().map(|step| losses(domain, step, takes)).collect::<Result<_, _>>()?;
     let (Some(last), Some(start), Some(now)) = (steps.last(), losses.first(), losses.last()) else {
@@ -66,13 +67,18 @@ pub(super) fn inadequate(
         without.effects.remove(idx);
         let changed = changed(domain, &without, last, takes)?;
         let left = |before: &[f64]| share_left(now, before, &COMPLETE, &changed);
-        let raised = (0..SIGNALS).any(|signal| {
-            changed[signal] && now[signal] > MOST_RAISED * before[signal].max(COMPLETE[signal])
-        });
-        let is_much = (0..SIGNALS)
-            .any(|signal| changed[signal] && now[signal] > MOST_LEFT_BY_CONSTANTS * LIMITS[signal]);
-        if raised || (of_constants && is_much) || left(before) > MOST_LEFT_BY_ONE || left(start) > MOST_LEFT {
-            return Ok(Some(idx));
+        let most = |of: &dyn Fn(usize) -> f64| {
+            (0..SIGNALS).filter(|signal| changed[*signal]).map(of).fold(0.0, f64::max)
+        };
+        let raised = most(&|signal| now[signal] / before[signal].max(COMPLETE[signal]));
+        let by_constants = most(&|signal| now[signal] / LIMITS[signal]);
+        let by_constants = if of_constants { by_constants } else { 0.0 };
+        let why = Fired::above("signal_raised", raised, MOST_RAISED)
+            .or_else(|| Fired::above("left_by_constants", by_constants, MOST_LEFT_BY_CONSTANTS))
+            .or_else(|| Fired::above("left_by_one", left(before), MOST_LEFT_BY_ONE))
+            .or_else(|| Fired::above("left_by_all", left(start), MOST_LEFT));
+        if let Some(why) = why {
+            return Ok(Some((idx, why)));
         }
     }
     Ok(None)

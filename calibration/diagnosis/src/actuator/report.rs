@@ -15,7 +15,7 @@ use super::domain::SIGNAL_NAMES;
 use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy};
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, Naming, Round, refit};
-use crate::job::interval;
+use crate::job::{interval, withheld};
 
 /// Speed below which a joint holds, rad/s.
 const HOLDING_RAD_PER_S: f64 = 0.05;
@@ -62,8 +62,8 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         .effects
         .iter()
         .enumerate()
-        .map(|(idx, effect)| named(evidence, effect, idx, &errors[idx + 1], &errors[idx + 2]))
-        .collect();
+        .map(|(idx, effect)| named(evidence, effect, idx, judged_on, [&errors[idx + 1], &errors[idx + 2]]))
+        .collect::<Result<_, DiagnosisError>>()?;
     let left_in: Vec<&str> = adequacy::left(losses).map(|signal| SIGNAL_NAMES[signal]).collect();
     let left = !left_in.is_empty();
     let verdict = match (effects.is_empty(), left) {
@@ -105,12 +105,6 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             effect.id
         ));
     }
-    for effect in &naming.withheld {
-        notes.push(format!(
-            "{} was named at first and taken back: it leaves most of what it should explain, or makes another signal worse",
-            effect.id
-        ));
-    }
     for effect in &effects {
         if effect.gap_after >= effect.gap_before && effect.id != "integer_wrap" {
             notes.push(format!(
@@ -149,6 +143,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             .collect(),
         next_experiment: telling.and_then(|telling| telling.next_experiment(domain)),
         effects,
+        withheld: withheld(naming),
         cells: cells(domain, &steps[0], judged_on, config)?,
         gap: gap([fitted_errors[0], fitted_errors[1], fitted_errors[2]]),
         unexplained: Unexplained {
@@ -164,11 +159,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         waterfall,
         metrics: BTreeMap::new(),
         residual_map: Vec::new(),
-        takes: BTreeMap::from([
-            ("fit".to_owned(), ids(fitted)),
-            ("select".to_owned(), ids(fitted)),
-            ("confirm".to_owned(), ids(judged_on)),
-        ]),
+        takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(judged_on))]),
         bar: Bar { evidence: config.bar.unwrap_or(ACTUATOR_BAR), ..Bar::default() },
         notes,
         seconds: evidence.seconds,
@@ -192,9 +183,15 @@ fn log_errors(
         .collect()
 }
 
-fn named(evidence: &Evidence<'_>, effect: &Effect, idx: usize, before: &[f64], after: &[f64]) -> NamedEffect {
-    let Evidence { domain, naming, .. } = *evidence;
-    let round = naming.rounds.iter().find_map(|round| {
+fn named(
+    evidence: &Evidence<'_>,
+    effect: &Effect,
+    idx: usize,
+    judged_on: &[usize],
+    [before, after]: [&[f64]; 2],
+) -> Result<NamedEffect, DiagnosisError> {
+    let Evidence { domain, naming, steps, fitted, .. } = *evidence;
+    let round = naming.rounds.iter().rev().find_map(|round| {
         let named = round.named.filter(|&named| round.tried[named].effect.id == effect.id)?;
         Some((round, named))
     });
@@ -203,18 +200,20 @@ fn named(evidence: &Evidence<'_>, effect: &Effect, idx: usize, before: &[f64], a
     if let Some((round, named)) = round {
         for &member in round.class.iter().filter(|&&member| member != named) {
             let rival = &round.tried[member];
-            let share = rival.held_out_gain / round.tried[named].held_out_gain.max(f64::MIN_POSITIVE);
+            let mut with = steps[idx + 1].clone();
+            with.effects[idx] = rival.effect.clone();
+            let with = refit(domain, &with, fitted, FIT_STEPS)?;
             class.push(rival.effect.id.clone());
             rivals.push(Rival {
                 id: rival.effect.id.clone(),
                 place: rival.effect.place.clone(),
-                gap_after: gap_before - share * (gap_before - gap_after),
+                gap_after: mean(&log_errors(domain, &with, judged_on)?),
             });
         }
     }
     let strength = naming.evidence.get(idx).copied().unwrap_or(0.0);
     let improved = before.iter().zip(after).filter(|(before, after)| after < before).count();
-    NamedEffect {
+    Ok(NamedEffect {
         id: effect.id.clone(),
         place: effect.place.clone(),
         parameters: effect.parameters.clone(),
@@ -224,20 +223,14 @@ fn named(evidence: &Evidence<'_>, effect: &Effect, idx: usize, before: &[f64], a
             .map_or_else(BTreeMap::new, |errors| interval(domain, effect, errors)),
         gap_before,
         gap_after,
-        p_value: p_value(strength),
+        // No log is simulated with nothing missing, from which it would come.
+        p_value: None,
         evidence: strength,
         takes_improved: format!("{improved}/{}", before.len()),
         class,
         rivals,
         explanation: explain(effect),
-    }
-}
-
-/// Bound of Bonferroni on the normal tail (Mills' ratio), over the effects of the library.
-fn p_value(evidence: f64) -> f64 {
-    let z = evidence.max(0.0).sqrt();
-    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-    (2.0 * actuator::ACTUATOR.len() as f64 * density / z.max(1.0)).min(1.0)
+    })
 }
 
 fn explain(effect: &Effect) -> String {
@@ -259,7 +252,9 @@ fn sentence(verdict: Verdict, effects: &[NamedEffect], gap: &Gap) -> String {
         Verdict::Unexplained => {
             "Model and servo differ in a way that no effect of the library accounts for.".to_owned()
         }
-        Verdict::NoDiscrepancy => "Model and servo agree within what the encoder can tell.".to_owned(),
+        Verdict::NoDiscrepancy | Verdict::CannotBeJudged => {
+            "Model and servo agree within what the encoder can tell.".to_owned()
+        }
     }
 }
 

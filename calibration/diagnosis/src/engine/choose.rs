@@ -21,8 +21,8 @@ pub(super) struct Chosen {
     pub(super) named: usize,
     /// The model with it, fitted as a whole.
     pub(super) model: Model,
-    /// Loss of that model.
-    pub(super) loss: f64,
+    /// [`Linear::deviance`] of that model.
+    pub(super) deviance: f64,
 }
 
 impl Chosen {
@@ -35,12 +35,12 @@ impl Chosen {
     }
 }
 
-/// Chooses from what was `tried` beside `model`, which has this `loss`: the best that passes; a rival that explains nearly
-/// as much with fewer parameters is the better name.
+/// Chooses from what was `tried` beside `model`, which has this `deviance`: the best that passes and lowers it; a rival
+/// that explains nearly as much with fewer parameters is the better name.
 pub(super) fn choose<D: Domain>(
     domain: &D,
     model: &Model,
-    loss: f64,
+    deviance: f64,
     tried: &[Tried],
     takes: &[usize],
     config: &NamingConfig,
@@ -52,12 +52,13 @@ pub(super) fn choose<D: Domain>(
         .map(|named| {
             let with = beside(domain, model, &tried[named]);
             let model = refit(domain, &with, takes, REFIT_STEPS)?;
-            let loss = Linear::without_nuisances(domain, &model, takes)?.loss;
+            let deviance = Linear::without_nuisances(domain, &model, takes)?.deviance();
             let holds = passes(&tried[named]) || founded(domain, &model, takes, config.bar)?;
-            Ok(holds.then_some(Chosen { named, model, loss }))
+            Ok(holds.then_some(Chosen { named, model, deviance }))
         })
         .collect::<Result<_, DiagnosisError>>()?;
-    simplest_of_best(domain, refitted.into_iter().flatten().collect(), loss, tried)
+    let better = refitted.into_iter().flatten().filter(|chosen| chosen.deviance < deviance).collect();
+    simplest_of_best(domain, better, deviance, tried)
 }
 
 /// `model` with what was `tried`, and with its own parameters as they were fitted to that where it reaches.
@@ -142,19 +143,19 @@ fn contenders(tried: &[Tried], best: Option<usize>, least_share: f64) -> Vec<usi
     contenders
 }
 
-/// Of models that each add one of `tried`: the one with the least loss, or one that is as good as that with fewer
-/// parameters, or with less [strain](Domain::strain). `before` is the loss without any.
+/// Of models that each add one of `tried`: the one with the least deviance, or one that is as good as that with fewer
+/// parameters, or with less [strain](Domain::strain). `before` is the deviance without any.
 fn simplest_of_best<D: Domain>(
     domain: &D,
     refitted: Vec<Chosen>,
     before: f64,
     tried: &[Tried],
 ) -> Result<Option<Chosen>, DiagnosisError> {
-    let least = refitted.iter().map(|chosen| chosen.loss).fold(f64::INFINITY, f64::min);
+    let least = refitted.iter().map(|chosen| chosen.deviance).fold(f64::INFINITY, f64::min);
     let as_good = least + AS_GOOD * (before - least).max(0.0);
     let as_good: Vec<(f64, Chosen)> = refitted
         .into_iter()
-        .filter(|chosen| chosen.loss <= as_good)
+        .filter(|chosen| chosen.deviance <= as_good)
         .map(|chosen| Ok((domain.strain(&chosen.model)?, chosen)))
         .collect::<Result<_, DiagnosisError>>()?;
     let count = |chosen: &Chosen| tried[chosen.named].effect.parameters.len();
@@ -162,7 +163,7 @@ fn simplest_of_best<D: Domain>(
         count(chosen)
             .cmp(&count(other))
             .then(strain.total_cmp(other_strain))
-            .then(chosen.loss.total_cmp(&other.loss))
+            .then(chosen.deviance.total_cmp(&other.deviance))
     });
     Ok(simplest.map(|(_, chosen)| chosen))
 }

@@ -26,8 +26,8 @@ pub(crate) struct Fitted {
 /// A candidate with the model's own parameters fitted anew beside it.
 pub(crate) struct Profiled {
     pub(crate) model: Model,
-    /// Loss that it removes on each take, with the weights of the model without it.
-    pub(crate) gains: Vec<f64>,
+    /// Loss that it removes on each take when fitted to the others, with the weights of the model without it.
+    pub(crate) held_out_gains: Vec<f64>,
 }
 
 /// Sizes at which a candidate is tried with the model's own parameters fitted anew, as multiples of its dose.
@@ -107,7 +107,22 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
             return Ok(None);
         };
         let best = self.resized(best)?;
-        Ok(Some(Profiled { gains: self.gains(&best.tried), model: best.tried.model }))
+        Ok(Some(Profiled { held_out_gains: self.held_out_gains(&best.tried)?, model: best.tried.model }))
+    }
+
+    /// [`Self::gains`], less what each take loses when the parameters are fitted to the others: a step from where all
+    /// of them have it.
+    fn held_out_gains(&self, tried: &Linear<'a, D>) -> Result<Vec<f64>, DiagnosisError> {
+        let mut columns = tried.base_columns(&self.free)?;
+        columns.extend(tried.effect_columns(tried.model.effects.len() - 1)?);
+        let of_steps = tried.assess(&columns, &tried.residual).held_out_gains;
+        // At an optimum no step gains anything; one that does was not taken.
+        Ok(self
+            .gains(tried)
+            .into_iter()
+            .zip(of_steps)
+            .map(|(gain, of_step)| gain + of_step.min(0.0))
+            .collect())
     }
 
     /// `ended`, or what it becomes at a size between the doses.
@@ -388,6 +403,28 @@ mod tests {
     }
 
     #[test]
+    fn a_model_that_doubts_more_than_it_must_is_the_worse_one() {
+        // As many are otherwise as the model says.
+        let observed = (0..EVENTS).map(|event| f64::from(u8::from(event % 50 != 0))).collect();
+        let events = Events { observed, block: 0..EVENTS };
+        let parameters = BTreeMap::from([("doubt".to_owned(), 0.3)]);
+        let place = Place::Stream("all".to_owned());
+        let doubt = Effect {
+            id: "doubt".to_owned(),
+            place,
+            parameters,
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        };
+        let model = Model { base: vec![0.0], effects: Vec::new() };
+        let sure = Linear::without_nuisances(&events, &model, &[0]).unwrap();
+        let unsure = sure.moved_to(sure.with(doubt)).unwrap();
+        assert!(unsure.loss < 0.6 * sure.loss, "the loss would prefer it: {} of {}", unsure.loss, sure.loss);
+        let (deviance, of_unsure) = (sure.deviance(), unsure.deviance());
+        assert!(of_unsure > deviance + 50.0, "{of_unsure} instead of {deviance}");
+    }
+
+    #[test]
     fn what_only_makes_the_model_less_sure_removes_nothing() {
         let observed = (0..EVENTS).map(|event| f64::from(u8::from(event % 10 != 0))).collect();
         let events = Events { observed, block: 0..EVENTS };
@@ -412,7 +449,7 @@ mod tests {
         let profile = Profile::begin(&linear, &doubt(0.0), &parameters).unwrap().unwrap();
         let profiled = profile.finish().unwrap().unwrap();
         let found = profiled.model.effects[0].parameter("doubt");
-        let gained: f64 = profiled.gains.iter().sum();
+        let gained: f64 = profiled.held_out_gains.iter().sum();
         assert!(found < 0.1 && gained < 0.1 * linear.loss, "doubt {found} gains {gained} of {}", linear.loss);
     }
 }

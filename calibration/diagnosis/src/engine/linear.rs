@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
-use palpate_sim::effects::Effect;
+use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use super::normal::inverse;
@@ -100,7 +100,8 @@ pub(crate) struct Assessment {
     pub(crate) score: DVector<f64>,
     /// Standard error of each, robust against dependence within blocks.
     pub(crate) standard_errors: Vec<f64>,
-    /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them.
+    /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them. The
+    /// nuisances are projected out with their coefficients of all takes.
     pub(crate) held_out_gains: Vec<f64>,
 }
 
@@ -202,6 +203,33 @@ impl<'a, D: Domain> Linear<'a, D> {
         pairs.filter(|(_, (before, after))| !Arc::ptr_eq(before, after)).map(|(idx, (a, b))| (idx, a, b))
     }
 
+    /// Minus twice the logarithm of the likelihood, up to a constant: Huber's loss plus the logarithms of the variances
+    /// that the model allows its rows. Models compare by this and not by [`Self::loss`], in which a model that allows
+    /// more wins.
+    pub(crate) fn deviance(&self) -> f64 {
+        let of_segment = |(idx, segment): (usize, &Arc<Segment>)| {
+            let (take, signal) = (self.takes[self.rows.take(idx)], self.rows.signal(idx));
+            let allowed = || self.domain.weights(take, signal, &segment.predicted);
+            let weights = segment.allowed.get_or_init(allowed);
+            let observed = self.domain.observed(take, signal);
+            let mut last = (f64::NAN, 0.0);
+            let log_variance = |(observed, &weight): (&f64, &f64)| {
+                if observed.is_nan() {
+                    return 0.0;
+                }
+                // Long spans without touch have one weight.
+                if weight != last.0 {
+                    last = (weight, -2.0 * weight.ln());
+                }
+                last.1
+            };
+            segment.loss + observed.iter().zip(weights).map(log_variance).sum::<f64>()
+        };
+        // Summed in one order, whatever the number of threads.
+        let of_segments: Vec<f64> = self.segments.par_iter().enumerate().map(of_segment).collect();
+        of_segments.iter().sum()
+    }
+
     /// Loss by take.
     pub(crate) fn loss_by_take(&self) -> Vec<f64> {
         self.losses.chunks_exact(self.rows.num_kinds).map(|of_take| of_take.iter().sum()).collect()
@@ -287,6 +315,19 @@ impl<'a, D: Domain> Linear<'a, D> {
         let mut model = self.model.clone();
         model.base[idx] += step;
         (model, step)
+    }
+
+    /// Responses to the parameters of the model's effect `idx`, around their values.
+    pub(crate) fn effect_columns(&self, idx: usize) -> Result<Vec<Column>, DiagnosisError> {
+        let effect = &self.model.effects[idx];
+        let of_parameter = |parameter: Parameter| {
+            let value = effect.parameter(&parameter.name);
+            let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);
+            let mut model = self.model.clone();
+            model.effects[idx].parameters.insert(parameter.name, value + step);
+            self.response(&model, step)
+        };
+        self.domain.parameters(effect).into_par_iter().map(of_parameter).collect()
     }
 
     /// Responses to the model's own parameters and to those of its effects.

@@ -15,10 +15,10 @@ use crate::DiagnosisError;
 /// Candidates that are fitted in the place of one set of names.
 const FITS: usize = 3;
 
-/// Puts one effect in the place of two or more effects beyond the first `known`, if it is beyond doubt and leaves less of the
-/// loss than they do: of effects that reach one unit each, if it reaches all of their units; of all that are named, if one of
-/// them reaches as far as all, and it reaches as far as the others and no farther than that one. `dropped` effects are not
-/// tried. Says whether it did.
+/// Puts one effect in the place of two or more effects beyond the first `known`, if it is beyond doubt and has a lower
+/// deviance than they do: of effects that reach one unit each, if it reaches all of their units; of all that are named,
+/// if one of them reaches as far as all, and it reaches as far as the others and no farther than that one. `dropped`
+/// effects are not tried. Says whether it did.
 pub(super) fn merge<D: Domain>(
     domain: &D,
     model: &mut Model,
@@ -44,7 +44,7 @@ pub(super) fn merge<D: Domain>(
             by_replaced.entry(replaced).or_default().push(candidate);
         }
     }
-    let mut least = Linear::without_nuisances(domain, model, takes)?.loss;
+    let mut least = Linear::without_nuisances(domain, model, takes)?.deviance();
     let mut best = None;
     for (replaced, candidates) in by_replaced {
         let effects = model.effects.iter().enumerate().filter(|(idx, _)| !replaced.contains(idx));
@@ -62,9 +62,9 @@ pub(super) fn merge<D: Domain>(
             let mut with = without.clone();
             with.effects.push(fitted.effect);
             let with = refit(domain, &with, takes, REFIT_STEPS)?;
-            let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
-            if loss < least && founded(domain, &with, takes, config.bar)? {
-                least = loss;
+            let deviance = Linear::without_nuisances(domain, &with, takes)?.deviance();
+            if deviance < least && founded(domain, &with, takes, config.bar)? {
+                least = deviance;
                 best = Some(with);
             }
         }

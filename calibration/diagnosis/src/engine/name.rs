@@ -14,6 +14,7 @@ use super::reconsider::reconsider;
 use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
+use crate::rules::{Fired, Withheld};
 
 /// How to name.
 #[derive(Clone, Debug)]
@@ -43,7 +44,8 @@ pub struct Tried {
     pub base: Vec<f64>,
     /// On the scale of [`NamingConfig::bar`].
     pub evidence: f64,
-    /// Loss that it removes on takes it was not fitted to.
+    /// Loss that it removes on takes that its own parameters were not fitted to; the model's other parameters are
+    /// projected out, or fitted beside it, on all of them.
     pub held_out_gain: f64,
     /// The same over the loss before, in the kinds of rows that the effect changes.
     pub share: f64,
@@ -93,14 +95,15 @@ pub struct Naming {
     /// Effects that were named and dropped again, because others account for them.
     pub dropped: Vec<Effect>,
     /// Effects that were named and taken back, because together they do not account for what is there.
-    pub withheld: Vec<Effect>,
+    pub withheld: Vec<Withheld>,
 }
 
 impl Naming {
     /// Takes all names back, to what was there at the `start`.
-    pub fn withhold(&mut self, start: &Model) {
+    pub fn withhold(&mut self, start: &Model, why: Fired) {
         let known = start.effects.len();
-        self.withheld.splice(..0, self.model.effects.split_off(known));
+        let effects = self.model.effects.split_off(known).into_iter();
+        self.withheld.splice(..0, effects.map(|effect| Withheld { effect, why }));
         self.model = start.clone();
         self.evidence.truncate(known);
         self.standard_errors.truncate(known);
@@ -120,8 +123,9 @@ impl Naming {
         domain: &D,
         idx: usize,
         takes: &[usize],
+        why: Fired,
     ) -> Result<(), DiagnosisError> {
-        self.withheld.push(self.model.effects.remove(idx));
+        self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
         self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
         (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
         Ok(())
@@ -229,7 +233,8 @@ pub fn name<D: Domain>(
         tried.extend(masked.into_iter().flatten());
         tried.sort_by(|a, b| b.held_out_gain.total_cmp(&a.held_out_gain));
         let more = model.effects.len() < config.max_effects && round_idx < config.max_effects + MOST_DROPPED;
-        let chosen = if more { choose(domain, &model, linear.loss, &tried, takes, config)? } else { None };
+        let chosen =
+            if more { choose(domain, &model, linear.deviance(), &tried, takes, config)? } else { None };
         unsettled = rounds.len();
         let Some(chosen) = chosen else {
             rounds.push(Round { before: model.clone(), tried, named: None, class: Vec::new() });
@@ -244,12 +249,12 @@ pub fn name<D: Domain>(
         model = chosen.model;
         if !apart.is_empty()
             && model.effects.len() < config.max_effects
-            && let Some(chosen) = choose(domain, &model, chosen.loss, &apart, takes, config)?
+            && let Some(chosen) = choose(domain, &model, chosen.deviance, &apart, takes, config)?
         {
             rounds.push(chosen.round(model, apart));
             model = chosen.model;
         }
-        drop_one(domain, &mut model, takes, config.bar, &mut dropped)?;
+        drop_one(domain, &mut model, known, takes, config.bar, &mut dropped)?;
     }
     reconsider(domain, &mut model, known, &mut rounds, takes, config.bar)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
@@ -382,7 +387,7 @@ fn beside_own_thresholds<D: Domain>(
         let (with, without) = (&profiled.model, &beside);
         let without = Linear::without_nuisances(linear.domain, without, &linear.takes)?;
         let changes = without.kinds_changed(&predict(linear.domain, with, &linear.takes)?);
-        let tried = Tried::new(effect.clone(), with, 0.0, &profiled.gains, linear.loss_in(&changes));
+        let tried = Tried::new(effect.clone(), with, 0.0, &profiled.held_out_gains, linear.loss_in(&changes));
         Ok((tried.held_out_gain > 0.0 && changes.contains(&true)).then_some(tried))
     };
     begun.into_par_iter().zip(&effects).map(go_on).collect()
@@ -509,17 +514,19 @@ pub(super) fn founded<D: Domain>(
     Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
 }
 
-/// Takes back effects that lost their evidence to later ones, the weakest first.
+/// Drops identified effects that lost their evidence to later ones, the weakest first. The first `known` effects were
+/// given with the model and stay: the takes at hand may not exercise them, which is no evidence against them.
 fn drop_one<D: Domain>(
     domain: &D,
     model: &mut Model,
+    known: usize,
     takes: &[usize],
     bar: f64,
     dropped: &mut Vec<Effect>,
 ) -> Result<(), DiagnosisError> {
-    while model.effects.len() > 1 {
+    while model.effects.len() > known + 1 {
         let (evidence, _) = joint_evidence(domain, model, takes)?;
-        let weakest = (0..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
+        let weakest = (known..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
         let Some(weakest) = weakest.filter(|&idx| evidence[idx] < 0.5 * bar) else { break };
         dropped.push(model.effects.remove(weakest));
         *model = refit(domain, model, takes, REFIT_STEPS)?;

@@ -14,12 +14,12 @@ use crate::DiagnosisError;
 
 /// What removed less than this share of what the named effect did is not looked at again.
 const LEAST_REMOVED: f64 = 0.5;
-/// A rival must take away this share of the loss that is left.
+/// A rival must lower the deviance by this share of the loss that is left.
 const LEAST_BETTER: f64 = 0.005;
 
 /// Puts a rival that was tried in the same round in the place of every effect of a whole stream beyond the first `known`, if the
-/// whole model leaves less of the loss with it, and less than with the name fitted anew, and its evidence reaches the `bar`. The
-/// round then has the rival for its name.
+/// whole model has a lower deviance with it, and a lower one than with the name fitted anew, and its evidence reaches
+/// the `bar`. The round then has the rival for its name.
 pub(super) fn reconsider<D: Domain>(
     domain: &D,
     model: &mut Model,
@@ -28,7 +28,9 @@ pub(super) fn reconsider<D: Domain>(
     takes: &[usize],
     bar: f64,
 ) -> Result<(), DiagnosisError> {
-    let mut loss = Linear::without_nuisances(domain, model, takes)?.loss;
+    let linear = Linear::without_nuisances(domain, model, takes)?;
+    let (mut deviance, least_better) = (linear.deviance(), LEAST_BETTER * linear.loss);
+    drop(linear);
     for idx in known..model.effects.len() {
         let Some((round, named)) = round_of(&model.effects[idx], rounds) else { continue };
         let refitted = |of_trial: usize, scale: f64| -> Result<Option<Rival>, DiagnosisError> {
@@ -37,20 +39,20 @@ pub(super) fn reconsider<D: Domain>(
             with.effects[idx] = scaled(&tried.effect, &domain.parameters(&tried.effect)[..1], scale);
             let with = refit(domain, &with, takes, REFIT_STEPS)?;
             let (evidence, _) = joint_evidence(domain, &with, takes)?;
-            let loss = Linear::without_nuisances(domain, &with, takes)?.loss;
-            Ok((evidence[idx] > bar).then_some(Rival { loss, model: with, of_trial }))
+            let deviance = Linear::without_nuisances(domain, &with, takes)?.deviance();
+            Ok((evidence[idx] > bar).then_some(Rival { deviance, model: with, of_trial }))
         };
         let rivals = rivals(model, round, named).into_par_iter().map(|rival| refitted(rival, 1.0));
         let best = least(rivals.collect::<Result<_, DiagnosisError>>()?);
-        let Some(rival) = best.filter(|rival| rival.loss < (1.0 - LEAST_BETTER) * loss) else { continue };
+        let Some(rival) = best.filter(|rival| rival.deviance < deviance - least_better) else { continue };
         // The named effect may have gone astray while others were missing: it gets as fresh a start, from several sizes.
         let anew = [1.0].par_iter().chain(&BETWEEN_DOSES).map(|scale| refitted(named, *scale));
         let better = match least(anew.collect::<Result<_, DiagnosisError>>()?) {
-            Some(named) if rival.loss >= (1.0 - LEAST_BETTER) * named.loss.min(loss) => named,
+            Some(named) if rival.deviance >= named.deviance.min(deviance) - least_better => named,
             _ => rival,
         };
-        if better.loss < loss {
-            (loss, *model) = (better.loss, better.model);
+        if better.deviance < deviance {
+            (deviance, *model) = (better.deviance, better.model);
             if better.of_trial != named {
                 round.named = Some(better.of_trial);
                 round.class.retain(|member| ![named, better.of_trial].contains(member));
@@ -63,14 +65,14 @@ pub(super) fn reconsider<D: Domain>(
 
 /// A model with what was tried in a round in the place of its name.
 struct Rival {
-    loss: f64,
+    deviance: f64,
     model: Model,
     /// Index of what was tried.
     of_trial: usize,
 }
 
 fn least(rivals: Vec<Option<Rival>>) -> Option<Rival> {
-    rivals.into_iter().flatten().min_by(|one, other| one.loss.total_cmp(&other.loss))
+    rivals.into_iter().flatten().min_by(|one, other| one.deviance.total_cmp(&other.deviance))
 }
 
 fn is_same(one: &Effect, other: &Effect) -> bool {

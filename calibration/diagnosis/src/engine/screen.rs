@@ -16,7 +16,8 @@ pub(crate) struct Screened {
     /// The effect with its estimated parameters, within their bounds.
     pub(crate) effect: Effect,
     pub(crate) parameters: Vec<Parameter>,
-    /// Loss that it promises to remove.
+    /// Loss that it promises to remove: to first order on takes it was not fitted to, or, where that is more, what a
+    /// large dose removes from all takes. It orders what is fitted, and decides nothing else.
     pub(crate) promise: f64,
     /// The same over the loss in the kinds of rows that it changes.
     pub(crate) promised_share: f64,
@@ -117,7 +118,7 @@ pub(crate) fn screen<D: Domain>(
     let squares = linear.squares_by_unit();
     let mut screened = Vec::with_capacity(dosed.len());
     for (one, doses) in dosed {
-        let reach = linear.domain.support(&one.effect, "");
+        let reach = linear.domain.reach(&one.effect);
         for Dosed { dose, removed } in doses {
             hopeless.hear(&one.effect, 0, dose, removed, within(&squares, &reach));
         }

@@ -292,6 +292,22 @@ fn names_that_do_the_same_are_alike() {
 }
 
 #[test]
+fn an_effect_that_was_given_stays_though_the_takes_do_not_show_it() {
+    // No row depends on the given effect, so that its evidence is nothing.
+    let given = effect("not_exercised", 0.3);
+    let start = Model { base: vec![0.7], effects: vec![given.clone()] };
+    for hidden in [&[][..], &[("slow", 0.3)], &[("slow", 0.3), ("square", -0.2)]] {
+        let naming = name(&Sines::new(hidden, 8), &start, &[0, 1, 2, 3], &config(), &|_, _| Ok(())).unwrap();
+        let expected: Vec<&str> =
+            ["not_exercised"].into_iter().chain(hidden.iter().map(|(id, _)| *id)).collect();
+        assert_eq!(ids(&naming), expected);
+        assert_eq!(naming.model.effects[0], given);
+        assert!(naming.dropped.is_empty(), "{:?}", naming.dropped);
+        assert_eq!(naming.evidence.len(), expected.len());
+    }
+}
+
+#[test]
 fn an_effect_that_is_left_out_is_not_named() {
     let without = NamingConfig { without: vec!["slow".to_owned()], ..config() };
     let naming = Sines::new(&[("slow", 0.3)], 3).name(&without);

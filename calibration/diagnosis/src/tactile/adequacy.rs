@@ -6,6 +6,7 @@ use super::judge::repeated;
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
+use crate::rules::{self, Fired, InForce};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -26,15 +27,22 @@ pub struct Adequacy {
 }
 
 impl Adequacy {
-    /// Whether more repeats than did `before`, as it does with a channel that is said to flicker, and is stuck: it then is off by
-    /// the same in every sample, if by less than before.
-    pub(crate) fn repeats_more(&self, before: &Self) -> bool {
-        self.repeating > MOST_RAISED * before.repeating
+    /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel
+    /// that is taken for a flickering one: its errors shrink, but become the same in every repetition.
+    pub(crate) fn repeats_more(&self, before: &Self) -> Option<Fired> {
+        if self.repeating > MOST_RAISED * before.repeating {
+            let measured = self.repeating / before.repeating.max(TINY);
+            return Some(Fired { rule: rules::REPEATS_MORE, measured, limit: MOST_RAISED });
+        }
+        None
     }
 }
 
+/// Less than anything that is measured, in variances: keeps quotients finite, as reports need them.
+const TINY: f64 = 1e-9;
+
 /// What repeats with right names, over what did before: no more, but for chance.
-const MOST_RAISED: f64 = 1.2;
+pub(crate) const MOST_RAISED: f64 = 1.2;
 
 /// Residuals count up to this many standard deviations.
 pub(super) const CLIP: f64 = 4.0;
@@ -70,7 +78,7 @@ impl Left {
     }
 }
 
-/// Whether names account for what there was in the events and readings that they change.
+/// Fires unless names account for what there was in the events and readings that they change.
 ///
 /// `before` and `after` are what is left without and with them, by signal, `complete` what repeats in each where nothing is
 /// missing. However much is left elsewhere, right names leave little of the excess where they act; what is named in place of
@@ -82,7 +90,8 @@ pub(crate) fn account_where_they_act(
     changed: &[bool],
     complete: &[f64],
     is_part: bool,
-) -> bool {
+    rules: InForce<'_>,
+) -> Option<Fired> {
     let is_touch = |&idx: &usize| Signal::at(idx) != Signal::Switched;
     let there: Vec<usize> = (0..changed.len()).filter(is_touch).filter(|&idx| changed[idx]).collect();
     let everywhere: Vec<usize> = (0..changed.len()).filter(is_touch).collect();
@@ -95,18 +104,18 @@ pub(crate) fn account_where_they_act(
         (Left::sum(of.iter().map(|&idx| &left[idx])).loss() - COMPLETE_LOSS).max(0.0)
     };
     let (loss_before, loss_after) = (loss(before, &there), loss(after, &there));
-    if loss_before >= MUCH_LOSS && loss_after > MOST_LOSS_LEFT * loss_before {
-        return false;
-    }
-    if is_part {
-        return true;
+    let is_left = Fired::above(rules::LOSS_LEFT, loss_after / loss_before, MOST_LOSS_LEFT);
+    let is_left = rules.keep(is_left.filter(|_| loss_before >= MUCH_LOSS));
+    if is_left.is_some() || is_part {
+        return is_left;
     }
     let (repeats, everything) = (repeating(before, &everywhere), loss(before, &everywhere));
     let is_crumb = repeats > MUCH_REPEATING
         && repeating(after, &everywhere) > (1.0 - LEAST_OVERALL) * repeats
         && loss(after, &everywhere) > (1.0 - MUCH_OVERALL) * everything;
-    if is_crumb && !there.is_empty() {
-        return false;
+    if is_crumb && !there.is_empty() && rules.has(rules::CRUMB) {
+        let measured = repeating(after, &everywhere) / repeats;
+        return Some(Fired { rule: rules::CRUMB, measured, limit: 1.0 - LEAST_OVERALL });
     }
     let share = if loss_after <= LITTLE_LOSS_LEFT * loss_before {
         MOST_REPEATING_LEFT_WITH_LITTLE_LOSS
@@ -114,14 +123,20 @@ pub(crate) fn account_where_they_act(
         MOST_REPEATING_LEFT
     };
     let little = LITTLE_REPEATING + ROUGHNESS * loss_before;
-    repeating(after, &there) <= (share * repeating(before, &there)).max(little)
+    let [of_before, of_after] = [before, after].map(|left| repeating(left, &there));
+    if of_after <= (share * of_before).max(little) {
+        return None;
+    }
+    let limit = share.max(little / of_before.max(TINY));
+    let measured = of_after / of_before.max(TINY);
+    rules.keep(Some(Fired { rule: rules::REPEATING_LEFT, measured, limit }))
 }
 
 /// Loss of a row, in variances, of a model that misses nothing.
 const COMPLETE_LOSS: f64 = 0.56;
 /// Share of the excess of what repeats that right names leave at most: on the tuning stations 0.34, most of them nothing; and
 /// 0.5 where little of the loss is left (a latency of the FSR).
-const MOST_REPEATING_LEFT: f64 = 0.36;
+pub(crate) const MOST_REPEATING_LEFT: f64 = 0.36;
 const MOST_REPEATING_LEFT_WITH_LITTLE_LOSS: f64 = 0.52;
 const LITTLE_LOSS_LEFT: f64 = 0.3;
 /// Excess of what repeats, in variances, that is no more than the model's own misfit.
@@ -131,11 +146,11 @@ const ROUGHNESS: f64 = 0.01;
 /// Excess of the loss that is large enough to judge by what is left of it.
 const MUCH_LOSS: f64 = 0.95;
 /// Share of it that right names leave at most: on the tuning stations 0.16, a latency in place of a low-pass 0.49.
-const MOST_LOSS_LEFT: f64 = 0.25;
+pub(crate) const MOST_LOSS_LEFT: f64 = 0.25;
 /// Excess of what repeats over all signals that is more than what the model's own misfit makes it.
 const MUCH_REPEATING: f64 = 0.3;
 /// Share of that which names remove at least: on the tuning stations 0.6.
-const LEAST_OVERALL: f64 = 0.35;
+pub(crate) const LEAST_OVERALL: f64 = 0.35;
 /// Share of the excess of the loss over all signals that names remove if they need not.
 const MUCH_OVERALL: f64 = 0.5;
 
@@ -257,17 +272,21 @@ pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
     of_patch.collect()
 }
 
-/// Whether names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with that
-/// limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
-pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[usize]) -> bool {
-    patches.iter().any(|&patch| after[patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[patch]))
+/// Fires if names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with
+/// that limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
+pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[usize]) -> Option<Fired> {
+    let is_much = |patch: &&usize| after[**patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[**patch]);
+    let patch = *patches.iter().find(is_much)?;
+    let before = before[patch].max(TINY);
+    let limit = MOST_LEFT_AT_PATCH.max(MUCH_AT_PATCH / before);
+    Some(Fired { rule: rules::LEFT_AT_PATCH, measured: after[patch] / before, limit })
 }
 
 /// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at most 0.8
 /// on the tuning stations.
 const MUCH_AT_PATCH: f64 = 1.3;
 /// Share of what repeats in a patch that right names of its limb leave at most.
-const MOST_LEFT_AT_PATCH: f64 = 0.7;
+pub(crate) const MOST_LEFT_AT_PATCH: f64 = 0.7;
 
 /// Rows near contact from which what repeats by chance is a small part of a variance.
 const ENOUGH_ROWS: f64 = 300.0;
@@ -323,7 +342,8 @@ mod tests {
         };
         let mut changed = [false; 2 * Signal::COUNT];
         changed[0] = true;
-        account_where_they_act(&of(0), &of(1), &changed, &[0.0; 2 * Signal::COUNT], false)
+        let complete = [0.0; 2 * Signal::COUNT];
+        account_where_they_act(&of(0), &of(1), &changed, &complete, false, InForce::all_but(&[])).is_none()
     }
 
     fn accounts(repeating: [f64; 2], loss: [f64; 2]) -> bool {
@@ -345,6 +365,24 @@ mod tests {
     }
 
     #[test]
+    fn a_rule_says_what_it_measured_and_is_silent_when_it_is_off() {
+        let mut left = [Left::default(); Signal::COUNT];
+        left[0] = Left { products: [0.0, 10.0], losses: [456.0, 100.0] };
+        let mut after = left;
+        after[0].losses[0] = 256.0;
+        let mut changed = [false; Signal::COUNT];
+        changed[0] = true;
+        let fired = |without: &[String]| {
+            let rules = InForce::all_but(without);
+            account_where_they_act(&left, &after, &changed, &[0.0; Signal::COUNT], false, rules)
+        };
+        let why = fired(&[]).unwrap();
+        assert_eq!((why.rule, why.limit), (rules::LOSS_LEFT, MOST_LOSS_LEFT));
+        assert!((why.measured - 0.5).abs() < 1e-9, "{why:?}");
+        assert_eq!(fired(&[rules::LOSS_LEFT.to_owned()]), None);
+    }
+
+    #[test]
     fn a_crumb_of_something_larger_is_no_name() {
         assert!(accounts_beside(0.2, [0.3, 0.0], [1.2, 0.6]), "little repeats at all");
         assert!(accounts_beside(2.0, [2.0, 0.0], [1.2, 0.6]), "half of all");
@@ -359,24 +397,27 @@ mod tests {
         left[Signal::Switched as usize] = Left { products: [90.0, 10.0], losses: [900.0, 10.0] };
         let mut changed = [false; Signal::COUNT];
         changed[Signal::Switched as usize] = true;
-        assert!(account_where_they_act(&left, &left, &changed, &[0.0; Signal::COUNT], false));
+        let complete = [0.0; Signal::COUNT];
+        let fired = account_where_they_act(&left, &left, &changed, &complete, false, InForce::all_but(&[]));
+        assert_eq!(fired, None);
     }
 
     #[test]
     fn names_of_a_limb_leave_little_in_its_worst_patch() {
-        let leaves =
-            |before: f64, after: f64| leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]);
+        let leaves = |before: f64, after: f64| {
+            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]).is_some()
+        };
         assert!(leaves(2.4, 2.3), "another pad of that finger was named");
         assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
         assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
         assert!(leaves(0.9, 1.4), "it is worse than before");
-        assert!(!leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[]), "names of several limbs");
+        assert!(leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[]).is_none(), "names of several limbs");
     }
 
     #[test]
     fn a_stuck_channel_that_is_said_to_flicker_repeats_more() {
         let of = |repeating: f64| Adequacy { repeating, ..Adequacy::default() };
-        assert!(of(0.76).repeats_more(&of(0.54)));
-        assert!(!of(0.55).repeats_more(&of(0.54)), "by chance");
+        assert!(of(0.76).repeats_more(&of(0.54)).is_some());
+        assert!(of(0.55).repeats_more(&of(0.54)).is_none(), "by chance");
     }
 }

@@ -392,8 +392,7 @@ impl TactileDomain<'_> {
                 effect,
                 kind: effects::TACTILE[order],
                 order: order as u64,
-                // A parameter of no single channel: of all that the effect reaches.
-                channels: self.support(effect, ""),
+                channels: self.reach(effect),
             })
         });
         reaching.collect()
@@ -536,7 +535,8 @@ mod tests {
         let stage = Stage::read(truth).unwrap();
         let takes = stage.record(&[], 1).unwrap();
         let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
-        let new = || TactileDomain::new(stage.station(), &takes, &nominal).unwrap();
+        let every_take: Vec<usize> = (0..takes.len()).collect();
+        let new = || TactileDomain::new(stage.station(), &takes, &every_take, &nominal).unwrap();
         let (remembering, start) = new();
         let (forgetting, _) = new();
         for memory in forgetting.memories.iter().flatten() {

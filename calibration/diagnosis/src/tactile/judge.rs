@@ -169,11 +169,65 @@ pub(crate) fn noise_floor(station: &Station, takes: &[&Observed<'_>]) -> Option<
     (compared > 0.0).then(|| 0.5 * differing / compared)
 }
 
-/// Pairs of repetitions of the same motion that follow one another, as ranges of frames.
+/// Pairs of repetitions of the same motion that follow one another, as ranges of frames that go together one by one.
+///
+/// Marks of one label are taken to repeat a motion where the joints really take the same path, a few frames earlier or
+/// later at most: an import may label every mark of a take alike, and people do not move at an even pace.
 pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usize>)> {
+    let num_frames = observed.take.joints.times_s.len().max(1);
+    let positions = &observed.take.joints.positions;
+    let num_dofs = positions.len() / num_frames;
+    labelled_alike(&observed.repetitions)
+        .into_iter()
+        .filter_map(|(first, second)| aligned(positions, num_dofs, first, second))
+        .collect()
+}
+
+/// Joint paths of repetitions that differ by less than this (root mean square of the joint that differs most), rad or
+/// m, are of one motion. Frames are up to a tenth of a second apart, in which a finger turns by several times less.
+const SAME_PATH: f64 = 0.1;
+/// Marks of repetitions are at most this many frames early or late, those of people by half a second.
+const MOST_SHIFTED: usize = 8;
+
+/// The parts of two ranges of frames in which joints take the same path; `None` where they do not.
+fn aligned(
+    positions: &[f64],
+    num_dofs: usize,
+    first: Range<usize>,
+    second: Range<usize>,
+) -> Option<(Range<usize>, Range<usize>)> {
+    let apart = |first: &Range<usize>, second: &Range<usize>| -> f64 {
+        let frames = first.len().min(second.len());
+        let of_dof = |dof: usize| {
+            let square = |offset: usize| {
+                let at = |start: usize| positions[(start + offset) * num_dofs + dof];
+                (at(first.start) - at(second.start)).powi(2)
+            };
+            ((0..frames).map(square).sum::<f64>() / frames.max(1) as f64).sqrt()
+        };
+        (0..num_dofs).map(of_dof).fold(0.0, f64::max)
+    };
+    // As they are marked, if that will do.
+    if apart(&first, &second) < SAME_PATH {
+        return Some((first, second));
+    }
+    let least = first.len().min(second.len()) / 2;
+    let shifted = (1..=MOST_SHIFTED).flat_map(|shift| {
+        [(first.start + shift..first.end, second.clone()), (first.clone(), second.start + shift..second.end)]
+    });
+    shifted
+        .filter(|(first, second)| first.len().min(second.len()) > least)
+        .map(|(first, second)| (apart(&first, &second), (first, second)))
+        .filter(|(apart, _)| *apart < SAME_PATH)
+        .min_by(|(one, _), (other, _)| one.total_cmp(other))
+        .map(|(_, pair)| pair)
+}
+
+/// Pairs of `repetitions` of one label that follow one another.
+fn labelled_alike(repetitions: &[(Range<usize>, String)]) -> Vec<(Range<usize>, Range<usize>)> {
     let mut last: std::collections::BTreeMap<&str, &Range<usize>> = std::collections::BTreeMap::new();
     let mut pairs = Vec::new();
-    for (frames, label) in observed.repetitions.iter().filter(|(_, label)| !label.is_empty()) {
+    for (frames, label) in repetitions.iter().filter(|(_, label)| !label.is_empty()) {
         if let Some(before) = last.insert(label.as_str(), frames) {
             pairs.push((before.clone(), frames.clone()));
         }
@@ -221,6 +275,41 @@ mod tests {
     use palpate_sim::effects::Effect;
 
     use super::*;
+
+    #[test]
+    fn every_pair_of_a_planned_session_repeats_a_motion_within_a_frame_of_its_marks() {
+        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml"));
+        let stage = Stage::read(truth).unwrap();
+        let takes = stage.record(&[], 1).unwrap();
+        let mut num_pairs = 0;
+        for take in &takes {
+            let observed = Observed::new(stage.station(), take).unwrap();
+            let (pairs, marked) = (repeated(&observed), labelled_alike(&observed.repetitions));
+            assert_eq!(pairs.len(), marked.len(), "{}", take.id);
+            for (pair, marked) in pairs.iter().zip(&marked) {
+                // What is marked need not begin at a frame, and a fast roll turns by more than SAME_PATH in one.
+                let shift = (pair.0.start - marked.0.start).max(pair.1.start - marked.1.start);
+                assert!(shift <= 1, "{}: {pair:?} of {marked:?}", take.id);
+            }
+            num_pairs += pairs.len();
+        }
+        assert!(num_pairs > 20, "{num_pairs}");
+    }
+
+    #[test]
+    fn marks_of_one_label_pair_up_where_the_joints_take_the_same_path() {
+        // One joint bends and comes back three times, each time for 40 frames, the last time twice as far.
+        let bend = |frame: usize| match frame {
+            0..80 => (frame as f64 * std::f64::consts::TAU / 40.0).sin(),
+            _ => 2.0 * (frame as f64 * std::f64::consts::TAU / 40.0).sin(),
+        };
+        let positions: Vec<f64> = (0..120).map(bend).collect();
+        let pair = |first, second| aligned(&positions, 1, first, second);
+        assert_eq!(pair(0..40, 40..80), Some((0..40, 40..80)));
+        assert_eq!(pair(0..40, 43..80), Some((3..40, 43..80)), "the second mark is late");
+        assert_eq!(pair(5..40, 40..80), Some((5..40, 45..80)), "the first is");
+        assert_eq!(pair(40..80, 80..120), None, "another motion");
+    }
 
     #[test]
     fn only_what_is_on_by_chance_flickers() {

@@ -14,6 +14,7 @@ use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model};
+use crate::rules::{self, Fired};
 
 /// How the size of a patch's response changes with a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,9 +30,11 @@ pub(crate) struct WithPosture {
 }
 
 impl WithPosture {
-    /// Whether it is of one of these `patches` and explains more than do names with so much evidence.
-    pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize]) -> bool {
-        patches.contains(&self.patch) && self.evidence > evidence
+    /// Fires if it is of one of these `patches` and explains more than do names with so much evidence.
+    pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize]) -> Option<Fired> {
+        let is_more = patches.contains(&self.patch) && self.evidence > MOST_OF_EVIDENCE * evidence;
+        let measured = self.evidence / evidence.max(1e-9);
+        is_more.then_some(Fired { rule: rules::POSTURE, measured, limit: MOST_OF_EVIDENCE })
     }
 
     /// What it says, for people.
@@ -41,6 +44,9 @@ impl WithPosture {
         format!("what {patch} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for")
     }
 }
+
+/// What a gain that bends may explain, over what the names do.
+pub(crate) const MOST_OF_EVIDENCE: f64 = 1.0;
 
 /// What the regression is made of, for one patch and one object.
 #[derive(Default)]
@@ -170,9 +176,9 @@ mod tests {
     #[test]
     fn a_change_outweighs_little_evidence_on_its_own_finger() {
         let change = WithPosture { patch: 3, dof: 7, per_rad: -0.2, evidence: 490.0 };
-        assert!(change.outweighs(39.0, &[2, 3]));
-        assert!(!change.outweighs(39.0, &[0, 1]), "of another finger");
-        assert!(!change.outweighs(601.0, &[2, 3]), "the names explain as much");
+        assert!(change.outweighs(39.0, &[2, 3]).is_some());
+        assert!(change.outweighs(39.0, &[0, 1]).is_none(), "of another finger");
+        assert!(change.outweighs(601.0, &[2, 3]).is_none(), "the names explain as much");
     }
 
     #[test]

@@ -52,6 +52,20 @@ fn refused(csv_dir: &Path, root: &Path) -> String {
 }
 
 #[test]
+fn repetitions_keep_labels_of_their_own() {
+    let root = tempfile::tempdir().unwrap();
+    let csv_dir = root.path().join("csv");
+    write_recording(&csv_dir.join("01"));
+    let labels = format!("{TAKE_TOML}repetition_labels = [\"tap of the tip\", \"tap of the root\"]\n");
+    fs::write(csv_dir.join("01/take.toml"), labels).unwrap();
+    let session = import_csv(&station(), &csv_dir, &root.path().join("session")).unwrap();
+    let take = Session::open(&session).unwrap().take(0).unwrap();
+    let repetitions = take.spans.iter().filter(|span| span.kind == SpanKind::Repetition);
+    let labels: Vec<&str> = repetitions.map(|span| span.label.as_str()).collect();
+    assert_eq!(labels, ["tap of the tip", "tap of the root"]);
+}
+
+#[test]
 fn a_recording_becomes_a_take() {
     let root = tempfile::tempdir().unwrap();
     let csv_dir = root.path().join("csv");
@@ -243,6 +257,11 @@ fn every_fault_of_a_recording_names_file_line_and_column() {
             "take.toml",
             |t| t.replace("[0.0, 0.9]", "[0.001, 0.009]"),
             "no sample of stream \"gel\" lies within 0.001..0.009 s",
+        ),
+        (
+            "take.toml",
+            |t| format!("{t}repetition_labels = [\"tip\"]\n"),
+            "take.toml: repetition_labels: 1 labels for 2 spans of repetitions_s; give one for each",
         ),
         ("take.toml", |t| t.replace("primitive", "primitiv"), "take.toml: line 3: unknown field `primitiv`"),
         ("take.toml", |t| t.replace("primitive = \"tap\"\n", ""), "missing field `primitive`"),

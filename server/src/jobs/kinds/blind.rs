@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use palpate_blind::{BlindConfig, actuator, tactile};
+use palpate_blind::{BlindConfig, World, actuator, tactile};
 use palpate_wire::api::{BlindDomain, BlindRequest};
 use serde_json::Value;
 
@@ -30,6 +30,8 @@ fn check(_: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let request: BlindRequest = parse(&BLIND, request)?;
     let config = BlindConfig {
+        world: World::A,
+        without_rules: Vec::new(),
         seeds: request.seeds,
         first_seed: cx.seed,
         nulls: request.nulls,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{Metrics, Run};
 
 /// What the data says about the simulator as a whole.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// The named effects account for all that repeats.
@@ -19,6 +19,9 @@ pub enum Verdict {
     Unexplained,
     /// Nothing beyond noise.
     NoDiscrepancy,
+    /// No motion is repeated, so that nobody can tell whether anything is left beside the named effects, if there are
+    /// any.
+    CannotBeJudged,
 }
 
 /// The result of a diagnosis.
@@ -30,15 +33,19 @@ pub struct DiagnosisReport {
     pub sentence: String,
     /// Named effects, in the order in which they were added.
     pub effects: Vec<NamedEffect>,
+    /// Effects that were identified and are withheld by a rule: they come near, but one measure speaks against each.
+    #[serde(default)]
+    pub withheld: Vec<WithheldName>,
     /// What was tried and not named, best first, as of the first round: the evidence behind the names.
     pub candidates: Vec<Candidate>,
     /// Smallest set of cells that holds 80 % of the excess of the calibrated model.
     #[serde(rename = "where")]
     pub cells: Vec<Cell>,
-    /// Gap on takes that were not used to fit: mean L1 mismatch a channel-second (tactile), mean absolute position
-    /// error in rad (actuator).
+    /// Gap on the takes that were fitted: mean L1 mismatch a channel-second (tactile), mean absolute position error in
+    /// rad (actuator).
     pub gap: Gap,
-    /// The same gap on the confirm takes, which nothing but this report has looked at.
+    /// The same on the confirm takes, which nothing but this report has looked at; of all takes where none is kept for
+    /// it.
     pub held_out: Gap,
     /// The gap on confirm takes step by step: nominal, calibrated, then one more effect each, with 95 % intervals.
     pub waterfall: Vec<WaterfallStep>,
@@ -50,7 +57,7 @@ pub struct DiagnosisReport {
     pub next_experiment: Option<NextExperiment>,
     /// Mismatch of each channel, calibrated and diagnosed, by phase, on confirm takes: what the residual map shows.
     pub residual_map: Vec<ChannelResidual>,
-    /// Takes by their part: `fit`, `select`, `confirm`.
+    /// Takes by their part: `fit`, each of which is left out in turn where candidates are compared, and `confirm`.
     pub takes: BTreeMap<String, Vec<String>>,
     /// Evidence that an effect must reach to be named, and where it comes from.
     pub bar: Bar,
@@ -76,8 +83,10 @@ pub struct NamedEffect {
     pub gap_before: f64,
     /// Gap on confirm takes after it was added.
     pub gap_after: f64,
-    /// Probability of evidence this strong among as many candidates if nothing were missing.
-    pub p_value: f64,
+    /// Share of sessions simulated with nothing missing in which any candidate has evidence this strong; absent where
+    /// the station has no such sessions ([`Bar::null_sessions`]).
+    #[serde(default)]
+    pub p_value: Option<f64>,
     /// Evidence for it, on the scale of [`Bar::evidence`].
     pub evidence: f64,
     /// Takes whose mismatch it lowers, of all takes: `8/9`.
@@ -90,6 +99,24 @@ pub struct NamedEffect {
     pub explanation: String,
 }
 
+/// An effect that was identified and withheld.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WithheldName {
+    /// Id in the library.
+    pub id: String,
+    /// Where it would act.
+    #[serde(rename = "where")]
+    pub place: Place,
+    /// Parameters as they were fitted when it was withheld.
+    pub parameters: BTreeMap<String, f64>,
+    /// Id of the rule: `docs/diagnosis.md` lists what each measures.
+    pub rule: String,
+    /// What the rule measured.
+    pub measured: f64,
+    /// Above which it withholds.
+    pub limit: f64,
+}
+
 /// An effect that explains the data nearly as well as the one that was named.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rival {
@@ -98,7 +125,7 @@ pub struct Rival {
     /// Where it would act.
     #[serde(rename = "where")]
     pub place: Place,
-    /// Gap on confirm takes with it instead.
+    /// Gap on confirm takes with it instead, everything else fitted anew.
     pub gap_after: f64,
 }
 
@@ -110,7 +137,7 @@ pub struct Candidate {
     /// Where it would act.
     #[serde(rename = "where")]
     pub place: Place,
-    /// First-order estimate of its parameters.
+    /// Its parameters, fitted beside the calibrated model.
     pub parameters: BTreeMap<String, f64>,
     /// Evidence for it, on the scale of [`Bar::evidence`].
     pub evidence: f64,
@@ -220,7 +247,8 @@ pub struct Bar {
 pub struct DiagnosisRequest {
     /// Session id.
     pub session: String,
-    /// Id of a saved model to start from; absent means that theta is calibrated first.
+    /// Id of a saved model to start from; absent means the station's nominal one. Theta of a model without effects is
+    /// calibrated first; that of a model with effects is fitted beside them.
     #[serde(default)]
     pub model: Option<String>,
     /// Confirm takes; absent means chosen automatically.

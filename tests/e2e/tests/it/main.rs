@@ -11,6 +11,7 @@ mod flood;
 mod full_disk;
 mod page;
 mod probe_bench;
+mod python_client;
 mod scene;
 mod takes;
 mod unplugging;

@@ -39,6 +39,10 @@ pub(super) fn unexplained_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: 
              would: something is missing that the library does not hold, or that these takes do not show."
         ),
         (false, Verdict::NoDiscrepancy) => "Nothing beyond noise.".to_owned(),
+        (false, Verdict::CannotBeJudged) => format!(
+            "{share} of the calibrated model's excess is left; no motion is repeated, by which to tell whether it would \
+             repeat."
+        ),
         (false, _) => format!(
             "{share} of the calibrated model's excess is left; it does not repeat, as noise does not."
         ),
@@ -170,11 +174,7 @@ pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Dia
             },
         );
     }
-    for (part, about) in [
-        ("fit", "fitted on"),
-        ("select", "chosen among candidates on"),
-        ("confirm", "judged on, opened once"),
-    ] {
+    for (part, about) in [("fit", "fitted on"), ("confirm", "judged on, opened once")] {
         if let Some(takes) = report.takes.get(part).filter(|takes| !takes.is_empty()) {
             ui.label(RichText::new(format!("{about}: {}", takes.join(", "))).color(cx.palette.text_weak));
         }

@@ -136,7 +136,7 @@ fn evidence_ui(
                     "{}, the bar is {} ({})",
                     wording::number(effect.evidence),
                     wording::number(report.bar.evidence),
-                    wording::p_value(effect.p_value)
+                    wording::chance(effect.p_value)
                 ),
             );
             if let Some((improved, all)) = effect.takes_improved.split_once('/') {

@@ -61,6 +61,7 @@ fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) 
             Verdict::PartlyExplained => ("PARTLY EXPLAINED", cx.palette.warning),
             Verdict::Unexplained => ("UNEXPLAINED", cx.palette.mismatch),
             Verdict::NoDiscrepancy => ("NO DISCREPANCY", cx.palette.text_weak),
+            Verdict::CannotBeJudged => ("CANNOT BE JUDGED", cx.palette.warning),
         };
         ui.label(RichText::new(word).strong().color(colour));
         let seconds = crate::screens::duration_text(report.seconds);
@@ -89,6 +90,9 @@ fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) 
             wording::number(gap.diagnosed),
         );
         ui.label(RichText::new(text).color(cx.palette.text_weak));
+    }
+    for withheld in &report.withheld {
+        ui.colored_label(cx.palette.text_weak, wording::withheld_sentence(withheld));
     }
     for note in &report.notes {
         ui.colored_label(cx.palette.warning, format!("\u{26a0} {note}"));

@@ -1,0 +1,169 @@
+//! The rules that withhold names of touch: what each measures, and its limit.
+//!
+//! `docs/diagnosis.md` shows this table; a test compares them. A rule that is switched off
+//! ([`DiagnosisConfig::without_rules`]) withholds nothing, so that benches can tell what each is good for.
+//!
+//! [`DiagnosisConfig::without_rules`]: crate::DiagnosisConfig::without_rules
+
+use palpate_sim::effects::Effect;
+
+use crate::tactile::{adequacy, posture};
+use crate::{job, withhold};
+
+/// A rule that withholds names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// Its name in reports and for `--without-rule`.
+    pub id: &'static str,
+    /// What it measures, and in which unit.
+    pub measures: &'static str,
+    /// Names are withheld where the measure is above this.
+    pub limit: f64,
+}
+
+/// Why a name was withheld.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fired {
+    /// Id of the rule.
+    pub rule: &'static str,
+    /// What it measured.
+    pub measured: f64,
+    /// What it allows.
+    pub limit: f64,
+}
+
+impl Fired {
+    /// The rule `rule`, if it allows `limit` and `measured` is above that.
+    pub(crate) fn above(rule: &'static str, measured: f64, limit: f64) -> Option<Self> {
+        (measured > limit).then_some(Self { rule, measured, limit })
+    }
+}
+
+/// A name that was withheld.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Withheld {
+    /// The effect as it was fitted when it was withheld.
+    pub effect: Effect,
+    /// Why.
+    pub why: Fired,
+}
+
+/// Which rules are in force.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct InForce<'a> {
+    without: &'a [String],
+}
+
+impl<'a> InForce<'a> {
+    pub(crate) fn all_but(without: &'a [String]) -> Self {
+        Self { without }
+    }
+
+    /// `fired`, if its rule is in force.
+    pub(crate) fn keep(&self, fired: Option<Fired>) -> Option<Fired> {
+        fired.filter(|fired| self.has(fired.rule))
+    }
+
+    pub(crate) fn has(&self, rule: &str) -> bool {
+        !self.without.iter().any(|without| without == rule)
+    }
+}
+
+pub(crate) const BY_TAKE: &str = "size_by_take";
+pub(crate) const BY_PART: &str = "size_by_part";
+pub(crate) const REMAINDER: &str = "remainder";
+pub(crate) const ALIKE: &str = "alike";
+pub(crate) const ONE_PLACE: &str = "one_place";
+pub(crate) const LOSS_LEFT: &str = "loss_left";
+pub(crate) const CRUMB: &str = "crumb";
+pub(crate) const REPEATING_LEFT: &str = "repeating_left";
+pub(crate) const REPEATS_MORE: &str = "repeats_more";
+pub(crate) const LEFT_AT_PATCH: &str = "left_at_patch";
+pub(crate) const POSTURE: &str = "posture";
+pub(crate) const GAP_GROWS: &str = "gap_grows";
+
+/// Every rule, in the order in which they are asked.
+pub static RULES: &[Rule] = &[
+    Rule {
+        id: BY_TAKE,
+        measures: "spread of the effect's size between takes, over its size",
+        limit: withhold::MOST_BY_TAKE,
+    },
+    Rule {
+        id: BY_PART,
+        measures: "loss that sizes of its own for each channel in each take remove, on average, in variances",
+        limit: withhold::MOST_BY_PART,
+    },
+    Rule {
+        id: REMAINDER,
+        measures: "Wald statistic of a stronger effect at the same patch, joint or object, over the effect's own",
+        limit: 1.0 / withhold::LEAST_BESIDE,
+    },
+    Rule {
+        id: ALIKE,
+        measures: "cosine between what two effects add to the predictions; both are withheld",
+        limit: withhold::ALIKE,
+    },
+    Rule {
+        id: ONE_PLACE,
+        measures: "number of effects confined to one patch or finger, beyond those that may stand there",
+        limit: 0.0,
+    },
+    Rule {
+        id: LOSS_LEFT,
+        measures: "share of the excess loss that is left in the signals that the effects change",
+        limit: adequacy::MOST_LOSS_LEFT,
+    },
+    Rule {
+        id: CRUMB,
+        measures: "share of the repeatable residual that is left in all signals, where that is large",
+        limit: 1.0 - adequacy::LEAST_OVERALL,
+    },
+    Rule {
+        id: REPEATING_LEFT,
+        measures: "share of the repeatable residual that is left in the signals that the effects change",
+        limit: adequacy::MOST_REPEATING_LEFT,
+    },
+    Rule {
+        id: REPEATS_MORE,
+        measures: "repeatable residual with the effects, over that without, where all are of channels",
+        limit: adequacy::MOST_RAISED,
+    },
+    Rule {
+        id: LEFT_AT_PATCH,
+        measures: "share of the repeatable residual that is left in one patch of the effects' finger",
+        limit: adequacy::MOST_LEFT_AT_PATCH,
+    },
+    Rule {
+        id: POSTURE,
+        measures: "squares that a gain which bends with a joint removes, over the effects' Wald statistics, where the gain \
+                   changes by more than 0.036 (root mean square)",
+        limit: posture::MOST_OF_EVIDENCE,
+    },
+    Rule {
+        id: GAP_GROWS,
+        measures: "frames that are mistaken on the fitted takes with the effects, over those without",
+        limit: 1.0 + job::CHANCE_IN_GAP,
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_about_diagnosis_shows_this_table() {
+        let page = include_str!("../../../docs/diagnosis.md");
+        for Rule { id, measures, limit } in RULES {
+            let row = format!("| `{id}` | {measures} | {limit:.3} |");
+            assert!(page.contains(&row), "docs/diagnosis.md lacks the row\n{row}");
+        }
+        // Rows of other tables end in words.
+        let is_rule = |line: &&str| {
+            let last = line.trim_end_matches([' ', '|']).rsplit('|').next();
+            line.starts_with("| `") && last.is_some_and(|last| last.trim().parse::<f64>().is_ok())
+        };
+        let rows = page.lines().filter(is_rule).count();
+        assert_eq!(rows, RULES.len(), "docs/diagnosis.md has rules that are no more");
+    }
+}
