@@ -143,6 +143,30 @@ def test_a_diagnosis_names_what_is_missing(p: Palpate) -> None:
         model.delete()
 
 
+def test_jobs_are_submitted_followed_cancelled_and_begun_again(p: Palpate) -> None:
+    job = p.jobs.submit("calibrate", {"session": "small"}, key="a test's calibration")
+    assert p.jobs.submit("calibrate", {"session": "small"}, key="a test's calibration").id == job.id
+    assert job.wait(progress=False).head.state == "done"
+    assert b"held_out" in job.file("report.json")
+    assert isinstance(job.log(), str)
+    assert isinstance(job.metrics(), list)
+    diagnosis = p.jobs.submit("diagnose", {"session": "small", "max_effects": 1})
+    diagnosis.cancel()
+    with pytest.raises(PalpateError, match="Job cancelled"):
+        diagnosis.wait(progress=False)
+    assert diagnosis.retry().is_unfinished
+    diagnosis.cancel()
+    until("cancelled", lambda: not diagnosis.refresh().is_unfinished)
+    assert {job.id, diagnosis.id} <= {known.id for known in p.jobs}
+    assert next(known.id for known in p.jobs.list(kind="diagnose", state="cancelled")) == diagnosis.id
+    diagnosis.delete()
+    with pytest.raises(PalpateError) as caught:
+        p.jobs.get(diagnosis.id)
+    assert caught.value.status == 404
+    with pytest.raises(PalpateError):
+        p.jobs.submit("guess", {})
+
+
 def test_live_frames_come_and_the_document_says_the_same(p: Palpate) -> None:
     frames = list(itertools.islice(p.stream(), 10))
     times = [frame.time_s for frame in frames]

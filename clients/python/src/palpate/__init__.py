@@ -10,6 +10,7 @@ with Palpate() as p:
 from palpate.client import Model, Palpate, Session, Take
 from palpate.control import Control
 from palpate.errors import PalpateError
+from palpate.jobs import Job
 from palpate.runs import CalibrationRun, DiagnosisRun, Run
 from palpate.station import Station
 from palpate.traces import Frame, Replay, StreamSamples, Trace, to_pandas
@@ -19,6 +20,7 @@ __all__ = [
     "Control",
     "DiagnosisRun",
     "Frame",
+    "Job",
     "Model",
     "Palpate",
     "PalpateError",

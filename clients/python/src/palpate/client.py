@@ -27,6 +27,7 @@ from palpate.documents import (
     decode,
 )
 from palpate.errors import PalpateError
+from palpate.jobs import Jobs
 from palpate.runs import CalibrationRun, DiagnosisRun, Run
 from palpate.station import Station
 from palpate.traces import Frame, NewestFrame, Replay, Trace, frame_of, replay_of, trace_of
@@ -47,13 +48,14 @@ class Palpate:
             print(report.held_out.calibrated.f1)
 
     `url` is by default what the environment variable PALPATE_URL says, else http://127.0.0.1:8080; `token` is what
-    PALPATE_TOKEN says, if anything.
+    PALPATE_TOKEN says, if anything. `jobs` are the studio's jobs of every kind.
     """
 
     def __init__(
         self, url: str | None = None, token: str | None = None, *, transport: httpx.BaseTransport | None = None
     ) -> None:
         url = url or os.environ.get("PALPATE_URL") or DEFAULT_URL
+        self.jobs = Jobs(self)
         self.connection = Connection(url, token or os.environ.get("PALPATE_TOKEN"), transport=transport)
 
     def __enter__(self) -> Palpate:

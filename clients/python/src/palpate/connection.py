@@ -80,6 +80,7 @@ class Connection:
         body: object = None,
         content: IO[bytes] | str | None = None,
         content_type: str | None = None,
+        headers: Mapping[str, str] | None = None,
         as_operator: bool = False,
         timeout_s: float | None = None,
         **ids: str,
@@ -89,9 +90,11 @@ class Connection:
         `body` is sent as JSON, `content` as it is. With `as_operator` the lease that this client holds goes along. A
         GET that is answered by 429 or 503 is repeated when the studio says that it may be.
         """
-        headers = {"Content-Type": content_type} if content_type else {}
+        sent = dict(headers or {})
+        if content_type:
+            sent["Content-Type"] = content_type
         if as_operator and self.lease:
-            headers[LEASE_HEADER] = str(self.lease)
+            sent[LEASE_HEADER] = str(self.lease)
         query = {name: value for name, value in (params or {}).items() if value is not None}
         request = self._client.build_request(
             method,
@@ -99,7 +102,7 @@ class Connection:
             params=query,
             json=body,
             content=content,
-            headers=headers,
+            headers=sent,
             timeout=httpx.USE_CLIENT_DEFAULT if timeout_s is None else httpx.Timeout(timeout_s, connect=10.0),
         )
         tries = MAX_TRIES if method == "GET" else 1

@@ -407,6 +407,60 @@ class DiagnosisReport:
 
 
 @dataclass(frozen=True)
+class Resources:
+    """What a job needs of the machine. 0 cores are all of them; a `short` job does not wait for long ones."""
+
+    cores: int = 0
+    gpu: bool = False
+    station: bool = False
+    memory_mib: int | None = None
+    short: bool = False
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """Everything that a job's result depends on; `inputs` are SHA-256 by path in the data folder."""
+
+    kind: str
+    request: Any
+    software: str
+    inputs: dict[str, str] = field(default_factory=dict)
+    seed: int = 0
+    priority: int = 0
+    resources: Resources = field(default_factory=Resources)
+
+
+@dataclass(frozen=True)
+class Job:
+    """Where a job stands, without its outcome. Times are RFC 3339."""
+
+    id: str
+    kind: str
+    state: str
+    created: str
+    started: str | None
+    ended: str | None
+    attempts: int
+    owner: str
+    runner: str
+    fraction: float
+    stage: str
+    seconds_left: float | None
+    problem: str | None
+    saved_as: str | None
+    spec: JobSpec
+    cancel_requested: bool = False
+
+
+@dataclass(frozen=True)
+class JobPage:
+    """A page of the list of jobs, newest first; `next_cursor` leads to the next one."""
+
+    jobs: list[Job]
+    next_cursor: str | None = None
+
+
+@dataclass(frozen=True)
 class RestPoseDocument:
     """A stable pose of an object on a table, up to place and yaw."""
 
