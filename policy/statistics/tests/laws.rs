@@ -86,15 +86,13 @@ proptest! {
     }
 }
 
-/// One-sided 0.05 in each direction.
-fn fifty() -> SequentialTest {
-    SequentialTest::plan(50, 0.1).unwrap()
-}
+/// Pairs of the comparisons below, with a chance of 0.05 in each direction.
+const PAIRS: u64 = 50;
 
 #[test]
 fn power_and_length_are_those_of_simulated_comparisons() {
     const ROUNDS: u32 = 20_000;
-    let test = fifty();
+    let test = SequentialTest::plan(PAIRS, 0.1).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for (rate_a, rate_b) in [(0.5, 0.8), (0.8, 0.95), (0.9, 0.9)] {
         let (mut says_b, mut says_a, mut pairs) = (0, 0, 0);
@@ -129,7 +127,7 @@ fn power_is_that_of_an_exact_boundary_with_linear_spending() {
     for (rate_a, rate_b, power, pairs) in
         [(0.5, 0.8, 0.905, 26.4), (0.5, 0.9, 0.997, 17.3), (0.5, 0.7, 0.574, 37.5)]
     {
-        let found = fifty().operating(rate_a, rate_b).unwrap();
+        let found = SequentialTest::plan(PAIRS, 0.1).unwrap().operating(rate_a, rate_b).unwrap();
         assert!((found.says_b - power).abs() < 0.01, "{found:?} instead of {power}");
         assert!((found.mean_pairs - pairs).abs() < 0.5, "{found:?} instead of {pairs}");
     }
@@ -137,7 +135,7 @@ fn power_is_that_of_an_exact_boundary_with_linear_spending() {
 
 #[test]
 fn decisions_are_symmetric_and_a_hint_says_what_would_settle() {
-    let test = fifty();
+    let test = SequentialTest::plan(PAIRS, 0.1).unwrap();
     let seen = |pairs, successes_a, successes_b| Pairs { pairs, successes_a, successes_b };
     assert_eq!(test.decide(seen(0, 0, 0)).unwrap(), Decision::Undecided);
     assert_eq!(test.decide(seen(20, 2, 18)).unwrap(), Decision::B);
