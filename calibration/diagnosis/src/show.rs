@@ -151,12 +151,7 @@ fn named_effect(
 ) -> Result<NamedEffect, DiagnosisError> {
     let Evidence { station, domain, naming, steps, nominal, fitted, bar, .. } = *evidence;
     let at = nominal.effects.len() + idx;
-    // The last of the rounds that named it, which is the one whose name a second look may have changed.
-    let round = naming.rounds.iter().rev().find(|round| {
-        round.named.is_some_and(|named| {
-            round.tried[named].effect.id == effect.id && round.tried[named].effect.place == effect.place
-        })
-    });
+    let round = naming.round_of(effect).map(|(round, _)| round);
     let mut class = vec![effect.id.clone()];
     let (mut members, mut rivals) = (Vec::new(), Vec::new());
     if let Some(round) = round {

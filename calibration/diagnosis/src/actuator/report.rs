@@ -191,10 +191,7 @@ fn named(
     [before, after]: [&[f64]; 2],
 ) -> Result<NamedEffect, DiagnosisError> {
     let Evidence { domain, naming, steps, fitted, .. } = *evidence;
-    let round = naming.rounds.iter().rev().find_map(|round| {
-        let named = round.named.filter(|&named| round.tried[named].effect.id == effect.id)?;
-        Some((round, named))
-    });
+    let round = naming.round_of(effect);
     let (mut class, mut rivals) = (vec![effect.id.clone()], Vec::new());
     let (gap_before, gap_after) = (mean(before), mean(after));
     if let Some((round, named)) = round {

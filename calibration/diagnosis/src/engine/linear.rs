@@ -208,22 +208,7 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// more wins.
     pub(crate) fn deviance(&self) -> f64 {
         let of_segment = |(idx, segment): (usize, &Arc<Segment>)| {
-            let (take, signal) = (self.takes[self.rows.take(idx)], self.rows.signal(idx));
-            let allowed = || self.domain.weights(take, signal, &segment.predicted);
-            let weights = segment.allowed.get_or_init(allowed);
-            let observed = self.domain.observed(take, signal);
-            let mut last = (f64::NAN, 0.0);
-            let log_variance = |(observed, &weight): (&f64, &f64)| {
-                if observed.is_nan() {
-                    return 0.0;
-                }
-                // Long spans without touch have one weight.
-                if weight != last.0 {
-                    last = (weight, -2.0 * weight.ln());
-                }
-                last.1
-            };
-            segment.loss + observed.iter().zip(weights).map(log_variance).sum::<f64>()
+            segment.deviance(self.domain, self.takes[self.rows.take(idx)], self.rows.signal(idx))
         };
         // Summed in one order, whatever the number of threads.
         let of_segments: Vec<f64> = self.segments.par_iter().enumerate().map(of_segment).collect();

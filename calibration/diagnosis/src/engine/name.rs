@@ -99,6 +99,15 @@ pub struct Naming {
 }
 
 impl Naming {
+    /// The last round that named `effect`, and the index of its name there. A second look may have given that round, and no
+    /// earlier one, another name and class.
+    pub(crate) fn round_of(&self, effect: &Effect) -> Option<(&Round, usize)> {
+        self.rounds.iter().rev().find_map(|round| {
+            let named = round.named?;
+            (key(&round.tried[named].effect) == key(effect)).then_some((round, named))
+        })
+    }
+
     /// Takes all names back, to what was there at the `start`.
     pub fn withhold(&mut self, start: &Model, why: Fired) {
         let known = start.effects.len();

@@ -45,6 +45,24 @@ impl Segment {
         let square = square(&residual);
         Self { predicted: Arc::clone(predicted), weights, allowed: OnceLock::new(), residual, loss, square }
     }
+
+    /// The loss plus the logarithms of the variances that the model allows the rows that were measured. `take` and `signal`
+    /// are those that the segment was made of.
+    pub(super) fn deviance<D: Domain>(&self, domain: &D, take: usize, signal: usize) -> f64 {
+        let weights = self.allowed.get_or_init(|| domain.weights(take, signal, &self.predicted));
+        let mut last = (f64::NAN, 0.0);
+        let log_variance = |(observed, &weight): (&f64, &f64)| {
+            if observed.is_nan() {
+                return 0.0;
+            }
+            // Long spans without touch have one weight.
+            if weight != last.0 {
+                last = (weight, -2.0 * weight.ln());
+            }
+            last.1
+        };
+        self.loss + domain.observed(take, signal).iter().zip(weights).map(log_variance).sum::<f64>()
+    }
 }
 
 /// The sum of the squares of `values`.

@@ -308,6 +308,19 @@ fn an_effect_that_was_given_stays_though_the_takes_do_not_show_it() {
 }
 
 #[test]
+fn the_class_of_an_effect_is_that_of_the_last_round_that_named_it() {
+    let mut naming = Sines::new(&[("fast", 0.3)], 2).name(&config());
+    assert_eq!(naming.rounds[0].class.len(), 2);
+    // Named, dropped and named again, without a rival.
+    let mut again = naming.rounds[0].clone();
+    again.class.retain(|member| Some(*member) == again.named);
+    naming.rounds.push(again);
+    let (round, named) = naming.round_of(&naming.model.effects[0]).unwrap();
+    assert_eq!(round.class, [named]);
+    assert!(naming.round_of(&effect("square", 0.1)).is_none());
+}
+
+#[test]
 fn an_effect_that_is_left_out_is_not_named() {
     let without = NamingConfig { without: vec!["slow".to_owned()], ..config() };
     let naming = Sines::new(&[("slow", 0.3)], 3).name(&without);
