@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use palpate_emulator::{Expected, Hidden};
-use palpate_wire::api::{Candidate, DiagnosisReport, Gap, NamedEffect, Verdict, WithheldName};
+use palpate_wire::api::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Verdict};
 use serde::{Deserialize, Serialize};
 
 use crate::BlindError;
@@ -59,7 +59,7 @@ pub(crate) struct Answer {
     pub(crate) named: Vec<NamedEffect>,
     /// What rules withheld.
     #[serde(default)]
-    pub(crate) withheld: Vec<WithheldName>,
+    pub(crate) withheld: Vec<EffectInDoubt>,
     /// On confirm takes.
     pub(crate) gap: Gap,
     /// The first of what was tried in the first round and not named.
@@ -78,7 +78,7 @@ impl Answer {
             asked,
             verdict: report.verdict,
             named: report.effects,
-            withheld: report.withheld,
+            withheld: report.in_doubt,
             gap: report.held_out,
             candidates: report.candidates,
             notes: report.notes,

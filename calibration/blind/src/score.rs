@@ -138,10 +138,11 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
             (Expected::Named, [one]) => {
                 let named = first == *one;
                 let in_class = answer.has_in_class(one);
-                let by_rule = answer.withheld.iter().find(|withheld| withheld.id == *one);
+                let in_doubt = answer.withheld.iter().find(|effect| effect.id == *one);
+                let by_rule = in_doubt.and_then(|effect| effect.doubt.first());
                 if let Some(by_rule) = by_rule.filter(|_| !named) {
                     scores.withheld += 1;
-                    *scores.withheld_by.entry(by_rule.rule.clone()).or_default() += 1;
+                    *scores.withheld_by.entry(by_rule.check.clone()).or_default() += 1;
                 }
                 scores.misnamed += usize::from(answer.named.iter().any(|named| named.id != *one));
                 let strength = answer.secret.strength.clone().unwrap_or_default();
@@ -198,7 +199,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use palpate_robot_model::Place;
-    use palpate_wire::api::{Gap, NamedEffect, WithheldName};
+    use palpate_wire::api::{Doubt, EffectInDoubt, Gap, NamedEffect};
 
     use super::*;
     use crate::answers::Secret;
@@ -259,13 +260,11 @@ mod tests {
     #[test]
     fn a_right_name_that_was_withheld_counts_for_its_rule() {
         let mut withheld = answer(&["latency"], Expected::Named, Some("strong"), &[]);
-        withheld.withheld.push(WithheldName {
+        withheld.withheld.push(EffectInDoubt {
             id: "latency".to_owned(),
             place: Place::Stream("all".to_owned()),
             parameters: BTreeMap::new(),
-            rule: "posture".to_owned(),
-            measured: 2.0,
-            limit: 1.0,
+            doubt: vec![Doubt { check: "posture".to_owned(), measured: 2.0, limit: 1.0 }],
         });
         let mut beside = answer(&["latency"], Expected::Named, Some("strong"), &["low_pass"]);
         beside.withheld = withheld.withheld.clone();

@@ -8,7 +8,7 @@ use palpate_robot_model::{Place, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{self, Effect};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
-use palpate_wire::api::{DiagnosisReport, WithheldName};
+use palpate_wire::api::{DiagnosisReport, Doubt, EffectInDoubt};
 use rayon::prelude::*;
 
 use crate::engine::{self, Domain, Model, Naming, NamingConfig, Tried};
@@ -419,14 +419,16 @@ pub(crate) fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&
 }
 
 /// What was withheld, as a report has it.
-pub(crate) fn withheld(naming: &Naming) -> Vec<WithheldName> {
-    let of = |withheld: &Withheld| WithheldName {
+pub(crate) fn in_doubt(naming: &Naming) -> Vec<EffectInDoubt> {
+    let of = |withheld: &Withheld| EffectInDoubt {
         id: withheld.effect.id.clone(),
         place: withheld.effect.place.clone(),
         parameters: withheld.effect.parameters.clone(),
-        rule: withheld.why.rule.to_owned(),
-        measured: withheld.why.measured,
-        limit: withheld.why.limit,
+        doubt: vec![Doubt {
+            check: withheld.why.rule.to_owned(),
+            measured: withheld.why.measured,
+            limit: withheld.why.limit,
+        }],
     };
     naming.withheld.iter().map(of).collect()
 }

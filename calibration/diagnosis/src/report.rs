@@ -48,8 +48,8 @@ fn write_page(
         station = Escaped(source.station),
         sentence = Escaped(&report.sentence),
     )?;
-    for withheld in &report.withheld {
-        writeln!(page, "<p class=\"note\">{}.</p>", Escaped(&wording::withheld_sentence(withheld)))?;
+    for effect in &report.in_doubt {
+        writeln!(page, "<p class=\"note\">{}.</p>", Escaped(&wording::in_doubt_sentence(effect)))?;
     }
     for note in &report.notes {
         writeln!(page, "<p class=\"note\">Note: {}.</p>", Escaped(note.trim_end_matches('.')))?;

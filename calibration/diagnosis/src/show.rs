@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::DiagnosisError;
 use crate::engine::{Naming, Tried};
-use crate::job::{DiagnosisConfig, Steps, interval, judge_all, withheld};
+use crate::job::{DiagnosisConfig, Steps, in_doubt, interval, judge_all};
 use crate::null::NullBar;
 use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
@@ -119,10 +119,11 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             .map(|(_, tried)| candidate(station, tried))
             .collect(),
         effects: reported,
-        withheld: withheld(naming),
+        in_doubt: in_doubt(naming),
         cells: cells(station, &observed, &judged[1], config.seed),
+        gap: held_out.clone(),
         held_out,
-        gap: of_fit,
+        fitted: of_fit,
         waterfall,
         metrics: BTreeMap::from([
             ("nominal".to_owned(), metrics(&judged[0])),

@@ -121,7 +121,7 @@ fn text(report: &DiagnosisReport) -> String {
     }
     lines.push(String::new());
     lines.extend(report.next_experiment.iter().map(|next| next.sentence.clone()));
-    lines.extend(report.withheld.iter().map(wording::withheld_sentence));
+    lines.extend(report.in_doubt.iter().map(wording::in_doubt_sentence));
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines.push(format!("{:.1} s", report.seconds));
     lines.join("\n")

@@ -167,7 +167,7 @@ fn text(report: &DiagnosisReport) -> String {
         sessions => format!("bar: from {sessions} simulated sessions with nothing missing"),
     });
     lines.push(format!("{:.1} s", report.seconds));
-    lines.extend(report.withheld.iter().map(wording::withheld_sentence));
+    lines.extend(report.in_doubt.iter().map(wording::in_doubt_sentence));
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n")
 }

@@ -2,7 +2,7 @@
 
 use palpate_robot_model::Place;
 
-use crate::api::{Cell, DiagnosisReport, ModelEffect, NamedEffect, WithheldName};
+use crate::api::{Cell, DiagnosisReport, EffectInDoubt, ModelEffect, NamedEffect};
 
 /// An id in the words it is made of: `joint_backlash` gives `joint backlash`.
 pub fn words(id: &str) -> String {
@@ -105,14 +105,20 @@ pub fn p_value(p_value: f64) -> String {
 }
 
 /// What an operator should know of a withheld effect: which it is, and what speaks against it.
-pub fn withheld_sentence(withheld: &WithheldName) -> String {
-    format!(
-        "{} comes near, but is withheld by the rule {}: {}, at most {} is allowed",
-        effect_at(&withheld.id, &withheld.place),
-        withheld.rule,
-        number(withheld.measured),
-        number(withheld.limit)
-    )
+pub fn in_doubt_sentence(effect: &EffectInDoubt) -> String {
+    let doubts: Vec<String> = effect
+        .doubt
+        .iter()
+        .map(|doubt| {
+            format!(
+                "{} is {}, at most {} is allowed",
+                doubt.check,
+                number(doubt.measured),
+                number(doubt.limit)
+            )
+        })
+        .collect();
+    format!("{} comes near, but is in doubt: {}", effect_at(&effect.id, &effect.place), doubts.join("; "))
 }
 
 /// How likely evidence as strong as that for a named effect is by chance, where null sessions of the station tell.
@@ -223,7 +229,8 @@ mod tests {
             verdict: Verdict::Explained,
             sentence: String::new(),
             effects: Vec::new(),
-            withheld: Vec::new(),
+            in_doubt: Vec::new(),
+            fitted: Gap::default(),
             candidates: Vec::new(),
             cells: Vec::new(),
             gap: gap(),

@@ -116,7 +116,8 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
     DiagnosisReport {
         verdict,
         sentence: sentence.into(),
-        withheld: Vec::new(),
+        in_doubt: Vec::new(),
+        fitted: Gap::default(),
         candidates: vec![candidate("low_pass", 6.0), candidate("electrical_crosstalk", 3.5)],
         cells: vec![cell("onset", 0.51), cell("release", 0.33)],
         gap: gap.clone(),

@@ -15,7 +15,7 @@ use super::domain::SIGNAL_NAMES;
 use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy};
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, Naming, Round, refit};
-use crate::job::{interval, withheld};
+use crate::job::{in_doubt, interval};
 
 /// Speed below which a joint holds, rad/s.
 const HOLDING_RAD_PER_S: f64 = 0.05;
@@ -143,9 +143,10 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             .collect(),
         next_experiment: telling.and_then(|telling| telling.next_experiment(domain)),
         effects,
-        withheld: withheld(naming),
+        in_doubt: in_doubt(naming),
         cells: cells(domain, &steps[0], judged_on, config)?,
-        gap: gap([fitted_errors[0], fitted_errors[1], fitted_errors[2]]),
+        fitted: gap([fitted_errors[0], fitted_errors[1], fitted_errors[2]]),
+        gap: held_out.clone(),
         unexplained: Unexplained {
             fraction: if held_out.calibrated > 0.0 {
                 (held_out.diagnosed / held_out.calibrated).clamp(0.0, 1.0)

@@ -141,7 +141,7 @@ fn friction_of_another_law_is_named_and_what_its_formula_misses_is_said_to_be_le
 fn a_neighbour_that_explains_a_part_is_taken_back() {
     let outcome = blind("coulomb_friction, strong", &["coulomb_friction"]);
     assert_eq!((ids(&outcome), outcome.report.verdict), (Vec::new(), Verdict::Unexplained));
-    let withheld = &outcome.report.withheld;
+    let withheld = &outcome.report.in_doubt;
     let neighbour = withheld.iter().find(|name| name.id == "load_dependent_friction").unwrap();
-    assert!(neighbour.measured > neighbour.limit, "{withheld:?}");
+    assert!(neighbour.doubt[0].measured > neighbour.doubt[0].limit, "{withheld:?}");
 }

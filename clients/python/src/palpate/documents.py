@@ -293,12 +293,31 @@ class NamedEffect:
     interval: dict[str, list[float]]
     gap_before: float
     gap_after: float
-    p_value: float
     evidence: float
     takes_improved: str
     class_: list[str]
     rivals: list[Rival]
     explanation: str
+    p_value: float | None = None
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A measure that speaks against an effect: it is above its limit."""
+
+    check: str
+    measured: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class EffectInDoubt:
+    """An effect that was identified and not added."""
+
+    id: str
+    where: dict[str, Any]
+    parameters: dict[str, float]
+    doubt: list[Doubt]
 
 
 @dataclass(frozen=True)
@@ -386,15 +405,21 @@ class Bar:
 
 @dataclass(frozen=True)
 class DiagnosisReport:
-    """The result of a diagnosis. `verdict`: `explained`, `partly_explained`, `unexplained` or `no_discrepancy`."""
+    """The result of a diagnosis.
+
+    `verdict`: `explained`, `partly_explained`, `unexplained`, `no_discrepancy` or `cannot_be_judged`. `gap` and
+    `held_out` are of the takes that were kept for judging, `fitted` is of the others.
+    """
 
     verdict: str
     sentence: str
     effects: list[NamedEffect]
+    in_doubt: list[EffectInDoubt]
     candidates: list[Candidate]
     where: list[Cell]
     gap: Gap
     held_out: Gap
+    fitted: Gap
     waterfall: list[WaterfallStep]
     metrics: dict[str, Metrics]
     unexplained: Unexplained

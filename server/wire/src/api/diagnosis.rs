@@ -33,20 +33,22 @@ pub struct DiagnosisReport {
     pub sentence: String,
     /// Named effects, in the order in which they were added.
     pub effects: Vec<NamedEffect>,
-    /// Effects that were identified and are withheld by a rule: they come near, but one measure speaks against each.
+    /// Effects that were identified and not added: they come near, but a measure speaks against each.
     #[serde(default)]
-    pub withheld: Vec<WithheldName>,
+    pub in_doubt: Vec<EffectInDoubt>,
     /// What was tried and not named, best first, as of the first round: the evidence behind the names.
     pub candidates: Vec<Candidate>,
     /// Smallest set of cells that holds 80 % of the excess of the calibrated model.
     #[serde(rename = "where")]
     pub cells: Vec<Cell>,
-    /// Gap on the takes that were fitted: mean L1 mismatch a channel-second (tactile), mean absolute position error in
-    /// rad (actuator).
+    /// Gap on the confirm takes, which nothing but this report has looked at: mean L1 mismatch a channel-second (tactile),
+    /// mean absolute position error in rad (actuator). Of all takes where none is kept for it; a note says so.
     pub gap: Gap,
-    /// The same on the confirm takes, which nothing but this report has looked at; of all takes where none is kept for
-    /// it.
+    /// The same as `gap`.
     pub held_out: Gap,
+    /// The same of the takes that were fitted.
+    #[serde(default)]
+    pub fitted: Gap,
     /// The gap on confirm takes step by step: nominal, calibrated, then one more effect each, with 95 % intervals.
     pub waterfall: Vec<WaterfallStep>,
     /// Event metrics on confirm takes: `nominal`, `calibrated`, `diagnosed`. Empty for actuators.
@@ -85,7 +87,7 @@ pub struct NamedEffect {
     pub gap_after: f64,
     /// Share of sessions simulated with nothing missing in which any candidate has evidence this strong; absent where
     /// the station has no such sessions ([`Bar::null_sessions`]).
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub p_value: Option<f64>,
     /// Evidence for it, on the scale of [`Bar::evidence`].
     pub evidence: f64,
@@ -99,9 +101,9 @@ pub struct NamedEffect {
     pub explanation: String,
 }
 
-/// An effect that was identified and withheld.
+/// An effect that was identified and not added.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct WithheldName {
+pub struct EffectInDoubt {
     /// Id in the library.
     pub id: String,
     /// Where it would act.
@@ -109,9 +111,16 @@ pub struct WithheldName {
     pub place: Place,
     /// Parameters as they were fitted when it was withheld.
     pub parameters: BTreeMap<String, f64>,
+    /// What speaks against it.
+    pub doubt: Vec<Doubt>,
+}
+
+/// A measure that speaks against an effect.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Doubt {
     /// Id of the rule: `docs/diagnosis.md` lists what each measures.
-    pub rule: String,
-    /// What the rule measured.
+    pub check: String,
+    /// What it measured.
     pub measured: f64,
     /// Above which it withholds.
     pub limit: f64,

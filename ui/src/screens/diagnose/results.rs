@@ -91,8 +91,8 @@ fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) 
         );
         ui.label(RichText::new(text).color(cx.palette.text_weak));
     }
-    for withheld in &report.withheld {
-        ui.colored_label(cx.palette.text_weak, wording::withheld_sentence(withheld));
+    for effect in &report.in_doubt {
+        ui.colored_label(cx.palette.text_weak, wording::in_doubt_sentence(effect));
     }
     for note in &report.notes {
         ui.colored_label(cx.palette.warning, format!("\u{26a0} {note}"));
