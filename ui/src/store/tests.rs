@@ -84,12 +84,12 @@ fn runs_stay_newest_first_however_their_answers_arrive() {
 #[test]
 fn progress_moves_the_run_and_the_end_fetches_the_result() {
     let mut store = Store::default();
-    let run = r#"[{"id":"7","request":{"session":"s"},"state":"running","fraction":0.1,"stage":"fit",
+    let run = r#"[{"id":"run-7","request":{"session":"s"},"state":"running","fraction":0.1,"stage":"fit",
         "seconds_left":null,"error":null,"report":null,"model_toml":null,"saved_as":null}]"#;
     store.receive(answer(Request::Runs, run), 0.0, "");
     let update = |state: &str, fraction| {
         let job = JobUpdate {
-            job: "7".into(),
+            job: "run-7".into(),
             state: state.into(),
             fraction,
             stage: "alpha 3 of 20".into(),
@@ -105,5 +105,5 @@ fn progress_moves_the_run_and_the_end_fetches_the_result() {
     assert_eq!((running.fraction, running.seconds_left), (0.5, Some(2.0)));
     assert!(store.take_outbox().is_empty());
     store.receive(update("done", 1.0), 0.0, "");
-    assert_eq!(store.take_outbox(), [Request::Run("7".into())]);
+    assert_eq!(store.take_outbox(), [Request::Run("run-7".into())]);
 }
