@@ -16,7 +16,7 @@ use palpate_wire::api::{
     BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DiagnosisReport, DiagnosisRequest,
     DiagnosisRun, EmulateRequest, LEASE_HEADER, ProblemDetails, ProblemType,
 };
-use serde_json::json;
+use serde_json::{Value, json};
 use utoipa::{
     IntoResponses, OpenApi as _, PartialSchema, ToSchema,
     openapi::{
@@ -201,8 +201,25 @@ fn only_operation(item: PathItem) -> (Method, Operation) {
 }
 
 /// The document of every route that a studio can have.
-pub fn openapi() -> OpenApi {
-    document_of(&all_routes(true))
+pub fn openapi() -> Value {
+    written(&all_routes(true))
+}
+
+/// The document of `routes` as JSON. Its fields are sorted: `utoipa` keeps some in an order that changes from run to run.
+fn written(routes: &[Route]) -> Value {
+    // A document of strings, numbers and lists of them always serialises.
+    sorted(serde_json::to_value(document_of(routes)).unwrap_or_default())
+}
+
+fn sorted(value: Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            let fields: BTreeMap<String, Value> = fields.into_iter().collect();
+            Value::Object(fields.into_iter().map(|(name, value)| (name, sorted(value))).collect())
+        }
+        Value::Array(items) => Value::Array(items.into_iter().map(sorted).collect()),
+        other => other,
+    }
 }
 
 /// The document of the routes that a studio has, as an answer.
@@ -210,7 +227,7 @@ pub(super) fn answer(with_emulator: bool) -> Response {
     static DOCUMENTS: [OnceLock<Bytes>; 2] = [OnceLock::new(), OnceLock::new()];
     let [without, with] = &DOCUMENTS;
     let document = if with_emulator { with } else { without };
-    let make = || document_of(&all_routes(with_emulator)).to_json().unwrap_or_default().into();
+    let make = || written(&all_routes(with_emulator)).to_string().into();
     let document = document.get_or_init(make).clone();
     ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], document).into_response()
 }
@@ -370,13 +387,7 @@ fn http_method(method: &Method) -> HttpMethod {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::Value;
-
     use super::*;
-
-    fn document() -> Value {
-        serde_json::to_value(openapi()).unwrap()
-    }
 
     /// Every operation with its method and path.
     fn operations(document: &Value) -> Vec<(String, &Value)> {
@@ -398,7 +409,7 @@ mod tests {
 
     #[test]
     fn every_route_is_an_operation_of_its_own_with_what_it_needs() {
-        let document = document();
+        let document = openapi();
         let operations = operations(&document);
         assert_eq!(operations.len(), all_routes(true).len());
         let ids: BTreeSet<&str> =
@@ -431,7 +442,7 @@ mod tests {
                 _ => {}
             }
         }
-        let document = document();
+        let document = openapi();
         let mut found = Vec::new();
         references(&document, &mut found);
         assert!(found.len() > 100, "{}", found.len());
@@ -459,7 +470,7 @@ mod tests {
 
     #[test]
     fn problem_types_are_all_in_the_document() {
-        let document = openapi().to_json().unwrap();
+        let document = openapi().to_string();
         for kind in ProblemType::ALL {
             assert!(document.contains(kind.uri()), "{kind:?}");
         }
