@@ -15,12 +15,25 @@ fn main() -> io::Result<()> {
     let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
     embed(&assets, &out_dir.join("assets.rs"))?;
 
+    compress(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("vendor/rapidoc/rapidoc-min.js"),
+        &out_dir.join("rapidoc-min.js.gz"),
+    )?;
+
     println!("cargo::rerun-if-env-changed=PALPATE_UI_DIST");
     let page_table = out_dir.join("page.rs");
     match env::var_os("PALPATE_UI_DIST") {
         Some(dir) => embed(Path::new(&dir), &page_table),
         None => fs::write(page_table, "&[]\n"),
     }
+}
+
+/// Writes `file` to `out` as gzip.
+fn compress(file: &Path, out: &Path) -> io::Result<()> {
+    println!("cargo::rerun-if-changed={}", file.display());
+    let mut gzip = flate2::write::GzEncoder::new(fs::File::create(out)?, flate2::Compression::best());
+    io::copy(&mut fs::File::open(file)?, &mut gzip)?;
+    gzip.finish().map(|_| ())
 }
 
 /// Writes an expression to `table`: a sorted slice of `(path relative to dir, bytes)` of every file below `dir`.

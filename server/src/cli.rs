@@ -10,6 +10,7 @@ mod emulate;
 mod import;
 mod job;
 mod jobs;
+mod openapi;
 mod output;
 mod replay;
 mod serve;
@@ -58,6 +59,8 @@ enum Command {
     /// The jobs of a studio
     #[command(subcommand)]
     Jobs(jobs::JobsCommand),
+    /// Print the OpenAPI document of the studio's HTTP API, as it serves it at /api/v1/openapi.json
+    Openapi,
     /// What runners of jobs call (docs/jobs.md)
     #[command(subcommand, hide = true)]
     Job(job::JobCommand),
@@ -82,6 +85,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Blind(args) => blind::run(&args),
         Command::Jobs(command) => jobs::run(&command),
+        Command::Openapi => openapi::run(),
         Command::Job(command) => job::run(&command),
         Command::Bench(command) => bench::run(&command),
     };

@@ -60,9 +60,20 @@ pub enum Error {
         /// Where to look.
         hint: &'static str,
     },
+    /// There is no live station.
+    #[error(
+        "no station \"live\"; start the studio with --station or --emulate, or open the station of a session"
+    )]
+    NoStation,
     /// In the way of something that exists.
     #[error("{0}")]
     Conflict(String),
+    /// There is something of that name already.
+    #[error("{0}")]
+    Exists(String),
+    /// A body of another content type than the server takes.
+    #[error("{0}")]
+    MediaType(String),
     /// More than the server takes.
     #[error("{0}")]
     TooLarge(String),
@@ -122,8 +133,16 @@ pub enum Class {
     BadContent,
     /// The caller's: there is no such thing.
     NotFound,
+    /// The caller's: there is no live station.
+    NoStation,
     /// The caller's: something is in the way.
     Conflict,
+    /// The caller's: another name.
+    Exists,
+    /// The caller's: another idempotency key.
+    KeyReused,
+    /// The caller's: another content type.
+    MediaType,
     /// The caller's: less of it.
     TooLarge,
     /// The caller's: later.
@@ -145,15 +164,6 @@ impl Error {
         move |source| Self::Io { action, path, source }
     }
 
-    /// There is no live station.
-    pub(crate) fn no_station() -> Self {
-        Self::NotFound {
-            what: "station",
-            id: "live".to_owned(),
-            hint: "start the studio with --station or --emulate, or open the station of a session",
-        }
-    }
-
     /// Whose turn it is.
     pub fn class(&self) -> Class {
         match self {
@@ -168,6 +178,7 @@ impl Error {
             Self::Calibration(CalibrationError::Input(_)) | Self::Diagnosis(DiagnosisError::Input(_)) => {
                 Class::BadContent
             }
+            Self::NoStation => Class::NoStation,
             Self::NotFound { .. } | Self::Control(ControlError::Unknown(_)) => Class::NotFound,
             Self::Control(ControlError::Refused(_)) => Class::Conflict,
             Self::Control(ControlError::NotOperator(_)) => Class::NotOperator,
@@ -181,12 +192,15 @@ impl Error {
             Self::Jobs(err) => match err {
                 JobsError::NotFound(_) => Class::NotFound,
                 JobsError::Conflict(_) => Class::Conflict,
+                JobsError::KeyReused(_) => Class::KeyReused,
                 JobsError::Argument(_) => Class::BadArgument,
                 JobsError::Content { .. } => Class::BadContent,
                 JobsError::Io { action, source, .. } => io_class(action, source),
                 _ => Class::Failed,
             },
             Self::Conflict(_) => Class::Conflict,
+            Self::Exists(_) => Class::Exists,
+            Self::MediaType(_) => Class::MediaType,
             Self::TooLarge(_) => Class::TooLarge,
             Self::Busy(_) => Class::Busy,
             Self::DiskFull(_) => Class::DiskFull,
@@ -223,7 +237,7 @@ fn io_class(action: &str, source: &io::Error) -> Class {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory | io::ErrorKind::IsADirectory => {
             Class::BadArgument
         }
-        io::ErrorKind::AlreadyExists => Class::Conflict,
+        io::ErrorKind::AlreadyExists => Class::Exists,
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof if action == "read" => Class::BadContent,
         _ => Class::Failed,
     }

@@ -2,11 +2,16 @@
 
 mod bucket;
 mod control_socket;
+mod docs;
+mod document;
 mod door;
+mod etag;
+mod examples;
 mod extract;
 pub(crate) mod listener;
 mod pacing;
 pub(crate) mod page;
+mod pages;
 mod problem;
 mod routes;
 mod stream;
@@ -15,17 +20,19 @@ use std::{sync::Arc, time::Duration};
 
 use axum::{
     Router,
-    http::{Method, StatusCode, Uri},
-    middleware::from_fn_with_state,
-    response::{IntoResponse as _, Response},
+    http::{Method, Uri},
+    middleware::{from_fn, from_fn_with_state},
+    response::Response,
     routing::get,
 };
+pub use document::openapi;
+use palpate_wire::api::ProblemType;
 pub use routes::{Needs, Route, routes};
 use tower_http::timeout::RequestBodyTimeoutLayer;
 
 use crate::AppState;
 use door::{Door, guard};
-use problem::problem_response;
+use problem::problem;
 
 /// A body of which nothing more comes in for this long is given up.
 const BODY_TIMEOUT: Duration = Duration::from_secs(15);
@@ -34,11 +41,14 @@ const BODY_TIMEOUT: Duration = Duration::from_secs(15);
 pub fn app(state: Arc<AppState>) -> Router {
     let api =
         routes(&state).into_iter().fold(Router::new(), |api, route| api.route(route.path, route.handler));
-    let api = api.fallback(no_such_route).method_not_allowed_fallback(no_such_method);
+    let api =
+        api.fallback(no_such_route).method_not_allowed_fallback(no_such_method).layer(from_fn(etag::tag));
     let door = Arc::new(Door::new(&state));
     let door = from_fn_with_state(door, guard);
     Router::new()
         .nest("/api/v1", api.with_state(state))
+        .route(docs::PAGE_PATH, get(docs::page))
+        .route(docs::SCRIPT_PATH, get(docs::script))
         .route("/api/{*rest}", get(no_such_route))
         .fallback_service(get(page::serve))
         .layer(RequestBodyTimeoutLayer::new(BODY_TIMEOUT))
@@ -47,10 +57,10 @@ pub fn app(state: Arc<AppState>) -> Router {
 
 async fn no_such_route(uri: Uri) -> Response {
     let detail = format!("nothing is at {}; the API is below /api/v1/", uri.path());
-    problem_response(StatusCode::NOT_FOUND, &detail).into_response()
+    problem(ProblemType::NoRoute, &detail)
 }
 
 async fn no_such_method(method: Method, uri: Uri) -> Response {
     let detail = format!("{} does not take {method}", uri.path());
-    problem_response(StatusCode::METHOD_NOT_ALLOWED, &detail).into_response()
+    problem(ProblemType::MethodNotAllowed, &detail)
 }

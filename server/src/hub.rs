@@ -2,7 +2,10 @@
 
 use std::sync::{Arc, Mutex, Weak};
 
-use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage};
+use palpate_wire::{
+    api::Job,
+    proto::{JobUpdate, LiveFrame, StreamMessage},
+};
 use tokio::sync::Notify;
 
 mod client_queue;
@@ -16,6 +19,16 @@ use crate::data::cache::lock;
 pub struct Hub {
     clients: Mutex<Vec<Weak<Client>>>,
     newest_frame: Mutex<Option<Arc<LiveFrame>>>,
+    watchers: Mutex<Vec<Weak<Watcher>>>,
+}
+
+/// Whoever follows one job.
+#[derive(Debug)]
+pub(crate) struct Watcher {
+    job: String,
+    /// What it has not been told yet; a newer state replaces an older one.
+    newest: Mutex<Option<Arc<Job>>>,
+    changed: Notify,
 }
 
 /// The queue of one client.
@@ -53,6 +66,28 @@ impl Hub {
         self.for_each(|client| client.push_job(update.clone()));
     }
 
+    /// Follows the job called `id` from now on, until dropped.
+    pub(crate) fn watch_job(&self, id: &str) -> Arc<Watcher> {
+        let watcher =
+            Arc::new(Watcher { job: id.to_owned(), newest: Mutex::default(), changed: Notify::new() });
+        lock(&self.watchers).push(Arc::downgrade(&watcher));
+        watcher
+    }
+
+    /// Tells those who follow `job` where it stands.
+    pub(crate) fn tell_watchers(&self, job: &Job) {
+        let mut told: Option<Arc<Job>> = None;
+        lock(&self.watchers).retain(|watcher| {
+            let Some(watcher) = watcher.upgrade() else { return false };
+            if watcher.job == job.id {
+                let job = told.get_or_insert_with(|| Arc::new(job.clone()));
+                *lock(&watcher.newest) = Some(job.clone());
+                watcher.changed.notify_one();
+            }
+            true
+        });
+    }
+
     fn for_each(&self, send: impl Fn(&Client)) {
         lock(&self.clients).retain(|client| match client.upgrade() {
             Some(client) => {
@@ -61,6 +96,21 @@ impl Hub {
             }
             None => false,
         });
+    }
+}
+
+impl Watcher {
+    /// The next state of the job, once it has changed.
+    pub(crate) async fn next(&self) -> Arc<Job> {
+        loop {
+            // Taken out of the `match`, so that the lock is free while waiting.
+            let newest = lock(&self.newest).take();
+            match newest {
+                Some(job) => return job,
+                // A change between the two lines leaves its permit in the `Notify`.
+                None => self.changed.notified().await,
+            }
+        }
     }
 }
 

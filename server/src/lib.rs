@@ -8,65 +8,13 @@
 //!
 //! # Routes
 //!
-//! | method | path | answer |
-//! |---|---|---|
-//! | GET | `/api/v1/info` | `Info` |
-//! | GET | `/api/v1/station` | `StationDocument` of the live station; 404 without one |
-//! | GET | `/api/v1/stations` | ids of the stations that the binary carries |
-//! | GET | `/api/v1/sessions` | `[SessionSummary]` |
-//! | POST | `/api/v1/sessions?name=NAME[&station=ID]` | body `application/zip`: a CSV import folder (without `station`: of the shipped one that has its streams) or a session folder; 201 `SessionDetail`, `Location` |
-//! | GET, DELETE | `/api/v1/sessions/{id}` | `SessionDetail`; DELETE moves it to the trash, 204 |
-//! | POST | `/api/v1/sessions/{id}/restore` | undoes the DELETE; `SessionDetail` |
-//! | GET | `/api/v1/sessions/{id}/check` | `CheckReport` |
-//! | GET | `/api/v1/sessions/{id}/station` | `StationDocument` |
-//! | GET | `/api/v1/sessions/{id}/takes/{take}/trace` | protobuf `TakeTrace`, `application/x-protobuf` |
-//! | GET | `/api/v1/sessions/{id}/takes/{take}/replay?model=nominal\|MODEL_ID\|run:RUN_ID\|diagnosis:RUN_ID\|calibrated:RUN_ID` | protobuf `ReplayTrace` |
-//! | GET | `/api/v1/models` | `[ModelSummary]` |
-//! | GET, DELETE | `/api/v1/models/{id}` | TOML; DELETE moves it to the trash, 204 |
-//! | POST | `/api/v1/models/{id}/restore` | undoes the DELETE; `ModelSummary` |
-//! | GET | `/api/v1/objects` | `[ObjectEntry]`: the binary's objects and those in `objects/` of the data folder |
-//! | POST | `/api/v1/calibrations` | body `CalibrationRequest`; 202 `CalibrationRun`, `Location` |
-//! | GET | `/api/v1/calibrations` | `[CalibrationRun]`, newest first, without report and model text |
-//! | GET | `/api/v1/calibrations/{id}` | `CalibrationRun` |
-//! | POST | `/api/v1/calibrations/{id}/cancel` | `CalibrationRun` |
-//! | POST | `/api/v1/calibrations/{id}/save` | body `SaveModelRequest`; 201 `ModelSummary`, `Location` |
-//! | GET | `/api/v1/calibrations/{id}/report.html` | the self-contained report |
-//! | POST | `/api/v1/models/{id}/undo` | brings the version before the last addition back, byte for byte; `ModelSummary` |
-//! | POST | `/api/v1/diagnoses` | body `DiagnosisRequest`; 202 `DiagnosisRun`, `Location` |
-//! | GET | `/api/v1/diagnoses` | `[DiagnosisRun]`, newest first, without report and model text |
-//! | GET | `/api/v1/diagnoses/{id}` | `DiagnosisRun` |
-//! | POST | `/api/v1/diagnoses/{id}/cancel` | `DiagnosisRun` |
-//! | POST | `/api/v1/diagnoses/{id}/save` | body `SaveDiagnosisRequest`; 201 (new model) or 200 (added to one) `ModelSummary`, `Location` |
-//! | GET | `/api/v1/diagnoses/{id}/report.html` | the self-contained report |
-//! | GET | `/api/v1/jobs?state=STATE&kind=KIND&limit=N&cursor=CURSOR` | `JobPage`: jobs of every kind, newest first |
-//! | POST | `/api/v1/jobs` | body `JobRequest`; 202 `Job`, `Location`; with a header `Idempotency-Key` that came before: 200 and the job it made then |
-//! | GET, DELETE | `/api/v1/jobs/{id}` | `Job`; DELETE moves one that has ended to the trash, 204 |
-//! | POST | `/api/v1/jobs/{id}/cancel` | asks it to stop, and ends it if it does not; `Job` |
-//! | POST | `/api/v1/jobs/{id}/retry` | queues one that failed or was cancelled once more; `Job` |
-//! | POST | `/api/v1/jobs/{id}/clone` | body `JobChanges`: queues another like it but for these; as `POST /api/v1/jobs` |
-//! | GET | `/api/v1/jobs/{id}/log` | the newest part of what its process printed: text |
-//! | GET | `/api/v1/jobs/{id}/metrics` | the newest part of its curves: JSON lines |
-//! | GET | `/api/v1/jobs/{id}/files/{name}` | a file of its folder, e.g. `report.json` (`docs/jobs.md`) |
-//! | GET | `/api/v1/stream` | WebSocket; binary protobuf `StreamMessage` |
-//! | GET | `/api/v1/live` | `LiveDocument`; 404 without a live station, as the routes below |
-//! | PUT | `/api/v1/live/model` | body `LiveModel`: what the live twin simulates with |
-//! | GET | `/api/v1/control` | WebSocket; binary protobuf `ControlRequest`, each answered by a `ControlReply` |
-//! | GET | `/api/v1/recording` | `RecordingDocument` |
-//! | POST | `/api/v1/recording` | body `StartRecording`; `RecordingDocument`; operator |
-//! | POST | `/api/v1/recording/act` | body `RecordingAction`; `RecordingDocument`; operator |
-//! | POST | `/api/v1/recording/wanted` | body `WantedTake`; `RecordingDocument`; operator, if there is one |
-//! | DELETE | `/api/v1/recording/wanted/{object}/{primitive}` | takes it back; `RecordingDocument`; operator, if there is one |
-//! | GET | `/api/v1/audit` | the newest part of who moved or stopped the station: JSON lines |
-//! | GET, PUT | `/api/v1/emulator/faults` | what is wrong with emulated devices, TOML (`docs/emulated_devices.md`); PUT: operator, if there is one |
-//! | POST | `/api/v1/emulator/object` | body `PlaceObject`; operator, if there is one |
-//! | GET | everything else | the page |
+//! The table is `http/routes.rs`; [`openapi`] is made from it and from what stands above each handler, is served as
+//! `/api/v1/openapi.json`, shown at `/api/docs` and kept in `docs/openapi.json`. `docs/api.md` says how to script it.
+//! Every path below `/api` that is not in the table is a problem of type `no-route`; everything else is the page.
 //!
-//! "Operator" means that the request carries the lease of an open control connection in the header `Palpate-Lease`; it is
-//! refused with 403 otherwise. Every request passes the door, which checks Host and Origin (421, 403). 503 with
-//! `Retry-After` means that too much work of that kind waits, 429 that a connection asks too often.
-//!
-//! Errors are RFC 9457 `application/problem+json` (`ProblemDetails`); `detail` says what happened, where, and what to
-//! do. The types are those of [`palpate_wire`].
+//! Every request passes the door, which checks Host and Origin. Only an operator's requests carry the lease of an open
+//! control connection, in the header `Palpate-Lease`. Errors are RFC 9457 `application/problem+json`
+//! (`palpate_wire::api::ProblemDetails`), and `palpate_wire::api::ProblemType` names their kinds.
 //!
 //! # The stream
 //!
@@ -89,7 +37,7 @@ mod work;
 
 pub use data::Store;
 pub use error::{Class, Error, chain};
-pub use http::{Needs, Route, app, routes};
+pub use http::{Needs, Route, app, openapi, routes};
 pub use hub::Hub;
 pub use serve::{ServeConfig, Served, serve, serve_on};
 pub use state::{Access, AppState, Studio};

@@ -18,6 +18,9 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     let python = python::interpreter()?;
     let browser_tests = browser::tests_dir()?;
     slurm::install()?;
+    if !shell::exists("curl") {
+        shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
+    }
     let palpate = build::dev()?;
     let artifacts = paths::target().join("e2e");
     std::fs::create_dir_all(&artifacts)?;

@@ -20,7 +20,7 @@ def connection(answer: Callable[[httpx.Request], httpx.Response], slept: list[fl
 
 
 def problem(status: int, detail: str, **headers: str) -> httpx.Response:
-    document = {"type": "about:blank", "title": "Some title", "status": status, "detail": detail}
+    document = {"type": "urn:palpate:problem:some", "title": "Some title", "status": status, "detail": detail}
     return httpx.Response(status, json=document, headers=headers)
 
 
@@ -28,7 +28,12 @@ def test_a_problem_becomes_an_error_with_title_detail_and_status() -> None:
     with pytest.raises(PalpateError) as caught:
         connection(lambda _: problem(404, 'no session "x"')).json("GET", "/sessions/{session}", session="x")
     error = caught.value
-    assert (error.title, error.detail, error.status) == ("Some title", 'no session "x"', 404)
+    assert (error.title, error.detail, error.status, error.type) == (
+        "Some title",
+        'no session "x"',
+        404,
+        "urn:palpate:problem:some",
+    )
     assert str(error) == 'Some title: no session "x"'
 
 

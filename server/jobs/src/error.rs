@@ -29,6 +29,9 @@ pub enum JobsError {
     /// The job is in a state that does not allow it.
     #[error("{0}")]
     Conflict(String),
+    /// The idempotency key came before with another request.
+    #[error("{0}")]
+    KeyReused(String),
     /// The request makes no sense.
     #[error("{0}")]
     Argument(String),

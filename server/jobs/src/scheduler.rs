@@ -74,8 +74,8 @@ pub struct Submission<'a> {
     pub owner: &'a str,
     /// Where it should run; the usual place without.
     pub runner: Option<&'a str>,
-    /// The client's idempotency key.
-    pub key: Option<&'a str>,
+    /// The client's idempotency key, and the request that came with it as a text: equal requests have equal texts.
+    pub key: Option<(&'a str, &'a str)>,
 }
 
 /// The jobs of a data folder.
@@ -146,14 +146,12 @@ impl Scheduler {
                 runner.name()
             )));
         }
-        let request =
-            serde_json::to_string(submission.spec).map_err(|err| JobsError::Argument(err.to_string()))?;
         let new = NewJob {
             prefix: submission.prefix,
             spec: submission.spec,
             owner: submission.owner,
             runner: runner.name(),
-            key: submission.key.map(|key| (key, request.as_str())),
+            key: submission.key,
         };
         let submitted = {
             let live = self.shared.live();
@@ -168,6 +166,16 @@ impl Scheduler {
         };
         self.shared.wake();
         Ok(submitted)
+    }
+
+    /// The job that `request` made when it came with the idempotency `key` before; refused if another request came with it.
+    pub fn job_of_key(&self, key: &str, request: &str) -> Result<Option<Job>, JobsError> {
+        let live = self.shared.live();
+        let mut job = self.shared.config.database.job_of_key(key, request)?;
+        if let Some(job) = &mut job {
+            overlay(&live, job);
+        }
+        Ok(job)
     }
 
     /// Where job `id` stands.

@@ -196,7 +196,7 @@ impl Store {
         let target = self.path(Kind::Session, id);
         // Also true of a link that leads nowhere, unlike `exists`.
         if target.symlink_metadata().is_ok() {
-            return Err(Error::Conflict(format!("there is a session {id:?} already; choose another name")));
+            return Err(Error::Exists(format!("there is a session {id:?} already; choose another name")));
         }
         Ok(target)
     }
@@ -357,7 +357,7 @@ impl Store {
         if target.symlink_metadata().is_ok() {
             hold(kind, id, &target, "restore the other one under another name")?;
             let what = kind.what();
-            return Err(Error::Conflict(format!(
+            return Err(Error::Exists(format!(
                 "there is another {what} {id:?} now; rename or delete that one first"
             )));
         }

@@ -14,7 +14,7 @@ use std::{
 
 use axum::{
     body::{Body, Bytes},
-    extract::{Extension, FromRequestParts as _, Request as HttpRequest, State, WebSocketUpgrade},
+    extract::{Extension, FromRequestParts as _, Request as HttpRequest, State},
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse as _, Response},
 };
@@ -37,7 +37,13 @@ use tokio_tungstenite::{
     },
 };
 
-use super::{bucket::Bucket, extract::Peer, listener::KeepOpen, problem::Problem};
+use super::{
+    bucket::Bucket,
+    document::Refusal,
+    extract::{Peer, Upgrade},
+    listener::KeepOpen,
+    problem::Problem,
+};
 use crate::{AppState, Error};
 
 /// Numbers the connections of this process.
@@ -53,7 +59,21 @@ const MAX_WAITING: usize = 128;
 /// Replies that wait to be sent; a client that lets more wait does not read them.
 const MAX_REPLIES: usize = 1024;
 
-/// `GET /api/v1/control`.
+/// Opens a command socket: a WebSocket of binary protobuf messages `palpate.ControlRequest`, each answered by a
+/// `palpate.ControlReply` (`server/wire/proto/palpate/control.proto`).
+///
+/// Anybody may send a stop; everything else that moves the robot needs the lease, which the reply to `Acquire` gives, and
+/// heartbeats (`docs/safety.md`). Requests of a connection are answered in order, stops and heartbeats at once.
+#[utoipa::path(
+    get,
+    path = "/control",
+    tag = "station",
+    responses(
+        (status = 101, description = "The connection is a WebSocket now."),
+        Refusal<400>,
+        Refusal<404>,
+    ),
+)]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,
     Peer(peer): Peer,
@@ -61,13 +81,13 @@ pub(crate) async fn upgrade(
     request: HttpRequest,
 ) -> Response {
     let Some(live) = state.live() else {
-        return Problem(Error::no_station()).into_response();
+        return Problem(Error::NoStation).into_response();
     };
     let handle = live.handle().clone();
     let (mut parts, _) = request.into_parts();
     // Refuses what is no WebSocket of the version that everybody speaks.
-    if let Err(refused) = WebSocketUpgrade::from_request_parts(&mut parts.clone(), &state).await {
-        return refused.into_response();
+    if let Err(refused) = Upgrade::from_request_parts(&mut parts.clone(), &state).await {
+        return refused;
     }
     let (Some(key), Some(connection)) =
         (parts.headers.get(header::SEC_WEBSOCKET_KEY), parts.extensions.remove::<OnUpgrade>())

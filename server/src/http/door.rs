@@ -13,7 +13,8 @@ use axum::{
     response::Response,
 };
 
-use super::problem::{Detail, problem_response};
+use super::docs;
+use super::problem::{Detail, problem_response, respond};
 use crate::AppState;
 
 /// What the page may load and do. It is one WebAssembly program with its own files; nothing may frame it.
@@ -23,6 +24,10 @@ const PAGE_POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-ev
 /// What documents of the API may: reports are self-contained pages with styles and pictures of their own, without scripts.
 const API_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; \
     base-uri 'none'; form-action 'none'";
+
+/// What the page of the API's document may: run its one script, which styles itself, and ask this server.
+const DOCS_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; img-src 'self' data:; \
+    connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
 
 /// Who may come in.
 #[derive(Clone, Debug, Default)]
@@ -110,7 +115,11 @@ fn is_cross_site(headers: &HeaderMap) -> bool {
 
 /// Lets a request in, or refuses it; what goes out carries the policy for browsers and no path of this computer.
 pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) -> Response {
-    let is_api = request.uri().path().starts_with("/api/");
+    let policy = match request.uri().path() {
+        docs::PAGE_PATH => DOCS_POLICY,
+        path if path.starts_with("/api/") => API_POLICY,
+        _ => PAGE_POLICY,
+    };
     let mut response = match door.objection(request.method(), request.headers()) {
         Some((status, detail)) => {
             tracing::warn!(method = %request.method(), path = request.uri().path(), detail, "refused at the door");
@@ -118,13 +127,13 @@ pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next:
         }
         None => next.run(request).await,
     };
-    if let Some(Detail(detail)) = response.extensions_mut().remove::<Detail>()
+    if let Some(Detail { kind, text }) = response.extensions_mut().remove::<Detail>()
         && !door.data.is_empty()
-        && detail.contains(&door.data)
+        && text.contains(&door.data)
     {
-        let shown = detail.replace(&format!("{}/", door.data), "").replace(&door.data, "the data folder");
+        let shown = text.replace(&format!("{}/", door.data), "").replace(&door.data, "the data folder");
         let headers = response.headers().clone();
-        response = problem_response(response.status(), &shown);
+        response = respond(response.status(), kind, &shown);
         for (name, value) in &headers {
             if name != header::CONTENT_LENGTH {
                 response.headers_mut().insert(name.clone(), value.clone());
@@ -132,7 +141,6 @@ pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next:
         }
     }
     let headers = response.headers_mut();
-    let policy = if is_api { API_POLICY } else { PAGE_POLICY };
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, policy),
         (header::X_FRAME_OPTIONS, "DENY"),

@@ -59,7 +59,7 @@ fn find(page: &'static [(&str, &[u8])], name: &str) -> Option<&'static [u8]> {
 }
 
 /// Whether an `Accept-Encoding` header takes `encoding` (RFC 9110, 12.5.3).
-fn accepts(header: &str, encoding: &str) -> bool {
+pub(crate) fn accepts(header: &str, encoding: &str) -> bool {
     let quality = |name: &str| {
         header.split(',').find_map(|item| {
             let mut parts = item.split(';');

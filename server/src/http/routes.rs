@@ -15,8 +15,9 @@ use std::{collections::BTreeMap, sync::Arc};
 use axum::{
     Json,
     extract::State,
-    http::Method,
-    routing::{MethodRouter, delete, get, post, put},
+    http::{Method, StatusCode},
+    response::Response,
+    routing::MethodRouter,
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
@@ -24,6 +25,7 @@ use palpate_wire::api::{Info, Source, StationDocument};
 
 use super::{
     control_socket,
+    document::{self, Documented, Refusal},
     problem::{Answer, Problem},
     stream,
 };
@@ -50,18 +52,43 @@ pub struct Route {
     /// What a request must show.
     pub needs: Needs,
     pub(super) handler: MethodRouter<Arc<AppState>>,
+    /// What the OpenAPI document says of it.
+    pub(super) documented: Documented,
 }
 
-fn route(method: Method, path: &'static str, needs: Needs, handler: MethodRouter<Arc<AppState>>) -> Route {
-    Route { method, path, needs, handler }
+fn route(method: Method, path: &'static str, needs: Needs, (handler, documented): Row) -> Route {
+    debug_assert_eq!(documented.disagreement(&method, path), None);
+    Route { method, path, needs, handler, documented }
+}
+
+/// A handler and what the OpenAPI document says of it.
+type Row = (MethodRouter<Arc<AppState>>, Documented);
+
+/// Rows of the table. What `#[utoipa::path]` says above a handler goes with it into the document: a handler without cannot
+/// be a row.
+macro_rules! table {
+    ($(route($method:expr, $path:literal, $needs:expr, $verb:ident($($handler:tt)+) $(,)?)),+ $(,)?) => {
+        vec![$(
+            route($method, $path, $needs, {
+                let (schemas, paths, handler) = utoipa_axum::routes!($($handler)+);
+                (handler, Documented::new(stringify!($($handler)+), stringify!($verb), schemas, paths))
+            })
+        ),+]
+    };
 }
 
 /// Every route of the API that `state` serves: the service is built from this table, and tests walk it.
 pub fn routes(state: &AppState) -> Vec<Route> {
-    let mut routes = vec![
+    // A real station has no routes of the emulator at all.
+    all_routes(state.live().is_none_or(|live| live.source() != Source::Real))
+}
+
+/// The same without a studio.
+pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
+    let mut routes = table![
         route(Method::GET, "/info", Needs::Nothing, get(info)),
         route(Method::GET, "/station", Needs::Nothing, get(station)),
-        route(Method::GET, "/stations", Needs::Nothing, get(async || Json(assets::station_ids()))),
+        route(Method::GET, "/stations", Needs::Nothing, get(stations)),
         route(Method::GET, "/sessions", Needs::Nothing, get(sessions::list)),
         route(Method::POST, "/sessions", Needs::Nothing, post(sessions::upload)),
         route(Method::GET, "/sessions/{session}", Needs::Nothing, get(sessions::detail)),
@@ -98,6 +125,7 @@ pub fn routes(state: &AppState) -> Vec<Route> {
         route(Method::POST, "/jobs/{job}/clone", Needs::Nothing, post(jobs::clone)),
         route(Method::GET, "/jobs/{job}/log", Needs::Nothing, get(jobs::log)),
         route(Method::GET, "/jobs/{job}/metrics", Needs::Nothing, get(jobs::metrics)),
+        route(Method::GET, "/jobs/{job}/events", Needs::Nothing, get(jobs::events)),
         route(Method::GET, "/jobs/{job}/files/{file}", Needs::Nothing, get(jobs::file)),
         route(Method::GET, "/stream", Needs::Nothing, get(stream::upgrade)),
         route(Method::GET, "/live", Needs::Nothing, get(live::document)),
@@ -114,10 +142,10 @@ pub fn routes(state: &AppState) -> Vec<Route> {
             delete(recording::unwant),
         ),
         route(Method::GET, "/audit", Needs::Nothing, get(live::audit)),
+        route(Method::GET, "/openapi.json", Needs::Nothing, get(openapi)),
     ];
-    // A real station has no such routes at all.
-    if state.live().is_none_or(|live| live.source() != Source::Real) {
-        routes.extend([
+    if with_emulator {
+        routes.extend(table![
             route(Method::GET, "/emulator/faults", Needs::Nothing, get(live::faults)),
             route(Method::PUT, "/emulator/faults", Needs::OperatorIfAny, put(live::set_faults)),
             route(Method::POST, "/emulator/object", Needs::OperatorIfAny, post(live::place_object)),
@@ -138,6 +166,25 @@ impl AppState {
     }
 }
 
+/// Answers with this document, OpenAPI 3.1.
+#[utoipa::path(
+    get,
+    path = "/openapi.json",
+    tag = "studio",
+    responses((status = 200, description = "Done.", body = Object)),
+)]
+async fn openapi(State(state): State<Arc<AppState>>) -> Response {
+    let with_emulator = state.live().is_none_or(|live| live.source() != Source::Real);
+    document::answer(with_emulator)
+}
+
+/// Says what studio this is.
+#[utoipa::path(
+    get,
+    path = "/info",
+    tag = "studio",
+    responses((status = 200, description = "Done.", body = Info)),
+)]
 async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
     Json(Info {
         name: "palpate".to_owned(),
@@ -148,9 +195,32 @@ async fn info(State(state): State<Arc<AppState>>) -> Json<Info> {
     })
 }
 
+/// Lists the stations that the program carries, by id.
+#[utoipa::path(
+    get,
+    path = "/stations",
+    tag = "station",
+    responses((status = 200, description = "Done.", body = Vec<String>)),
+)]
+async fn stations() -> Json<Vec<String>> {
+    Json(assets::station_ids())
+}
+
+/// Answers with the live station: robot, layout, objects and limits, as its files have them.
+#[utoipa::path(
+    get,
+    path = "/station",
+    tag = "station",
+    responses((status = 200, description = "Done.", body = StationDocument), Refusal<404>),
+)]
 async fn station(State(state): State<Arc<AppState>>) -> Answer<Json<StationDocument>> {
-    let Some(live) = state.live() else { return Err(Problem(Error::no_station())) };
+    let Some(live) = state.live() else { return Err(Problem(Error::NoStation)) };
     Ok(Json(station_document(&live.station().files)))
+}
+
+/// 202 for work that was queued, 200 where an earlier request with the same idempotency key had done so.
+fn accepted(is_new: bool) -> StatusCode {
+    if is_new { StatusCode::ACCEPTED } else { StatusCode::OK }
 }
 
 fn station_document(files: &StationFiles) -> StationDocument {

@@ -8,7 +8,7 @@ use std::{
 use axum::{
     body::Bytes,
     extract::{
-        Extension, State, WebSocketUpgrade,
+        Extension, State,
         ws::{CloseFrame, Message, WebSocket, close_code},
     },
     response::Response,
@@ -16,7 +16,7 @@ use axum::{
 use futures_util::SinkExt as _;
 use prost::Message as _;
 
-use super::{listener::KeepOpen, pacing::Pacing};
+use super::{document::Refusal, extract::Upgrade, listener::KeepOpen, pacing::Pacing};
 use crate::{AppState, hub::Client, work::Kind};
 
 /// Clients answer pings and otherwise send nothing, bytes.
@@ -24,11 +24,23 @@ const MAX_MESSAGE: usize = 1024;
 /// A client that does not read is not waited for longer than this.
 pub(crate) const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// `GET /api/v1/stream`.
+/// Opens the stream: a WebSocket of binary protobuf messages `palpate.StreamMessage` (`server/wire/proto/palpate/control.proto`).
+///
+/// It carries the frames of the live station, 30 a second at most, and every job's progress when it changes. A client that
+/// reads slowly gets fewer frames, counted in `dropped`, and no old ones. It sends nothing but answers to pings.
+#[utoipa::path(
+    get,
+    path = "/stream",
+    tag = "station",
+    responses(
+        (status = 101, description = "The connection is a WebSocket now."),
+        Refusal<400>,
+    ),
+)]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,
     open: Option<Extension<KeepOpen>>,
-    upgrade: WebSocketUpgrade,
+    Upgrade(upgrade): Upgrade,
 ) -> Response {
     upgrade.max_message_size(MAX_MESSAGE).on_upgrade(move |socket| async move {
         let gives_way = async {

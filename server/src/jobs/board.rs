@@ -8,7 +8,7 @@ use palpate_wire::{
     proto::JobUpdate,
 };
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use super::{kinds, legacy};
 use crate::{Error, Hub, Store};
@@ -27,7 +27,10 @@ impl Jobs {
     pub(crate) fn open(store: Arc<Store>, hub: Arc<Hub>, program: &Path) -> Result<Self, Error> {
         let root = store.root().canonicalize().map_err(Error::io("open", store.root()))?;
         let database = Arc::new(Database::open(&root.join(DATABASE_FILE))?);
-        let observer: Observer = Arc::new(move |job| hub.publish_job(&update_of(job)));
+        let observer: Observer = Arc::new(move |job| {
+            hub.publish_job(&update_of(job));
+            hub.tell_watchers(job);
+        });
         legacy::find_again(&store, &database)?;
         legacy::take_over(&store, &database)?;
         let scheduler = Scheduler::start(SchedulerConfig {
@@ -51,27 +54,16 @@ impl Jobs {
         &self.store
     }
 
-    /// Checks `request` and queues it for `owner`. The same `key` again gives the same job again.
+    /// Checks `request` and queues it for `owner`. The same `key` with the same request gives the same job again, whatever
+    /// has become of it and of the data meanwhile.
     pub(crate) fn submit(
         &self,
         request: &JobRequest,
         owner: &str,
         key: Option<&str>,
     ) -> Result<Submitted, Error> {
-        let kind = kinds::kind(&request.kind)?;
-        let files = (kind.check)(&self.store, &request.request)?;
-        let spec = JobSpec {
-            kind: kind.name.to_owned(),
-            request: request.request.clone(),
-            inputs: self.scheduler.hash_inputs(self.store.root(), &files)?,
-            seed: request.seed,
-            software: super::software(),
-            priority: request.priority,
-            resources: request.resources.unwrap_or(kind.resources),
-        };
-        let submission =
-            Submission { prefix: kind.prefix, spec: &spec, owner, runner: request.runner.as_deref(), key };
-        Ok(self.scheduler.submit(&submission)?)
+        let came = text_of(&json!({ "job": request }))?;
+        self.submit_once(key.map(|key| (key, came.as_str())), owner, || Ok(request.clone()))
     }
 
     /// Queues a job like `id`, but for `changes`, on the data as it is now.
@@ -82,22 +74,59 @@ impl Jobs {
         owner: &str,
         key: Option<&str>,
     ) -> Result<Submitted, Error> {
-        let Job { spec, runner, .. } = self.scheduler.job(id)?;
-        let request = JobRequest {
-            kind: spec.kind,
-            request: changed(spec.request, changes.request),
-            seed: changes.seed.unwrap_or(spec.seed),
-            priority: changes.priority.unwrap_or(spec.priority),
-            resources: Some(changes.resources.unwrap_or(spec.resources)),
-            runner: Some(changes.runner.unwrap_or(runner)),
+        let came = text_of(&json!({ "clone": id, "changes": changes }))?;
+        self.submit_once(key.map(|key| (key, came.as_str())), owner, || {
+            let Job { spec, runner, .. } = self.scheduler.job(id)?;
+            Ok(JobRequest {
+                kind: spec.kind,
+                request: changed(spec.request, changes.request),
+                seed: changes.seed.unwrap_or(spec.seed),
+                priority: changes.priority.unwrap_or(spec.priority),
+                resources: Some(changes.resources.unwrap_or(spec.resources)),
+                runner: Some(changes.runner.unwrap_or(runner)),
+            })
+        })
+    }
+
+    /// Looks for the job of an earlier request with the same key first: what that job has done may stand in the way of
+    /// another one like it.
+    fn submit_once(
+        &self,
+        key: Option<(&str, &str)>,
+        owner: &str,
+        request: impl FnOnce() -> Result<JobRequest, Error>,
+    ) -> Result<Submitted, Error> {
+        if let Some((key, came)) = key
+            && let Some(job) = self.scheduler.job_of_key(key, came)?
+        {
+            return Ok(Submitted { job, is_new: false });
+        }
+        let request = request()?;
+        let kind = kinds::kind(&request.kind)?;
+        let files = (kind.check)(&self.store, &request.request)?;
+        let spec = JobSpec {
+            kind: kind.name.to_owned(),
+            inputs: self.scheduler.hash_inputs(self.store.root(), &files)?,
+            request: request.request,
+            seed: request.seed,
+            software: super::software(),
+            priority: request.priority,
+            resources: request.resources.unwrap_or(kind.resources),
         };
-        self.submit(&request, owner, key)
+        let submission =
+            Submission { prefix: kind.prefix, spec: &spec, owner, runner: request.runner.as_deref(), key };
+        Ok(self.scheduler.submit(&submission)?)
     }
 
     /// Where every unfinished job stands, for a client that has just come.
     pub(crate) fn unfinished_updates(&self) -> Result<Vec<JobUpdate>, Error> {
         Ok(self.scheduler.unfinished()?.iter().map(update_of).collect())
     }
+}
+
+/// A request as a text; those of equal requests are equal.
+fn text_of(request: &Value) -> Result<String, Error> {
+    serde_json::to_string(request).map_err(|err| Error::Internal(err.to_string()))
 }
 
 /// `request` with other fields.

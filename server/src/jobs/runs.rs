@@ -7,6 +7,7 @@ use std::marker::PhantomData;
 
 pub(crate) use calibrations::Calibrations;
 pub(crate) use diagnoses::Diagnoses;
+use palpate_jobs::ListFilter;
 use palpate_recording::{RecordingError, files::read_text};
 use palpate_sim::SensorModel;
 use palpate_wire::api::{Job, JobRequest, JobState, Run};
@@ -49,8 +50,13 @@ impl<'a, K: RunKind> Runs<'a, K> {
         Self { jobs, kind: PhantomData }
     }
 
-    /// Checks `request` and queues it.
-    pub(crate) fn start(&self, request: &K::Request) -> Result<RunOf<K>, Error> {
+    /// Checks `request` and queues it for `owner`; says whether it is new. The same `key` again gives the same run again.
+    pub(crate) fn start(
+        &self,
+        request: &K::Request,
+        owner: &str,
+        key: Option<&str>,
+    ) -> Result<(RunOf<K>, bool), Error> {
         let request = JobRequest {
             kind: K::KIND.name.to_owned(),
             request: serde_json::to_value(request).map_err(|err| Error::Internal(err.to_string()))?,
@@ -59,17 +65,30 @@ impl<'a, K: RunKind> Runs<'a, K> {
             resources: None,
             runner: None,
         };
-        Self::head(self.jobs.submit(&request, "", None)?.job)
+        let submitted = self.jobs.submit(&request, owner, key)?;
+        Ok((Self::head(submitted.job)?, submitted.is_new))
     }
 
-    /// Every run, newest first, without what is large.
-    pub(crate) fn list(&self) -> Result<Vec<RunOf<K>>, Error> {
-        let jobs = self.jobs.scheduler().all_of_kind(K::KIND.name)?;
+    /// Runs, newest first, without what is large: all of them, or a page and where the next one begins.
+    pub(crate) fn list(
+        &self,
+        limit: Option<u32>,
+        cursor: Option<String>,
+    ) -> Result<(Vec<RunOf<K>>, Option<String>), Error> {
+        let scheduler = self.jobs.scheduler();
+        let (jobs, next) = match (limit, &cursor) {
+            (None, None) => (scheduler.all_of_kind(K::KIND.name)?, None),
+            _ => {
+                let kind = Some(K::KIND.name.to_owned());
+                let page = scheduler.list(&ListFilter { kind, limit, cursor, state: None })?;
+                (page.jobs, page.next_cursor)
+            }
+        };
         let heads = jobs.into_iter().filter_map(|job| {
             let id = job.id.clone();
             Self::head(job).inspect_err(|err| tracing::warn!(id, %err, "left out a run")).ok()
         });
-        Ok(heads.collect())
+        Ok((heads.collect(), next))
     }
 
     /// The run called `id`.

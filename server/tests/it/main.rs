@@ -8,6 +8,7 @@ mod cli;
 mod client_paths;
 mod data_folder;
 mod diagnoses;
+mod document;
 mod gate;
 mod jobs;
 mod stream;

@@ -7,7 +7,7 @@ use std::{
     io::{Cursor, Write as _},
     path::{Path, PathBuf},
     process::{Command, Output},
-    sync::Arc,
+    sync::{Arc, LazyLock},
     time::{Duration, Instant},
 };
 
@@ -278,10 +278,49 @@ pub(crate) async fn send(app: &Router, method: &str, path: &str, body: Option<(&
         request = request.header(header::CONTENT_TYPE, *content_type);
     }
     let request = request.body(body.map_or_else(Body::empty, |(_, bytes)| Body::from(bytes))).unwrap();
+    answer_of(app, request).await
+}
+
+/// Sends `request`. Whatever the answer is, the OpenAPI document must foresee it.
+pub(crate) async fn answer_of(app: &Router, request: Request<Body>) -> Answer {
+    let (method, path) = (request.method().clone(), request.uri().path().to_owned());
     let response = app.clone().oneshot(request).await.unwrap();
     let (parts, body) = response.into_parts();
     let body = body.collect().await.unwrap().to_bytes();
-    Answer { status: parts.status, headers: parts.headers, body }
+    let answer = Answer { status: parts.status, headers: parts.headers, body };
+    foreseen(method.as_str(), &path, &answer);
+    answer
+}
+
+/// Status and content type of an answer are among those that the document gives for the route.
+fn foreseen(method: &str, path: &str, answer: &Answer) {
+    static DOCUMENT: LazyLock<serde_json::Value> = LazyLock::new(palpate_server::openapi);
+    let Some(path) = path.strip_prefix("/api/v1/") else { return };
+    let parts: Vec<&str> = path.split('/').collect();
+    let fits = |template: &str| {
+        let template: Vec<&str> = template.trim_start_matches('/').split('/').collect();
+        let same = |(template, part): (&&str, &&str)| template.starts_with('{') || template == part;
+        template.len() == parts.len() && template.iter().zip(&parts).all(same)
+    };
+    let paths = DOCUMENT["paths"].as_object().unwrap().iter();
+    // Of several templates that fit, the one with the fewest braces is meant.
+    let item = paths
+        .filter(|(template, _)| fits(template))
+        .min_by_key(|(template, _)| template.matches('{').count());
+    let Some(operation) = item.and_then(|(_, item)| item.get(method.to_lowercase())) else { return };
+    let status = answer.status.as_u16().to_string();
+    let mut said = &operation["responses"][&status];
+    if let Some(reference) = said["$ref"].as_str() {
+        said = DOCUMENT.pointer(&reference[1..]).unwrap();
+    }
+    assert!(said.is_object(), "{method} /{path} answered {status}, which the document does not foresee");
+    let content_type = answer.header(header::CONTENT_TYPE).split(';').next().unwrap_or("");
+    let said = said["content"].as_object();
+    let is_said = |said: &serde_json::Map<String, serde_json::Value>| {
+        said.contains_key(content_type) || said.contains_key("*/*")
+    };
+    let fits = said.map_or(answer.body.is_empty(), is_said);
+    assert!(fits, "{method} /{path} answered {status} with {content_type:?}; the document says {said:?}");
 }
 
 /// As a studio is opened: its jobs run as the command, not as the tests.

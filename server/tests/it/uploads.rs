@@ -126,7 +126,7 @@ async fn bad_upload_leaves_nothing() {
         assert_eq!(tree(data.root()), before, "{query}: something on disk changed: {detail}");
     }
     let wrong_type = send(&app, "POST", "/api/v1/sessions?name=new", Some(("text/plain", archive))).await;
-    wrong_type.problem(400);
+    wrong_type.problem(415);
     assert_eq!(tree(data.root()), before);
 }
 

@@ -4,6 +4,7 @@ mod diagnosis;
 mod jobs;
 mod live;
 mod objects;
+mod problem;
 mod recording;
 
 use std::collections::BTreeMap;
@@ -12,6 +13,7 @@ pub use diagnosis::*;
 pub use jobs::*;
 pub use live::*;
 pub use objects::*;
+pub use problem::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +22,7 @@ pub const LEASE_HEADER: &str = "palpate-lease";
 
 /// `GET /api/v1/info`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Info {
     /// `palpate`.
     pub name: String,
@@ -36,6 +39,7 @@ pub struct Info {
 
 /// Where data comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
     /// Hardware.
@@ -48,6 +52,7 @@ pub enum Source {
 
 /// An entry of `GET /api/v1/sessions`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SessionSummary {
     /// Id: the folder's name.
     pub id: String,
@@ -69,6 +74,7 @@ pub struct SessionSummary {
 
 /// `GET /api/v1/sessions/{session}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SessionDetail {
     /// As in the list.
     pub summary: SessionSummary,
@@ -78,6 +84,7 @@ pub struct SessionDetail {
 
 /// One take of a session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct TakeSummary {
     /// Id: the file's stem, e.g. `take-03`.
     pub id: String,
@@ -99,6 +106,7 @@ pub struct TakeSummary {
 
 /// `GET /api/v1/sessions/{session}/station`: the station's texts, which the page parses with `palpate_robot_model`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StationDocument {
     /// The station file.
     pub station_toml: String,
@@ -108,6 +116,7 @@ pub struct StationDocument {
 
 /// `palpate session check --json` and `GET /api/v1/sessions/{session}/check`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CheckReport {
     /// The session.
     pub session: String,
@@ -127,6 +136,7 @@ pub struct CheckReport {
 
 /// Rates and clocks of one take.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct TakeCheck {
     /// Id of the take.
     pub id: String,
@@ -136,6 +146,7 @@ pub struct TakeCheck {
 
 /// Rates, gaps and clock order of one stream in one take.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StreamCheck {
     /// `joints` or the stream's id.
     pub stream: String,
@@ -155,6 +166,7 @@ pub struct StreamCheck {
 
 /// How often a channel was touched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ChannelCoverage {
     /// Channel id.
     pub channel: String,
@@ -168,6 +180,7 @@ pub struct ChannelCoverage {
 
 /// Something wrong with a session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Problem {
     /// How bad.
     pub severity: Severity,
@@ -179,6 +192,7 @@ pub struct Problem {
 
 /// How bad a problem is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
     /// The data cannot be used.
@@ -191,6 +205,7 @@ pub enum Severity {
 
 /// The result of a calibration: `palpate calibrate --json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CalibrationReport {
     /// The nominal model on all takes.
     pub nominal: Metrics,
@@ -231,6 +246,7 @@ pub struct CalibrationReport {
 
 /// Both models on held-out takes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct HeldOut {
     /// Nominal model.
     pub nominal: Metrics,
@@ -240,6 +256,7 @@ pub struct HeldOut {
 
 /// Both models on the same data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct MetricsPair {
     /// Nominal model.
     pub nominal: Metrics,
@@ -249,6 +266,7 @@ pub struct MetricsPair {
 
 /// Both models on one take.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct TakeMetrics {
     /// Nominal model.
     pub nominal: Metrics,
@@ -260,6 +278,7 @@ pub struct TakeMetrics {
 
 /// How well simulated events match real ones. `None` where there is nothing to average over.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Metrics {
     /// Mean absolute time between paired contact onsets, ms.
     pub onset_error_ms: Option<f64>,
@@ -281,6 +300,7 @@ pub struct Metrics {
 
 /// theta in the contract's names.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ThetaReport {
     /// m.
     pub lambda_con_m: f64,
@@ -292,6 +312,7 @@ pub struct ThetaReport {
 
 /// 95 % intervals of the metrics and of their change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Intervals {
     /// Nominal model.
     pub nominal: MetricIntervals,
@@ -307,6 +328,7 @@ pub struct Intervals {
 
 /// `[low, high]` of each metric.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct MetricIntervals {
     /// ms.
     pub onset_error_ms: Option<[f64; 2]>,
@@ -320,6 +342,7 @@ pub struct MetricIntervals {
 
 /// The objective around the optimum, for pictures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Objective {
     /// Rows of the heat map, 1/m.
     pub alphas_per_m: Vec<f64>,
@@ -335,6 +358,7 @@ pub struct Objective {
 
 /// `POST /api/v1/calibrations`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationRequest {
     /// Session id.
@@ -350,8 +374,9 @@ pub struct CalibrationRequest {
 /// State of a calibration: `GET /api/v1/calibrations/{job}`.
 pub type CalibrationRun = Run<CalibrationRequest, CalibrationReport>;
 
-/// State of a run that was asked for with a `Q` and gives an `R`.
+/// State of a run: what was asked (`Q`), and what was found (`R`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Run<Q, R> {
     /// Id of the run.
     pub id: String,
@@ -384,6 +409,7 @@ impl<Q, R> Run<Q, R> {
 
 /// Where a job stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
     /// Waiting.
@@ -419,6 +445,7 @@ impl JobState {
 
 /// `POST /api/v1/calibrations/{job}/save`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SaveModelRequest {
     /// Name for people; the id is made from it.
@@ -427,6 +454,7 @@ pub struct SaveModelRequest {
 
 /// An entry of `GET /api/v1/models`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ModelSummary {
     /// Id: the file's stem.
     pub id: String,
@@ -442,18 +470,4 @@ pub struct ModelSummary {
     /// Earlier versions of the file that `POST /api/v1/models/{id}/undo` goes back through.
     #[serde(default)]
     pub earlier_versions: usize,
-}
-
-/// RFC 9457 `application/problem+json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ProblemDetails {
-    /// `about:blank`, or a URI that names the kind.
-    #[serde(rename = "type")]
-    pub kind: String,
-    /// Short summary of the kind.
-    pub title: String,
-    /// HTTP status.
-    pub status: u16,
-    /// What happened here, where, and what to do.
-    pub detail: String,
 }

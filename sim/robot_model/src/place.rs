@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// In JSON and TOML one key says what it is: `{"stream": "fsr"}`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Place {
     /// All channels of a stream, by its id.

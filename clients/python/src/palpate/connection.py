@@ -191,7 +191,7 @@ def problem(status: int, reason: str, body: bytes) -> PalpateError:
     """The error of an answer: RFC 9457 problem details, or else its text."""
     try:
         document = json.loads(body)
-        title, detail = str(document["title"]), str(document["detail"])
-    except (ValueError, KeyError, TypeError):
-        title, detail = reason or "Error", body.decode(errors="replace").strip()[:300]
-    return PalpateError(title, detail, status)
+        title, detail, kind = str(document["title"]), str(document["detail"]), str(document.get("type", ""))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        title, detail, kind = reason or "Error", body.decode(errors="replace").strip()[:300], ""
+    return PalpateError(title, detail, status, kind)

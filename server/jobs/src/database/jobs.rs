@@ -98,28 +98,10 @@ impl Database {
         let spec = serde_json::to_string(new.spec).map_err(|err| JobsError::Argument(err.to_string()))?;
         let mut writer = self.writer();
         let transaction = writer.transaction_with_behavior(TransactionBehavior::Immediate).map_err(sql())?;
-        if let Some((key, request)) = new.key {
-            let known: Option<(String, String)> = transaction
-                .query_row("SELECT request, job FROM idempotency_keys WHERE key = ?1", [key], |row| {
-                    Ok((row.get(0)?, row.get(1)?))
-                })
-                .optional()
-                .map_err(sql())?;
-            if let Some((before, id)) = known {
-                if before != request {
-                    return Err(JobsError::Conflict(format!(
-                        "the idempotency key {key:?} came before with another request, which made job {id:?}; use a new \
-                         key for a new request"
-                    )));
-                }
-                let row = row_by_id(&transaction, &id).map_err(sql())?;
-                let row = row.ok_or_else(|| {
-                    JobsError::Conflict(format!(
-                        "the job {id:?} of idempotency key {key:?} has been deleted; use a new key"
-                    ))
-                })?;
-                return Ok(Submitted { job: row.job, is_new: false });
-            }
+        if let Some((key, request)) = new.key
+            && let Some(job) = job_of_key(&transaction, key, request)?
+        {
+            return Ok(Submitted { job, is_new: false });
         }
         let number: i64 = transaction
             .query_row(
@@ -155,6 +137,11 @@ impl Database {
         make_folder(&id)?;
         transaction.commit().map_err(sql())?;
         Ok(Submitted { job: row.job, is_new: true })
+    }
+
+    /// The job that `request` made when it came with `key` before; refused if another request came with it.
+    pub(crate) fn job_of_key(&self, key: &str, request: &str) -> Result<Option<Job>, JobsError> {
+        job_of_key(&self.reader(), key, request)
     }
 
     /// Adds a job that ended in an earlier life of the data folder; one that is there already stays as it is.
@@ -385,6 +372,30 @@ impl Database {
         let changed = writer.prepare_cached(sql).and_then(|mut statement| statement.execute(params));
         changed.map(|changed| changed > 0).map_err(JobsError::sql(action))
     }
+}
+
+fn job_of_key(connection: &rusqlite::Connection, key: &str, request: &str) -> Result<Option<Job>, JobsError> {
+    let sql = || JobsError::sql("look up an idempotency key");
+    let known: Option<(String, String)> = connection
+        .query_row("SELECT request, job FROM idempotency_keys WHERE key = ?1", [key], |row| {
+            Ok((row.get(0)?, row.get(1)?))
+        })
+        .optional()
+        .map_err(sql())?;
+    let Some((before, id)) = known else { return Ok(None) };
+    if before != request {
+        return Err(JobsError::KeyReused(format!(
+            "the idempotency key {key:?} came before with another request, which made job {id:?}; use a new key for a \
+             new request"
+        )));
+    }
+    let row = row_by_id(connection, &id).map_err(sql())?;
+    let row = row.ok_or_else(|| {
+        JobsError::Conflict(format!(
+            "the job {id:?} of idempotency key {key:?} has been deleted; use a new key"
+        ))
+    })?;
+    Ok(Some(row.job))
 }
 
 fn stamp(meta: &Metadata) -> (i64, i64) {

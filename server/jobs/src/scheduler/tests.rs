@@ -313,6 +313,9 @@ fn same_key_gives_the_same_job_and_another_request_with_it_is_refused() {
     let (one, mut two) = (spec(true), spec(true));
     two.seed = 7;
     let submit = |spec: &JobSpec, key| {
+        let request = format!("seed {}", spec.seed);
+        let key: Option<&str> = key;
+        let key = key.map(|key| (key, request.as_str()));
         let submission = Submission { prefix: "run-", spec, owner: "me", runner: None, key };
         scene.scheduler().submit(&submission)
     };
@@ -320,6 +323,10 @@ fn same_key_gives_the_same_job_and_another_request_with_it_is_refused() {
     let again = submit(&one, Some("abc")).unwrap();
     assert!(first.is_new && !again.is_new);
     assert_eq!(first.job.id, again.job.id);
+    let known = scene.scheduler().job_of_key("abc", "seed 0").unwrap().unwrap();
+    assert_eq!(known, again.job);
+    assert_eq!(scene.scheduler().job_of_key("abd", "seed 0").unwrap(), None);
+    assert!(matches!(scene.scheduler().job_of_key("abc", "seed 7"), Err(JobsError::KeyReused(_))));
     assert!(submit(&two, Some("abc")).unwrap_err().to_string().contains("another request"));
     assert_ne!(submit(&one, None).unwrap().job.id, first.job.id);
     scene.scheduler().cancel(&first.job.id).unwrap();

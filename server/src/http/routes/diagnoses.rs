@@ -4,34 +4,84 @@ use std::sync::Arc;
 
 use axum::{
     Json,
-    extract::State,
+    extract::{OriginalUri, State},
     http::{StatusCode, header},
     response::{Html, IntoResponse, Response},
 };
-use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, SaveDiagnosisRequest};
+use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, ModelSummary, SaveDiagnosisRequest};
 
+use super::accepted;
 use crate::{
     AppState,
     http::{
-        extract::{Body, Ids},
+        document::{DiagnosisRunSchema, Refusal},
+        extract::{Body, Ids, Key, Page, Params, Peer, check_limit},
+        pages::page_of,
         problem::Answer,
     },
     work::Kind,
 };
 
+/// Starts a diagnosis, which is a job of kind `diagnose`.
+#[utoipa::path(
+    post,
+    path = "/diagnoses",
+    tag = "diagnoses",
+    params(Key),
+    request_body = DiagnosisRequest,
+    responses(
+        (status = 202, description = "It is queued.", body = DiagnosisRunSchema, headers(("Location" = String, description = "Path of the diagnosis"))),
+        (status = 200, description = "It was started by an earlier request with the same key.", body = DiagnosisRunSchema, headers(("Location" = String, description = "Path of the diagnosis"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
+    Peer(peer): Peer,
+    Key { key }: Key,
     Body(request): Body<DiagnosisRequest>,
 ) -> Answer<Response> {
-    let run = state.run(Kind::Read, move |state| state.diagnoses().start(&request)).await?;
+    let start = move |state: &AppState| state.diagnoses().start(&request, &peer, key.as_deref());
+    let (run, is_new) = state.run(Kind::Read, start).await?;
     let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
-    Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
+    Ok((accepted(is_new), location, Json(run)).into_response())
 }
 
-pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<DiagnosisRun>>> {
-    state.run(Kind::Read, move |state| state.diagnoses().list().map(Json)).await
+/// Lists diagnoses, newest first, without reports and texts of models.
+#[utoipa::path(
+    get,
+    path = "/diagnoses",
+    tag = "diagnoses",
+    params(Page),
+    responses(
+        (status = 200, description = "Done.", body = Vec<DiagnosisRunSchema>, headers(("Link" = Option<String>, description = "Path of the next page, `rel=\"next\"`, where there is one"))),
+    ),
+)]
+pub(super) async fn list(
+    State(state): State<Arc<AppState>>,
+    OriginalUri(uri): OriginalUri,
+    Params(page): Params<Page>,
+) -> Answer<Response> {
+    check_limit(page.limit)?;
+    let list = move |state: &AppState| state.diagnoses().list(page.limit, page.cursor);
+    let (runs, next) = state.run(Kind::Read, list).await?;
+    Ok(page_of(&uri, Json(runs), next.as_deref()))
 }
 
+/// Answers with a diagnosis, and its report once it is done.
+#[utoipa::path(
+    get,
+    path = "/diagnoses/{run}",
+    tag = "diagnoses",
+    responses(
+        (status = 200, description = "Done.", body = DiagnosisRunSchema),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -39,6 +89,16 @@ pub(super) async fn detail(
     state.run(Kind::Read, move |state| state.diagnoses().get(&id).map(Json)).await
 }
 
+/// Asks a diagnosis to stop; one that has ended stays as it is.
+#[utoipa::path(
+    post,
+    path = "/diagnoses/{run}/cancel",
+    tag = "diagnoses",
+    responses(
+        (status = 200, description = "Done.", body = DiagnosisRunSchema),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn cancel(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -46,7 +106,22 @@ pub(super) async fn cancel(
     state.run(Kind::Read, move |state| state.diagnoses().cancel(&id).map(Json)).await
 }
 
-/// 201 for a new model, 200 for one that was added to.
+/// Keeps the calibrated model with the effects that a diagnosis named, or some of them.
+#[utoipa::path(
+    post,
+    path = "/diagnoses/{run}/save",
+    tag = "diagnoses",
+    request_body = SaveDiagnosisRequest,
+    responses(
+        (status = 201, description = "The new model is there.", body = ModelSummary, headers(("Location" = String, description = "Path of the model"))),
+        (status = 200, description = "The effects were added to a model.", body = ModelSummary, headers(("Location" = String, description = "Path of the model"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn save(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -58,6 +133,16 @@ pub(super) async fn save(
     Ok((status, location, Json(saved)).into_response())
 }
 
+/// Answers with the report of a diagnosis for people, a page of its own.
+#[utoipa::path(
+    get,
+    path = "/diagnoses/{run}/report.html",
+    tag = "diagnoses",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "text/html"),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
     state.run(Kind::Read, move |state| Ok(Html(state.diagnoses().html(&id)?))).await
 }

@@ -1,101 +1,172 @@
 //! Jobs of every kind.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use axum::{
     Json,
-    extract::State,
-    http::{HeaderMap, StatusCode, header},
-    response::{IntoResponse, Response},
+    body::Bytes,
+    extract::{OriginalUri, State},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    response::{
+        IntoResponse, Response, Sse,
+        sse::{Event, KeepAlive},
+    },
 };
+use base64::Engine as _;
 use palpate_jobs::{ListFilter, Submitted};
 use palpate_recording::files::{read_file, resolve_in};
-use palpate_wire::api::{IDEMPOTENCY_HEADER, Job, JobChanges, JobPage, JobRequest, JobState};
+use palpate_wire::api::{Job, JobChanges, JobPage, JobRequest, JobState, ProblemType};
 use serde::Deserialize;
+use sha2::{Digest as _, Sha256};
+use utoipa::IntoParams;
 
+use super::accepted;
 use crate::{
     AppState, Error,
     data::files,
     http::{
-        extract::{Body, Ids, Params, Peer},
-        problem::{Answer, Problem},
+        document::{Binary, JobEvent, Refusal},
+        etag,
+        extract::{Body, Ids, Key, Params, Peer, check_limit},
+        pages::page_of,
+        problem::{Answer, problem},
     },
     work::Kind,
 };
 
-/// Longest idempotency key, bytes.
-const MAX_KEY_BYTES: usize = 255;
+const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
+const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
+/// A client hears something this often, so that it, and proxies between, take the connection for alive.
+const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// This much of a log or of metrics is sent, from its end, bytes.
 const MAX_TAIL_BYTES: u64 = 1 << 20;
 /// Largest file of a job that is sent, bytes.
 const MAX_FILE_BYTES: u64 = 256 << 20;
 
-/// 202 for a new job, 200 for one that the same key made before.
+/// Queues a job. It is on disk when the answer comes, and outlives the studio (`docs/jobs.md`).
+#[utoipa::path(
+    post,
+    path = "/jobs",
+    tag = "jobs",
+    params(Key),
+    request_body = JobRequest,
+    responses(
+        (status = 202, description = "It is queued.", body = Job, headers(("Location" = String, description = "Path of the job"))),
+        (status = 200, description = "It was queued by an earlier request with the same key.", body = Job, headers(("Location" = String, description = "Path of the job"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn submit(
     State(state): State<Arc<AppState>>,
     Peer(peer): Peer,
-    headers: HeaderMap,
+    Key { key }: Key,
     Body(request): Body<JobRequest>,
 ) -> Answer<Response> {
-    let key = key_of(&headers).map_err(Problem)?;
-    let submitted =
-        state.run(Kind::Read, move |state| state.jobs().submit(&request, &peer, key.as_deref())).await?;
-    Ok(accepted(submitted))
+    let submit = move |state: &AppState| state.jobs().submit(&request, &peer, key.as_deref());
+    Ok(submitted(state.run(Kind::Read, submit).await?))
 }
 
-/// The same for a job like another one.
+/// Queues another job like one that is there, but for the changes, on the data as it is now.
+#[utoipa::path(
+    post,
+    path = "/jobs/{job}/clone",
+    tag = "jobs",
+    params(Key),
+    request_body = JobChanges,
+    responses(
+        (status = 202, description = "It is queued.", body = Job, headers(("Location" = String, description = "Path of the job"))),
+        (status = 200, description = "It was queued by an earlier request with the same key.", body = Job, headers(("Location" = String, description = "Path of the job"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn clone(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
     Peer(peer): Peer,
-    headers: HeaderMap,
+    Key { key }: Key,
     Body(changes): Body<JobChanges>,
 ) -> Answer<Response> {
-    let key = key_of(&headers).map_err(Problem)?;
-    let submitted = state
-        .run(Kind::Read, move |state| state.jobs().clone_job(&id, changes, &peer, key.as_deref()))
-        .await?;
-    Ok(accepted(submitted))
+    let clone = move |state: &AppState| state.jobs().clone_job(&id, changes, &peer, key.as_deref());
+    Ok(submitted(state.run(Kind::Read, clone).await?))
 }
 
-fn accepted(submitted: Submitted) -> Response {
-    let status = if submitted.is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
+fn submitted(submitted: Submitted) -> Response {
     let location = [(header::LOCATION, format!("/api/v1/jobs/{}", submitted.job.id))];
-    (status, location, Json(submitted.job)).into_response()
+    (accepted(submitted.is_new), location, Json(submitted.job)).into_response()
 }
 
-fn key_of(headers: &HeaderMap) -> Result<Option<String>, Error> {
-    let Some(value) = headers.get(IDEMPOTENCY_HEADER) else { return Ok(None) };
-    let key = value.to_str().ok().map(str::trim).filter(|key| !key.is_empty() && key.len() <= MAX_KEY_BYTES);
-    key.map(|key| Some(key.to_owned())).ok_or_else(|| {
-        Error::Argument(format!(
-            "the header {IDEMPOTENCY_HEADER} must be a text of 1 to {MAX_KEY_BYTES} ASCII characters"
-        ))
-    })
-}
-
-#[derive(Deserialize)]
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ListParams {
+    /// Only jobs in this state.
+    #[param(inline)]
     state: Option<JobState>,
+    /// Only jobs of this kind.
     kind: Option<String>,
+    /// Most jobs of the answer; 100 without.
+    #[param(minimum = 1, maximum = 1000)]
     limit: Option<u32>,
+    /// Where the page before ended: its `next_cursor`.
     cursor: Option<String>,
 }
 
+/// Lists jobs of every kind, newest first: 100 a page, or `limit`.
+#[utoipa::path(
+    get,
+    path = "/jobs",
+    tag = "jobs",
+    params(ListParams),
+    responses(
+        (status = 200, description = "Done.", body = JobPage, headers(("Link" = Option<String>, description = "Path of the next page, `rel=\"next\"`, where there is one"))),
+    ),
+)]
 pub(super) async fn list(
     State(state): State<Arc<AppState>>,
+    OriginalUri(uri): OriginalUri,
     Params(params): Params<ListParams>,
-) -> Answer<Json<JobPage>> {
+) -> Answer<Response> {
     let ListParams { state: job_state, kind, limit, cursor } = params;
+    check_limit(limit)?;
     let filter = ListFilter { state: job_state, kind, limit, cursor };
-    state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().list(&filter)?))).await
+    let page = state.run(Kind::Read, move |state| Ok(state.jobs().scheduler().list(&filter)?)).await?;
+    let next = page.next_cursor.clone();
+    Ok(page_of(&uri, Json(page), next.as_deref()))
 }
 
+/// Answers with where a job stands.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = Job),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn detail(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
     state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().job(&id)?))).await
 }
 
+/// Moves a job that has ended to the trash, with its files.
+#[utoipa::path(
+    delete,
+    path = "/jobs/{job}",
+    tag = "jobs",
+    responses(
+        (status = 204, description = "It is in the trash."),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     state
         .run(Kind::Read, move |state| {
@@ -105,14 +176,45 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
         .await
 }
 
+/// Asks a job to stop, and ends it if it does not; one that has ended stays as it is.
+#[utoipa::path(
+    post,
+    path = "/jobs/{job}/cancel",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = Job),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn cancel(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
     state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().cancel(&id)?))).await
 }
 
+/// Queues a job that failed or was cancelled once more.
+#[utoipa::path(
+    post,
+    path = "/jobs/{job}/retry",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = Job),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn retry(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
     state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().retry(&id)?))).await
 }
 
+/// Answers with the newest part of what the process of a job printed, 1 MiB at most.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}/log",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "text/plain"),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn log(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
     state
         .run(Kind::Read, move |state| {
@@ -123,6 +225,16 @@ pub(super) async fn log(State(state): State<Arc<AppState>>, Ids(id): Ids<String>
         .await
 }
 
+/// Answers with the newest part of the curves of a job, a JSON document a line, 1 MiB at most.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}/metrics",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "application/jsonl"),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn metrics(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
     state
         .run(Kind::Read, move |state| {
@@ -133,10 +245,36 @@ pub(super) async fn metrics(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
         .await
 }
 
-/// A file that the job has left, by its name in the job's folder.
+/// Answers with a file that a job has left, e.g. `report.json`, `report.html` or `model.toml` (`docs/jobs.md`).
+///
+/// With `Range: bytes=...` a part of it comes, so that a download that broke off can go on; `If-Range` with the `ETag` of
+/// before makes sure that it is the same file still.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}/files/{file}",
+    tag = "jobs",
+    params(
+        ("Range" = Option<String>, Header, description = "A part, such as `bytes=1000-`"),
+        ("If-Range" = Option<String>, Header, description = "The `ETag` of the file of which a part is wanted"),
+    ),
+    responses(
+        (status = 200, description = "The file.",
+            content((Object = "application/json"), (String = "application/jsonl"), (String = "application/toml"),
+                (String = "text/html"), (String = "text/plain"), (Binary = "application/octet-stream")),
+            headers(("Repr-Digest" = String, description = "SHA-256 of the whole file (RFC 9530)"),
+                ("Accept-Ranges" = String, description = "`bytes`"))),
+        (status = 206, description = "The part that `Range` asks for.", body = Binary, content_type = "*/*",
+            headers(("Content-Range" = String, description = "Which part of how many bytes"),
+                ("Repr-Digest" = String, description = "SHA-256 of the whole file (RFC 9530)"))),
+        Refusal<404>,
+        Refusal<416>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn file(
     State(state): State<Arc<AppState>>,
     Ids((id, name)): Ids<(String, String)>,
+    headers: HeaderMap,
 ) -> Answer<Response> {
     state
         .run(Kind::Read, move |state| {
@@ -153,9 +291,100 @@ pub(super) async fn file(
             }
             resolve_in(folder.path(), &path)?;
             let bytes = read_file(&path, MAX_FILE_BYTES)?;
-            Ok(([(header::CONTENT_TYPE, content_type(&name))], bytes).into_response())
+            Ok(download(&headers, bytes.into(), content_type(&name)))
         })
         .await
+}
+
+/// Answers with where a job stands whenever that changes, as server-sent events, until it has ended.
+///
+/// The first event tells where it stands now. Every event is a `Job` in JSON, so that none is missed by a client that comes
+/// late or comes back; one that comes back after the last event is answered by 204, which ends an `EventSource`.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}/events",
+    tag = "jobs",
+    params(("Last-Event-ID" = Option<String>, Header, description = "Id of the last event that the client has seen")),
+    responses(
+        (status = 200, description = "Events until the job has ended.", body = JobEvent,
+            content_type = "text/event-stream"),
+        (status = 204, description = "The client has seen the last event."),
+        Refusal<404>,
+    ),
+)]
+pub(super) async fn events(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    headers: HeaderMap,
+) -> Answer<Response> {
+    // Before the job is looked up, so that no change between is missed.
+    let watcher = state.hub().watch_job(&id);
+    let job = state.run(Kind::Read, move |state| Ok(state.jobs().scheduler().job(&id)?)).await?;
+    let seen = headers.get(LAST_EVENT_ID).and_then(|id| id.to_str().ok());
+    if !job.is_unfinished() && seen == Some(event_id(&job).as_str()) {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    let shutdown = state.shutdown();
+    let begin = Some((Some(Arc::new(job)), watcher, shutdown));
+    let events = futures_util::stream::unfold(begin, async |at| {
+        let (known, watcher, mut shutdown) = at?;
+        let job = match known {
+            Some(job) => job,
+            None => tokio::select! {
+                job = watcher.next() => job,
+                _ = shutdown.wait_for(|&ends| ends) => return None,
+            },
+        };
+        let event = Event::default().event("job").id(event_id(&job)).json_data(&*job);
+        let next = job.is_unfinished().then_some((None, watcher, shutdown));
+        Some((event, next))
+    });
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
+}
+
+/// Changes with what a client must not miss: states and attempts.
+fn event_id(job: &Job) -> String {
+    format!("{}-{}", job.attempts, job.state.name())
+}
+
+/// A file in memory as a download: whole, or the part that the request asks for (RFC 9110, 14).
+fn download(asked: &HeaderMap, content: Bytes, content_type: &'static str) -> Response {
+    let tag = etag::of(&content);
+    let is_same = asked.get(header::IF_RANGE).is_none_or(|known| known == tag);
+    let range = asked.get(header::RANGE).filter(|_| is_same).and_then(|range| range.to_str().ok());
+    let len = content.len() as u64;
+    // A header that cannot be read, and one that asks for several parts, are answered by the whole file.
+    let part = range.and_then(|range| http_range_header::parse_range_header(range).ok());
+    let part = match part.map(|parts| parts.validate(len)) {
+        Some(Ok(parts)) if parts.len() == 1 => parts.into_iter().next(),
+        Some(Err(_)) => {
+            let detail = format!("the file has {len} bytes, and none where the header Range asks for them");
+            let mut refused = problem(ProblemType::RangeNotSatisfiable, &detail);
+            if let Ok(size) = HeaderValue::from_str(&format!("bytes */{len}")) {
+                refused.headers_mut().insert(header::CONTENT_RANGE, size);
+            }
+            return refused;
+        }
+        _ => None,
+    };
+    let digest = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(&content));
+    let mut response = match part {
+        Some(part) => {
+            let range = format!("bytes {}-{}/{len}", part.start(), part.end());
+            // It was validated against the length.
+            let bytes = content.slice(*part.start() as usize..=*part.end() as usize);
+            (StatusCode::PARTIAL_CONTENT, [(header::CONTENT_RANGE, range)], bytes).into_response()
+        }
+        None => content.into_response(),
+    };
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    if let Ok(digest) = HeaderValue::from_str(&format!("sha-256=:{digest}:")) {
+        headers.insert(REPR_DIGEST, digest);
+    }
+    etag::insert(headers, tag);
+    response
 }
 
 fn content_type(name: &str) -> &'static str {

@@ -20,15 +20,25 @@ use palpate_wire::{
 use crate::{
     AppState, Error, chain,
     http::{
-        extract::{Body, Lease},
+        document::Refusal,
+        extract::{Body, Lease, Text},
         problem::{Answer, Problem},
     },
     work::Kind,
 };
 
-/// `GET /api/v1/live`.
+/// Answers with the newest state of the live station.
+#[utoipa::path(
+    get,
+    path = "/live",
+    tag = "station",
+    responses(
+        (status = 200, description = "Done.", body = LiveDocument),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<LiveDocument>> {
-    let Some(live) = state.live() else { return Err(Problem(Error::no_station())) };
+    let Some(live) = state.live() else { return Err(Problem(Error::NoStation)) };
     let frame = state.hub().newest_frame().unwrap_or_default();
     Ok(Json(live_document(live.station(), &frame)))
 }
@@ -36,7 +46,15 @@ pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<
 /// Of the audit log, which only grows, this much is sent, bytes: days of work.
 const AUDIT_TAIL_BYTES: u64 = 1 << 20;
 
-/// `GET /api/v1/audit`: who moved or stopped the station lately, a JSON document a line.
+/// Answers with who moved or stopped the station lately, a JSON document a line, 1 MiB at most.
+#[utoipa::path(
+    get,
+    path = "/audit",
+    tag = "station",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "application/jsonl"),
+    ),
+)]
 pub(super) async fn audit(State(state): State<Arc<AppState>>) -> Answer<Response> {
     let tail = |state: &AppState| {
         let text = state.store().audit_tail(AUDIT_TAIL_BYTES)?;
@@ -45,18 +63,42 @@ pub(super) async fn audit(State(state): State<Arc<AppState>>) -> Answer<Response
     state.run(Kind::Read, tail).await
 }
 
-/// `GET /api/v1/emulator/faults`: what is wrong with the emulated devices, as a file of faults.
+/// Answers with what is wrong with the emulated devices, as a file of faults (`docs/emulated_devices.md`).
+#[utoipa::path(
+    get,
+    path = "/emulator/faults",
+    tag = "emulator",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "application/toml"),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn faults(State(state): State<Arc<AppState>>) -> Answer<Response> {
     let text = emulated(&state)?.faults().to_toml();
     let text = text.map_err(|err| Error::Internal(format!("the faults have no text: {err}")))?;
     Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
 }
 
-/// `PUT /api/v1/emulator/faults`: says what is wrong from now on, in place of what was.
+/// Says what is wrong with the emulated devices from now on, in place of what was.
+#[utoipa::path(
+    put,
+    path = "/emulator/faults",
+    tag = "emulator",
+    request_body(content = Option<String>, description = "A file of faults; nothing is wrong where it is empty", content_type = "application/toml"),
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "application/toml"),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn set_faults(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
-    text: String,
+    Text(text): Text,
 ) -> Answer<Response> {
     let set = move |state: &AppState| {
         let emulated = emulated(state)?;
@@ -68,7 +110,22 @@ pub(super) async fn set_faults(
     faults(State(state)).await
 }
 
-/// `POST /api/v1/emulator/object`: puts an object where the plan has it, or takes it away.
+/// Puts an object where the plan of an emulated station has it, or takes it away.
+#[utoipa::path(
+    post,
+    path = "/emulator/object",
+    tag = "emulator",
+    request_body = PlaceObject,
+    responses(
+        (status = 200, description = "It is there."),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn place_object(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
@@ -82,14 +139,28 @@ pub(super) async fn place_object(
     state.run(Kind::Control, place).await
 }
 
-/// `PUT /api/v1/live/model`: what the live twin simulates with from now on.
+/// Chooses what the live twin simulates with from now on.
+#[utoipa::path(
+    put,
+    path = "/live/model",
+    tag = "station",
+    request_body = LiveModel,
+    responses(
+        (status = 200, description = "It simulates with it."),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn set_model(
     State(state): State<Arc<AppState>>,
     Body(request): Body<LiveModel>,
 ) -> Answer<()> {
     state
         .run(Kind::Read, move |state| {
-            let live = state.live().ok_or_else(Error::no_station)?;
+            let live = state.live().ok_or(Error::NoStation)?;
             let model = match request.model.as_str() {
                 "nominal" => None,
                 id => Some(state.store().model(id)?.0),
@@ -102,7 +173,7 @@ pub(super) async fn set_model(
 }
 
 fn emulated(state: &AppState) -> Result<&StationControl, Error> {
-    let live = state.live().ok_or_else(Error::no_station)?;
+    let live = state.live().ok_or(Error::NoStation)?;
     let not_emulated =
         || Error::Conflict("the station is real; only emulated devices can be given faults".to_owned());
     live.emulated().ok_or_else(not_emulated)
@@ -110,7 +181,7 @@ fn emulated(state: &AppState) -> Result<&StationControl, Error> {
 
 /// Refuses what would surprise an operator who has control, unless it is the operator who asks.
 fn authorise(state: &AppState, claim: &Claim, what: &str) -> Result<(), Error> {
-    let live = state.live().ok_or_else(Error::no_station)?;
+    let live = state.live().ok_or(Error::NoStation)?;
     Ok(live.handle().authorise(claim, what, true)?)
 }
 

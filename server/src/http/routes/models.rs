@@ -13,14 +13,34 @@ use palpate_wire::api::ModelSummary;
 use crate::{
     AppState,
     data::store,
-    http::{extract::Ids, problem::Answer},
+    http::{document::Refusal, extract::Ids, problem::Answer},
     work::Kind,
 };
 
+/// Lists saved sensor models, by id.
+#[utoipa::path(
+    get,
+    path = "/models",
+    tag = "models",
+    responses(
+        (status = 200, description = "Done.", body = Vec<ModelSummary>),
+    ),
+)]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
     state.run(Kind::Read, move |state| Ok(Json(state.store().models()?))).await
 }
 
+/// Answers with the file of a sensor model.
+#[utoipa::path(
+    get,
+    path = "/models/{model}",
+    tag = "models",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "application/toml"),
+        Refusal<404>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
     state
         .run(Kind::Read, move |state| {
@@ -30,6 +50,17 @@ pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String
         .await
 }
 
+/// Moves a sensor model to the trash.
+#[utoipa::path(
+    delete,
+    path = "/models/{model}",
+    tag = "models",
+    responses(
+        (status = 204, description = "It is in the trash."),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     state
         .run(Kind::Read, move |state| {
@@ -40,6 +71,18 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
         .await
 }
 
+/// Brings the version of a sensor model before the last addition back, byte for byte.
+#[utoipa::path(
+    post,
+    path = "/models/{model}/undo",
+    tag = "models",
+    responses(
+        (status = 200, description = "Done.", body = ModelSummary),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn undo(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -53,6 +96,18 @@ pub(super) async fn undo(
         .await
 }
 
+/// Takes a sensor model out of the trash again.
+#[utoipa::path(
+    post,
+    path = "/models/{model}/restore",
+    tag = "models",
+    responses(
+        (status = 200, description = "Done.", body = ModelSummary),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,

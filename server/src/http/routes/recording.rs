@@ -9,16 +9,44 @@ use crate::{
     AppState, Error,
     data::files,
     http::{
+        document::Refusal,
         extract::{Body, Ids, Lease},
         problem::Answer,
     },
     work::Kind,
 };
 
+/// Answers with the plans of the live station, and the session under way.
+#[utoipa::path(
+    get,
+    path = "/recording",
+    tag = "recording",
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<404>,
+    ),
+)]
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<RecordingDocument>> {
     with_station(&state, |handle| Ok(handle.recording()?)).await
 }
 
+/// Begins a session by a plan, or goes on with one that was begun.
+#[utoipa::path(
+    post,
+    path = "/recording",
+    tag = "recording",
+    request_body = StartRecording,
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+        Refusal<507>,
+    ),
+)]
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
@@ -28,6 +56,23 @@ pub(super) async fn start(
     with_station(&state, move |handle| Ok(handle.start_recording(&claim, request)?)).await
 }
 
+/// Does something with the step under way. Some actions move the robot, and need an armed station.
+#[utoipa::path(
+    post,
+    path = "/recording/act",
+    tag = "recording",
+    request_body = RecordingAction,
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+        Refusal<507>,
+    ),
+)]
 pub(super) async fn act(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
@@ -36,6 +81,22 @@ pub(super) async fn act(
     with_station(&state, move |handle| Ok(handle.act(&claim, action)?)).await
 }
 
+/// Adds a take to what is recorded next.
+#[utoipa::path(
+    post,
+    path = "/recording/wanted",
+    tag = "recording",
+    request_body = WantedTake,
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn want(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
@@ -44,6 +105,18 @@ pub(super) async fn want(
     with_station(&state, move |handle| Ok(handle.want(&claim, wanted)?)).await
 }
 
+/// Takes a wanted take off the list, as long as it has not been recorded.
+#[utoipa::path(
+    delete,
+    path = "/recording/wanted/{object}/{primitive}",
+    tag = "recording",
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn unwant(
     State(state): State<Arc<AppState>>,
     Lease(claim): Lease,
@@ -57,7 +130,7 @@ async fn with_station(
     work: impl FnOnce(&palpate_control::Handle) -> Result<RecordingDocument, Error> + Send + 'static,
 ) -> Answer<Json<RecordingDocument>> {
     let speak = move |state: &AppState| {
-        let live = state.live().ok_or_else(Error::no_station)?;
+        let live = state.live().ok_or(Error::NoStation)?;
         work(live.handle()).map(Json)
     };
     state.run(Kind::Control, speak).await

@@ -8,7 +8,7 @@ use std::{
 use axum::{
     Json,
     body::Body,
-    extract::State,
+    extract::{OriginalUri, State},
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -17,29 +17,69 @@ use palpate_recording::check_session;
 use palpate_wire::api::{CheckReport, SessionDetail, SessionSummary, StationDocument};
 use serde::Deserialize;
 use tokio::io::AsyncWriteExt as _;
+use utoipa::IntoParams;
 
 use super::station_document;
 use crate::{
     AppState, Error,
     data::{store, upload},
     http::{
-        extract::{Ids, Params},
+        document::{Binary, Refusal},
+        extract::{Ids, Page, Params, USUAL_PAGE, check_limit},
+        pages::{encode, page_of},
         problem::{Answer, Problem},
     },
     work::Kind,
 };
 
-pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<SessionSummary>>> {
-    with_store(&state, Kind::Read, |state| {
-        let sessions = state.store().sessions()?;
+/// Lists sessions, by id.
+#[utoipa::path(
+    get,
+    path = "/sessions",
+    tag = "sessions",
+    params(Page),
+    responses(
+        (status = 200, description = "Done.", body = Vec<SessionSummary>, headers(("Link" = Option<String>, description = "Path of the next page, `rel=\"next\"`, where there is one"))),
+    ),
+)]
+pub(super) async fn list(
+    State(state): State<Arc<AppState>>,
+    OriginalUri(uri): OriginalUri,
+    Params(page): Params<Page>,
+) -> Answer<Response> {
+    check_limit(page.limit)?;
+    let list = move |state: &AppState| {
+        let mut sessions = state.store().sessions()?;
+        if let Some(cursor) = &page.cursor {
+            sessions.retain(|id| id > cursor);
+        }
+        // A page that begins in the middle is not the whole list.
+        let limit = page.limit.or(page.cursor.is_some().then_some(USUAL_PAGE));
+        let limit = limit.map_or(usize::MAX, |limit| limit as usize);
+        let more = sessions.len() > limit;
+        sessions.truncate(limit);
+        let next = sessions.last().filter(|_| more).cloned();
         let entries = sessions.iter().map(|id| {
             state.library().list_entry(id, state.store().session(id), |err| state.store().for_client(err))
         });
-        Ok(Json(entries.collect()))
-    })
-    .await
+        Ok((entries.collect::<Vec<SessionSummary>>(), next))
+    };
+    let (entries, next) = with_store(&state, Kind::Read, list).await?;
+    Ok(page_of(&uri, Json(entries), next.as_deref()))
 }
 
+/// Answers with a session and its takes.
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}",
+    tag = "sessions",
+    responses(
+        (status = 200, description = "Done.", body = SessionDetail),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -50,6 +90,18 @@ pub(super) async fn detail(
     .await
 }
 
+/// Checks rates, gaps, clocks and coverage of a session.
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/check",
+    tag = "sessions",
+    responses(
+        (status = 200, description = "Done.", body = CheckReport),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn check(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -58,6 +110,18 @@ pub(super) async fn check(
         .await
 }
 
+/// Answers with the station that recorded a session.
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/station",
+    tag = "sessions",
+    responses(
+        (status = 200, description = "Done.", body = StationDocument),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn station(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -69,6 +133,17 @@ pub(super) async fn station(
     .await
 }
 
+/// Moves a session to the trash.
+#[utoipa::path(
+    delete,
+    path = "/sessions/{session}",
+    tag = "sessions",
+    responses(
+        (status = 204, description = "It is in the trash."),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     with_store(&state, Kind::Read, move |state| {
         state.store().discard(store::Kind::Session, &id).map(|()| StatusCode::NO_CONTENT)
@@ -76,6 +151,18 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     .await
 }
 
+/// Takes a session out of the trash again.
+#[utoipa::path(
+    post,
+    path = "/sessions/{session}/restore",
+    tag = "sessions",
+    responses(
+        (status = 200, description = "Done.", body = SessionDetail),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
@@ -94,12 +181,34 @@ const LOOK_AT_DISK_BYTES: u64 = 16 << 20;
 const MIN_UPLOAD_BYTES_PER_S: u64 = 20_000;
 const UPLOAD_GRACE: Duration = Duration::from_secs(20);
 
-#[derive(Deserialize)]
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub(super) struct UploadParams {
+    /// Id of the session to make.
     name: String,
+    /// Id of the shipped station that CSV recordings belong to; without, the one that has their streams.
     station: Option<String>,
 }
 
+/// Adds a session from a zip archive.
+///
+/// The archive holds a session folder, or a folder of CSV recordings, one folder a take. The limit is 512 MB.
+#[utoipa::path(
+    post,
+    path = "/sessions",
+    tag = "sessions",
+    params(UploadParams),
+    request_body(content = Binary, description = "A zip archive", content_type = "application/zip"),
+    responses(
+        (status = 201, description = "The session is there.", body = SessionDetail, headers(("Location" = String, description = "Path of the session"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+        Refusal<507>,
+    ),
+)]
 pub(super) async fn upload(
     State(state): State<Arc<AppState>>,
     Params(params): Params<UploadParams>,
@@ -108,7 +217,7 @@ pub(super) async fn upload(
 ) -> Answer<Response> {
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
     if !content_type.starts_with("application/zip") {
-        return Err(Problem(Error::Argument(format!(
+        return Err(Problem(Error::MediaType(format!(
             "content type {content_type:?}; expected application/zip with a folder of takes"
         ))));
     }
@@ -174,13 +283,4 @@ fn archive_too_large() -> Error {
         "the archive is larger than {} MB; upload fewer takes at a time, or use `palpate import`",
         upload::MAX_ARCHIVE_BYTES / 1_000_000
     ))
-}
-
-/// Percent-encodes a path segment (RFC 3986, unreserved characters stay).
-fn encode(segment: &str) -> String {
-    let unreserved = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
-    let bytes = segment.bytes();
-    bytes
-        .map(|byte| if unreserved(byte) { (byte as char).to_string() } else { format!("%{byte:02X}") })
-        .collect()
 }

@@ -10,17 +10,31 @@ use axum::{
 use palpate_sim::SensorModel;
 use prost::Message;
 use serde::Deserialize;
+use utoipa::IntoParams;
 
 use crate::{
     AppState, Error,
     data::library::{nominal_model, replay_trace, take_index, take_trace},
     http::{
+        document::{Binary, Refusal},
         extract::{Ids, Params},
         problem::Answer,
     },
     work::Kind,
 };
 
+/// Answers with what was recorded in a take: a protobuf message `palpate.TakeTrace` (`server/wire/proto/palpate/trace.proto`).
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/takes/{take}/trace",
+    tag = "sessions",
+    responses(
+        (status = 200, description = "Done.", body = Binary, content_type = "application/x-protobuf"),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn trace(
     State(state): State<Arc<AppState>>,
     Ids((session, take)): Ids<(String, String)>,
@@ -34,8 +48,10 @@ pub(super) async fn trace(
         .await
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub(super) struct ReplayParams {
+    /// `nominal`, the id of a saved model, or `run:ID`, `diagnosis:ID`, `calibrated:ID` for the model that a job found.
     #[serde(default = "nominal")]
     model: String,
 }
@@ -44,6 +60,19 @@ fn nominal() -> String {
     "nominal".to_owned()
 }
 
+/// Answers with a take as a sensor model feels it: a protobuf message `palpate.ReplayTrace` (`server/wire/proto/palpate/trace.proto`).
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/takes/{take}/replay",
+    tag = "sessions",
+    params(ReplayParams),
+    responses(
+        (status = 200, description = "Done.", body = Binary, content_type = "application/x-protobuf"),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
 pub(super) async fn replay(
     State(state): State<Arc<AppState>>,
     Ids((session, take)): Ids<(String, String)>,

@@ -9,6 +9,7 @@ use super::{Metrics, Run};
 
 /// What the data says about the simulator as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// The named effects account for all that repeats.
@@ -26,6 +27,7 @@ pub enum Verdict {
 
 /// The result of a diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct DiagnosisReport {
     /// The whole in one word.
     pub verdict: Verdict,
@@ -71,6 +73,7 @@ pub struct DiagnosisReport {
 
 /// An effect that was named.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NamedEffect {
     /// Id in the library.
     pub id: String,
@@ -103,6 +106,7 @@ pub struct NamedEffect {
 
 /// An effect that was identified and not added.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct EffectInDoubt {
     /// Id in the library.
     pub id: String,
@@ -117,6 +121,7 @@ pub struct EffectInDoubt {
 
 /// A measure that speaks against an effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Doubt {
     /// Id of the rule: `docs/diagnosis.md` lists what each measures.
     pub check: String,
@@ -128,6 +133,7 @@ pub struct Doubt {
 
 /// An effect that explains the data nearly as well as the one that was named.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Rival {
     /// Id in the library.
     pub id: String,
@@ -140,6 +146,7 @@ pub struct Rival {
 
 /// An effect that was tried.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Candidate {
     /// Id in the library.
     pub id: String,
@@ -158,6 +165,7 @@ pub struct Candidate {
 
 /// A part of the data in which simulation and measurement disagree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Cell {
     /// Stream id; absent for actuators.
     pub stream: Option<String>,
@@ -179,6 +187,7 @@ pub struct Cell {
 
 /// The gap of several models on the same data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Gap {
     /// Nominal model.
     pub nominal: f64,
@@ -192,6 +201,7 @@ pub struct Gap {
 
 /// One step of the waterfall.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct WaterfallStep {
     /// `nominal`, `calibrated`, then the ids of the effects as they are added.
     pub step: String,
@@ -203,6 +213,7 @@ pub struct WaterfallStep {
 
 /// What no named effect accounts for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Unexplained {
     /// Share of the calibrated model's excess that is left.
     pub fraction: f64,
@@ -215,6 +226,7 @@ pub struct Unexplained {
 
 /// What to record to tell rivals apart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NextExperiment {
     /// Primitive id.
     pub primitive: String,
@@ -230,6 +242,7 @@ pub struct NextExperiment {
 
 /// Mismatch of one channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ChannelResidual {
     /// Channel id.
     pub channel: String,
@@ -241,6 +254,7 @@ pub struct ChannelResidual {
 
 /// The evidence that an effect must reach to be named.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Bar {
     /// Least evidence: how far the estimate lies beyond the smallest size that matters, in standard errors, squared.
     pub evidence: f64,
@@ -252,6 +266,7 @@ pub struct Bar {
 
 /// `POST /api/v1/diagnoses`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DiagnosisRequest {
     /// Session id.
@@ -281,6 +296,7 @@ pub type DiagnosisRun = Run<DiagnosisRequest, DiagnosisReport>;
 /// `POST /api/v1/diagnoses/{job}/save`: keeps the calibrated model with the named effects, or some of them. Exactly one
 /// of `name` and `to` says where.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SaveDiagnosisRequest {
     /// Which of the named effects, by their position in the report; absent means all.
@@ -297,6 +313,7 @@ pub struct SaveDiagnosisRequest {
 
 /// An effect of a saved model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ModelEffect {
     /// Id in the library.
     pub id: String,

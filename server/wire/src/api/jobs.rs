@@ -7,17 +7,19 @@ use serde_json::Value;
 
 use super::JobState;
 
-/// Header of `POST /api/v1/jobs`: a text of the client's choice. The same text again gives the same job again, so that
-/// a client that heard no answer can ask once more.
+/// Header of requests that start a job: a text of the client's choice. The same text with the same request gives the same
+/// job again, so that a client that heard no answer can ask once more.
 pub const IDEMPOTENCY_HEADER: &str = "idempotency-key";
 
 /// `POST /api/v1/jobs`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
     /// Kind of job, e.g. `diagnose`.
     pub kind: String,
-    /// What is asked, in the form of its kind.
+    /// What is asked, in the form of its kind: `CalibrationRequest`, `DiagnosisRequest`, `EmulateRequest`, `BlindRequest`.
+    #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: Value,
     /// Seed of everything random.
     #[serde(default)]
@@ -35,10 +37,12 @@ pub struct JobRequest {
 
 /// `POST /api/v1/jobs/{id}/clone`: what is different from the job that is asked for again. What is absent stays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JobChanges {
     /// Fields of the request, each in place of the one of that name; `null` takes a field out.
     #[serde(default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: serde_json::Map<String, Value>,
     /// Seed of everything random.
     #[serde(default)]
@@ -56,10 +60,12 @@ pub struct JobChanges {
 
 /// What a job is, written down: everything that its result depends on. File `spec.json` of its folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobSpec {
     /// Kind of job.
     pub kind: String,
     /// What is asked, in the form of its kind.
+    #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: Value,
     /// SHA-256 of every file that it reads, hexadecimal, by path relative to the data folder.
     #[serde(default)]
@@ -79,6 +85,7 @@ pub struct JobSpec {
 
 /// What a job needs of the machine that it runs on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Resources {
     /// Cores; 0 means all of them. A number above what the machine has means all of them too.
@@ -100,6 +107,7 @@ pub struct Resources {
 
 /// Where a job stands, without its outcome: `GET /api/v1/jobs/{id}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Job {
     /// Id, also the name of its folder.
     pub id: String,
@@ -145,6 +153,7 @@ impl Job {
 
 /// `GET /api/v1/jobs?state=&kind=&limit=&cursor=`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobPage {
     /// Jobs, newest first.
     pub jobs: Vec<Job>,
@@ -155,6 +164,7 @@ pub struct JobPage {
 
 /// How far a job is. File `progress.json` of its folder, replaced as a whole.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobProgress {
     /// The attempt that says so.
     pub attempt: u32,
@@ -169,6 +179,7 @@ pub struct JobProgress {
 /// How an attempt ended, in the words of the job's own process. File `exit.json` of its folder: whoever finds it knows
 /// that everything else there is complete.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobExit {
     /// Which attempt.
     pub attempt: u32,
@@ -188,6 +199,7 @@ pub struct JobExit {
 
 /// Request of a job of kind `emulate`: records a session from an emulated station.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulateRequest {
     /// What the emulated world is like: the name of a shipped truth file, e.g. `demo`.
@@ -199,6 +211,7 @@ pub struct EmulateRequest {
 /// Request of a job of kind `blind`: hides effects in emulated sessions, has them diagnosed, and scores the names. Its
 /// seed is that of the first round.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BlindRequest {
     /// What to hide effects in.
@@ -226,6 +239,7 @@ pub struct BlindRequest {
 
 /// What effects are hidden in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum BlindDomain {
     /// Sessions of touch.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// `GET /api/v1/live`: the newest state of the live station.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LiveDocument {
     /// Seconds since the station started.
     pub time_s: f64,
@@ -33,6 +34,7 @@ pub struct LiveDocument {
 
 /// A device of a live station.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LiveDevice {
     /// Id in the station's file.
     pub id: String,
@@ -52,6 +54,7 @@ pub struct LiveDevice {
 
 /// Body of `POST /api/v1/emulator/object`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PlaceObject {
     /// Object id of the station; nothing stands there without one.
     pub object: Option<String>,
@@ -59,6 +62,7 @@ pub struct PlaceObject {
 
 /// Body of `PUT /api/v1/live/model`: the sensor model that the live twin simulates with.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LiveModel {
     /// Id of a saved model, or `nominal` for the station's own.
     pub model: String,

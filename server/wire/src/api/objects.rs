@@ -6,19 +6,33 @@ use serde::{Deserialize, Serialize};
 
 /// An entry of `GET /api/v1/objects`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ObjectEntry {
     /// Id; the name of its file where that cannot be read.
     pub id: String,
     /// Whether it comes from the data folder, as opposed to the binary.
     pub own: bool,
     /// What it is, or why it cannot be used.
+    #[cfg_attr(feature = "openapi", schema(value_type = ObjectContent))]
     pub content: Result<ObjectDocument, String>,
     /// Takes that touched it.
     pub takes: Vec<ObjectTake>,
 }
 
+/// What an object is, or why it cannot be used, as `serde` writes a `Result`.
+#[cfg(feature = "openapi")]
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "its form is all that is asked of it")]
+enum ObjectContent {
+    /// What it is.
+    Ok(ObjectDocument),
+    /// Why it cannot be used.
+    Err(String),
+}
+
 /// An object that can be used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ObjectDocument {
     /// Name for people.
     pub label: String,
@@ -42,6 +56,7 @@ pub struct ObjectDocument {
 
 /// A stable pose on a table, up to place and yaw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct RestPoseDocument {
     /// Turns the object's axes into the table's, whose z points up: w, x, y, z.
     pub quaternion_wxyz: [f64; 4],
@@ -57,6 +72,7 @@ pub struct RestPoseDocument {
 
 /// A take that touched an object.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ObjectTake {
     /// Session id.
     pub session: String,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Body of `POST /api/v1/recording`: begins a session, or goes on with one that was begun.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StartRecording {
     /// Plan: the id of one that the station has.
     pub plan: String,
@@ -19,6 +20,7 @@ pub struct StartRecording {
 
 /// `GET /api/v1/recording`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct RecordingDocument {
     /// Changes whenever anything below does.
     pub revision: u64,
@@ -36,6 +38,7 @@ pub struct RecordingDocument {
 /// /api/v1/recording/wanted/{object}/{primitive}` takes it off again as long as it has no take. Both are answered by
 /// [`RecordingDocument`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WantedTake {
     /// Object id.
@@ -49,6 +52,7 @@ pub struct WantedTake {
 
 /// A plan of a calibration session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PlanSummary {
     /// Id: the stem of its file.
     pub id: String,
@@ -62,6 +66,7 @@ pub struct PlanSummary {
 
 /// A session that is being recorded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct RecordingSession {
     /// Id of the session.
     pub session: String,
@@ -85,6 +90,7 @@ pub struct RecordingSession {
 
 /// One take of the checklist.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct RecordingStep {
     /// Object id and its name for people.
     pub object: String,
@@ -113,6 +119,7 @@ pub struct RecordingStep {
 
 /// Where a step stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum StepState {
     /// Nothing recorded.
@@ -125,6 +132,7 @@ pub enum StepState {
 
 /// What the step under way waits for or does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingPhase {
     /// The operator confirms object and fixture.
@@ -149,6 +157,7 @@ pub enum RecordingPhase {
 
 /// The automatic quality check of a take.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct TakeVerdict {
     /// Whether it can be accepted without a second look.
     pub good: bool,
@@ -169,6 +178,7 @@ pub struct TakeVerdict {
 /// Only the operator may act: the request carries the lease in the header [`LEASE_HEADER`](super::LEASE_HEADER). What moves
 /// the robot also needs an armed station.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "action")]
 pub enum RecordingAction {
     /// Object and fixture are as the step says.

@@ -1,5 +1,6 @@
 //! Whole-system tests; see the crate's documentation.
 
+mod api;
 mod byte_to_pixel;
 mod calibration;
 mod devices;

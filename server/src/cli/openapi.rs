@@ -1,0 +1,11 @@
+//! `palpate openapi`.
+
+use std::process::ExitCode;
+
+use super::{Outcome, output};
+
+/// Prints the OpenAPI document of the studio's HTTP API.
+pub(super) fn run() -> Outcome {
+    output::json(&palpate_server::openapi())?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,478 @@
+//! The OpenAPI document: made from the table of routes and from what stands above each handler.
+
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+    sync::OnceLock,
+};
+
+use axum::{
+    body::Bytes,
+    http::{HeaderValue, Method, header},
+    response::{IntoResponse as _, Response},
+};
+use palpate_wire::api::{
+    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DiagnosisReport, DiagnosisRequest,
+    DiagnosisRun, EmulateRequest, LEASE_HEADER, ProblemDetails, ProblemType,
+};
+use serde_json::{Value, json};
+use utoipa::{
+    IntoResponses, OpenApi as _, PartialSchema, ToSchema,
+    openapi::{
+        Content, Header, HttpMethod, ObjectBuilder, OpenApi, PathItem, Paths, Ref, RefOr, Required, Schema,
+        extensions::ExtensionsBuilder,
+        path::{Operation, Parameter, ParameterBuilder, ParameterIn},
+        response::{Response as Answer, ResponseBuilder},
+        schema::Type,
+        server::Server,
+    },
+};
+
+use super::{
+    examples::{self, Example},
+    routes::{Needs, Route, all_routes},
+};
+
+/// The document without what is said of routes.
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(title = "Palpate", description = ABOUT, version = "1"),
+    tags(
+        (name = "studio", description = "What runs, and this document."),
+        (name = "sessions", description = "Recorded takes: in by upload, out as traces, to the trash and back."),
+        (name = "models", description = "Saved sensor models."),
+        (name = "calibrations", description = "Jobs that fit the sensor model to a session."),
+        (name = "diagnoses", description = "Jobs that name what a calibrated model lacks."),
+        (name = "jobs", description = "Long work of every kind, which outlives the studio (`docs/jobs.md`)."),
+        (name = "objects", description = "What is touched."),
+        (name = "station", description = "The live station: its state, its stream and its commands."),
+        (name = "recording", description = "Guided sessions on the live station."),
+        (name = "emulator", description = "What only an emulated station can do; a real one has no such paths."),
+    ),
+    components(schemas(ProblemDetails, EmulateRequest, BlindRequest)),
+)]
+struct Head;
+
+const ABOUT: &str = "The HTTP API of a Palpate studio. `docs/api.md` shows how to script it.
+
+Answers to requests that could not be carried out are problem details (RFC 9457): programs look at `type`, people read `detail`. \
+Answers to GET carry an `ETag`; with `If-None-Match` a client is told by 304 that it has the document already. Lists that \
+grow are sent in pages with `limit` and `cursor`; the header `Link` names the next one. `x-palpate-needs` says what a \
+request must show. The examples (`x-codeSamples`) are carried out by a test in the order of their `step`, on a studio that \
+begins empty (`palpate serve --emulate small`); `$PALPATE_URL` is its address, `recordings.zip` a zipped session of \
+`palpate emulate --truth bench`, and `$LEASE` the lease of whoever has control.";
+
+/// Bytes of a file or a message.
+#[derive(ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[expect(dead_code, reason = "its form is all that is asked of it")]
+pub(super) struct Binary(Vec<u8>);
+
+/// One server-sent event.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "its form is all that is asked of it")]
+pub(super) struct JobEvent {
+    /// Attempt and state, by which a client that lost the connection goes on.
+    id: String,
+    /// `job`.
+    event: String,
+    /// A `Job` as JSON.
+    data: String,
+}
+
+/// Gives `$run` a schema under its own name: `utoipa` calls generic types alike whatever their arguments are.
+macro_rules! run_schema {
+    ($schema:ident, $name:literal, $run:ty, $request:ty, $report:ty) => {
+        pub(super) struct $schema;
+
+        impl PartialSchema for $schema {
+            fn schema() -> RefOr<Schema> {
+                <$run>::schema()
+            }
+        }
+
+        impl ToSchema for $schema {
+            fn name() -> Cow<'static, str> {
+                $name.into()
+            }
+
+            fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
+                <$run>::schemas(schemas);
+                schemas.push((<$request>::name().into_owned(), <$request>::schema()));
+                <$request>::schemas(schemas);
+                schemas.push((<$report>::name().into_owned(), <$report>::schema()));
+                <$report>::schemas(schemas);
+            }
+        }
+    };
+}
+
+run_schema!(CalibrationRunSchema, "CalibrationRun", CalibrationRun, CalibrationRequest, CalibrationReport);
+run_schema!(DiagnosisRunSchema, "DiagnosisRun", DiagnosisRun, DiagnosisRequest, DiagnosisReport);
+
+/// A refusal with this status, as problem details of one of the kinds that have it.
+pub(super) struct Refusal<const STATUS: u16>;
+
+impl<const STATUS: u16> IntoResponses for Refusal<STATUS> {
+    fn responses() -> BTreeMap<String, RefOr<Answer>> {
+        BTreeMap::from([(STATUS.to_string(), refusal(STATUS))])
+    }
+}
+
+fn refusal(status: u16) -> RefOr<Answer> {
+    RefOr::Ref(Ref::new(format!("#/components/responses/{}", refusal_name(status))))
+}
+
+fn refusal_name(status: u16) -> String {
+    format!("Refusal{status}")
+}
+
+/// What any request may be refused with: by the door, by the limits of connections and work, by a fault.
+const ANYWHERE: &[u16] = &[400, 421, 429, 500, 503];
+/// What any request that changes something may be refused with besides.
+const CHANGING: &[u16] = &[403];
+
+/// What is said of a route.
+#[derive(Clone)]
+pub(super) struct Documented {
+    operation: Operation,
+    /// Method and path as they stand above the handler, for the test that they are those of the table.
+    said: (Method, String),
+    /// The verb of its row.
+    verb: &'static str,
+    schemas: Vec<(String, RefOr<Schema>)>,
+}
+
+impl fmt::Debug for Documented {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (method, path) = &self.said;
+        f.debug_struct("Documented").field("method", method).field("path", path).finish_non_exhaustive()
+    }
+}
+
+impl Documented {
+    /// Of the handler at path `name`, as `utoipa_axum::routes!` gives it.
+    pub(super) fn new(
+        name: &str,
+        verb: &'static str,
+        schemas: Vec<(String, RefOr<Schema>)>,
+        paths: Paths,
+    ) -> Self {
+        let (path, item) = paths.paths.into_iter().next().unwrap_or_default();
+        let (method, mut operation) = only_operation(item);
+        // Functions are called alike in several modules.
+        operation.operation_id = Some(name.split("::").map(str::trim).collect::<Vec<_>>().join("_"));
+        Self { operation, said: (method, path), verb, schemas }
+    }
+
+    /// What stands above the handler and in its row agrees with the row's method and path; else what does not.
+    pub(super) fn disagreement(&self, method: &Method, path: &str) -> Option<String> {
+        let (said_method, said_path) = &self.said;
+        let agrees =
+            said_method == method && said_path == path && self.verb.eq_ignore_ascii_case(method.as_str());
+        (!agrees).then(|| {
+            format!(
+                "{method} {path} in the table, {said_method} {said_path} above the handler, {} in its row",
+                self.verb
+            )
+        })
+    }
+
+    fn is_socket(&self) -> bool {
+        self.operation.responses.responses.contains_key("101")
+    }
+
+    fn sends_events(&self) -> bool {
+        match self.operation.responses.responses.get("200") {
+            Some(RefOr::T(answer)) => answer.content.contains_key("text/event-stream"),
+            _ => false,
+        }
+    }
+}
+
+fn only_operation(item: PathItem) -> (Method, Operation) {
+    let PathItem { get, put, post, delete, .. } = item;
+    let found = [(Method::GET, get), (Method::PUT, put), (Method::POST, post), (Method::DELETE, delete)];
+    found
+        .into_iter()
+        .find_map(|(method, operation)| Some((method, operation?)))
+        .unwrap_or((Method::OPTIONS, Operation::new()))
+}
+
+/// The document of every route that a studio can have.
+pub fn openapi() -> Value {
+    written(&all_routes(true))
+}
+
+/// The document of `routes` as JSON. Its fields are sorted: `utoipa` keeps some in an order that changes from run to run.
+fn written(routes: &[Route]) -> Value {
+    // A document of strings, numbers and lists of them always serialises.
+    sorted(serde_json::to_value(document_of(routes)).unwrap_or_default())
+}
+
+fn sorted(value: Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            let fields: BTreeMap<String, Value> = fields.into_iter().collect();
+            Value::Object(fields.into_iter().map(|(name, value)| (name, sorted(value))).collect())
+        }
+        Value::Array(items) => Value::Array(items.into_iter().map(sorted).collect()),
+        other => other,
+    }
+}
+
+/// The document of the routes that a studio has, as an answer.
+pub(super) fn answer(with_emulator: bool) -> Response {
+    static DOCUMENTS: [OnceLock<Bytes>; 2] = [OnceLock::new(), OnceLock::new()];
+    let [without, with] = &DOCUMENTS;
+    let document = if with_emulator { with } else { without };
+    let make = || written(&all_routes(with_emulator)).to_string().into();
+    let document = document.get_or_init(make).clone();
+    ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], document).into_response()
+}
+
+fn document_of(routes: &[Route]) -> OpenApi {
+    let mut document = Head::openapi();
+    document.servers = Some(vec![Server::new("/api/v1")]);
+    let components = document.components.get_or_insert_default();
+    for route in routes {
+        components.schemas.extend(route.documented.schemas.iter().cloned());
+        let operation = operation_of(route);
+        document.paths.add_path_operation(route.path, vec![http_method(&route.method)], operation);
+    }
+    let statuses: BTreeSet<u16> = ProblemType::ALL.iter().map(|kind| kind.status()).collect();
+    for status in statuses {
+        components.responses.insert(refusal_name(status), RefOr::T(described(status)));
+    }
+    security(components);
+    document
+}
+
+/// Declares how a request shows who sends it. What each route needs is in [`operation_of`].
+fn security(_components: &mut utoipa::openapi::Components) {}
+
+/// What `needs` asks of a request: a word for programs, a sentence for people, and the headers that show it.
+fn shown(needs: Needs) -> (&'static str, &'static str, Option<Parameter>) {
+    let lease = |required| {
+        ParameterBuilder::new()
+            .name("Palpate-Lease")
+            .parameter_in(ParameterIn::Header)
+            .required(required)
+            .description(Some(
+                "The lease of an open connection of `/control`, as its `ControlReply` gives it.",
+            ))
+            .schema(Some(ObjectBuilder::new().schema_type(Type::String).pattern(Some("^[0-9]{1,20}$"))))
+            .build()
+    };
+    debug_assert!(LEASE_HEADER.eq_ignore_ascii_case("Palpate-Lease"));
+    match needs {
+        Needs::Nothing => ("nothing", "", None),
+        Needs::Operator => {
+            ("operator", "Only whoever has control of the station may do this.", Some(lease(Required::False)))
+        }
+        Needs::OperatorIfAny => (
+            "operator-if-any",
+            "While somebody has control of the station, or a session is being recorded, only whoever has control may do \
+             this.",
+            Some(lease(Required::False)),
+        ),
+    }
+}
+
+/// What stands above the handler of `route`, with what is true of all routes.
+fn operation_of(route: &Route) -> Operation {
+    let mut operation = route.documented.operation.clone();
+    let mut parameters = parameters_in(route.path);
+    let (needs, sentence, header) = shown(route.needs);
+    parameters.extend(header);
+    let mut parameters: Vec<_> = parameters.into_iter().map(RefOr::T).collect();
+    parameters.append(operation.parameters.get_or_insert_default());
+    if !sentence.is_empty() {
+        let description = operation.description.take();
+        let text = description.map_or_else(|| sentence.to_owned(), |text| format!("{text}\n\n{sentence}"));
+        operation.description = Some(text);
+    }
+    let changes = route.method != Method::GET || route.documented.is_socket();
+    let answers = &mut operation.responses.responses;
+    for &status in ANYWHERE.iter().chain(if changes { CHANGING } else { &[] }) {
+        answers.entry(status.to_string()).or_insert_with(|| refusal(status));
+    }
+    if !changes && !route.documented.sends_events() {
+        let unchanged = ResponseBuilder::new()
+            .description("The client has this already, as its `If-None-Match` says.")
+            .build();
+        answers.insert("304".to_owned(), RefOr::T(unchanged));
+        if let Some(RefOr::T(answer)) = answers.get_mut("200") {
+            let mut tag = Header::new(ObjectBuilder::new().schema_type(Type::String));
+            tag.description = Some("Names this content; larger documents have none".to_owned());
+            answer.headers.insert("ETag".to_owned(), RefOr::T(tag));
+        }
+        let known = ParameterBuilder::new()
+            .name("If-None-Match")
+            .parameter_in(ParameterIn::Header)
+            .required(Required::False)
+            .description(Some("The `ETag` of an answer that the client has kept."))
+            .schema(Some(ObjectBuilder::new().schema_type(Type::String)))
+            .build();
+        parameters.push(RefOr::T(known));
+    }
+    operation.parameters = Some(parameters).filter(|parameters| !parameters.is_empty());
+    let sample = |(step, &Example { curl, status, .. }): (usize, &Example)| json!({ "lang": "shell", "label": format!("curl, {status}"), "source": curl, "status": status, "step": step });
+    let samples: Vec<_> = examples::of(&route.method, route.path).map(sample).collect();
+    let mut extensions = ExtensionsBuilder::new().add("x-palpate-needs", needs);
+    if !samples.is_empty() {
+        extensions = extensions.add("x-codeSamples", samples);
+    }
+    operation.extensions = Some(extensions.build());
+    operation
+}
+
+/// The parameters in the braces of a path.
+fn parameters_in(path: &str) -> Vec<Parameter> {
+    let names = path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
+    let parameter = |name: &str| {
+        let description = match name {
+            "file" => "Name of a file in the folder of the job, e.g. `report.json`.".to_owned(),
+            "take" => "Id of a take, e.g. `take-03`.".to_owned(),
+            "run" => "Id of the job, e.g. `run-1` or `diagnosis-1`.".to_owned(),
+            "job" => "Id of the job, e.g. `emulation-1`.".to_owned(),
+            name => format!("Id of the {name}."),
+        };
+        ParameterBuilder::new()
+            .name(name)
+            .parameter_in(ParameterIn::Path)
+            .required(Required::True)
+            .description(Some(description))
+            .schema(Some(ObjectBuilder::new().schema_type(Type::String)))
+            .build()
+    };
+    names.map(parameter).collect()
+}
+
+/// Problem details of the kinds that have `status`.
+fn described(status: u16) -> Answer {
+    let kinds = ProblemType::ALL.iter().filter(|kind| kind.status() == status);
+    let lines: Vec<String> = kinds.map(|kind| format!("- `{}`: {}", kind.uri(), kind.meaning())).collect();
+    let mut answer = ResponseBuilder::new()
+        .description(lines.join("\n"))
+        .content("application/problem+json", Content::new(Some(ProblemDetails::schema_ref())))
+        .build();
+    if status == 503 {
+        let mut header = Header::new(ObjectBuilder::new().schema_type(Type::Integer));
+        header.description = Some("Seconds after which to try again".to_owned());
+        answer.headers.insert("Retry-After".to_owned(), RefOr::T(header));
+    }
+    answer
+}
+
+trait SchemaRef {
+    fn schema_ref() -> RefOr<Schema>;
+}
+
+impl<T: ToSchema> SchemaRef for T {
+    fn schema_ref() -> RefOr<Schema> {
+        RefOr::Ref(Ref::from_schema_name(T::name()))
+    }
+}
+
+fn http_method(method: &Method) -> HttpMethod {
+    match *method {
+        Method::PUT => HttpMethod::Put,
+        Method::POST => HttpMethod::Post,
+        Method::DELETE => HttpMethod::Delete,
+        _ => HttpMethod::Get,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every operation with its method and path.
+    fn operations(document: &Value) -> Vec<(String, &Value)> {
+        let paths = document["paths"].as_object().unwrap().iter();
+        let operations = paths.flat_map(|(path, item)| {
+            let operations = item.as_object().unwrap().iter();
+            operations
+                .map(move |(method, operation)| (format!("{} {path}", method.to_uppercase()), operation))
+        });
+        operations.collect()
+    }
+
+    #[test]
+    fn table_and_handlers_agree() {
+        for route in all_routes(true) {
+            assert_eq!(route.documented.disagreement(&route.method, route.path), None);
+        }
+    }
+
+    #[test]
+    fn every_route_is_an_operation_of_its_own_with_what_it_needs() {
+        let document = openapi();
+        let operations = operations(&document);
+        assert_eq!(operations.len(), all_routes(true).len());
+        let ids: BTreeSet<&str> =
+            operations.iter().map(|(_, operation)| operation["operationId"].as_str().unwrap()).collect();
+        assert_eq!(ids.len(), operations.len(), "{ids:?}");
+        for (name, operation) in &operations {
+            assert!(operation["x-palpate-needs"].is_string(), "{name}");
+            assert!(!operation["summary"].as_str().unwrap_or("").is_empty(), "{name}");
+            for (status, answer) in operation["responses"].as_object().unwrap() {
+                let said = answer["description"].as_str().or(answer["$ref"].as_str()).unwrap_or("");
+                assert!(!said.is_empty(), "{name} {status}");
+            }
+        }
+        let needs = |name: &str| {
+            let (_, operation) = operations.iter().find(|(found, _)| found == name).unwrap();
+            operation["x-palpate-needs"].as_str().unwrap().to_owned()
+        };
+        assert_eq!((needs("GET /info"), needs("POST /recording")), ("nothing".into(), "operator".into()));
+    }
+
+    #[test]
+    fn every_reference_leads_somewhere() {
+        fn references<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
+            match value {
+                Value::Object(fields) => {
+                    found.extend(fields.get("$ref").and_then(Value::as_str));
+                    fields.values().for_each(|value| references(value, found));
+                }
+                Value::Array(items) => items.iter().for_each(|value| references(value, found)),
+                _ => {}
+            }
+        }
+        let document = openapi();
+        let mut found = Vec::new();
+        references(&document, &mut found);
+        assert!(found.len() > 100, "{}", found.len());
+        for reference in found {
+            let pointer = reference.strip_prefix('#').unwrap();
+            assert!(document.pointer(pointer).is_some(), "{reference}");
+        }
+    }
+
+    #[test]
+    fn every_operation_but_sockets_has_an_example_with_a_status_that_it_documents() {
+        for route in all_routes(true) {
+            let examples: Vec<_> = examples::of(&route.method, route.path).collect();
+            let is_socket = route.documented.is_socket();
+            assert_eq!(examples.is_empty(), is_socket, "{} {}", route.method, route.path);
+            let operation = operation_of(&route);
+            for (_, example) in examples {
+                let status = example.status.to_string();
+                assert!(operation.responses.responses.contains_key(&status), "{example:?}");
+                let curl = example.curl;
+                assert!(curl.starts_with("curl ") && curl.contains("$PALPATE_URL/api/v1/"), "{curl}");
+            }
+        }
+    }
+
+    #[test]
+    fn problem_types_are_all_in_the_document() {
+        let document = openapi().to_string();
+        for kind in ProblemType::ALL {
+            assert!(document.contains(kind.uri()), "{kind:?}");
+        }
+    }
+}
