@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, bail};
 use palpate_grasp::touch::{NoTouch, Sense};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
-use palpate_robot_model::{ObjectModel, Station};
+use palpate_robot_model::{ObjectGroup, ObjectModel, Station};
 use palpate_sim::SensorModel;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
@@ -46,6 +46,18 @@ impl Sources {
         Ok(bytes)
     }
 
+    /// Adds a file that was read elsewhere, unless it is there already.
+    pub(crate) fn keep(&self, source: Source) {
+        let mut list = self.0.borrow_mut();
+        if !list.contains(&source) {
+            list.push(source);
+        }
+    }
+
+    pub(crate) fn list(&self) -> Vec<Source> {
+        self.0.borrow().clone()
+    }
+
     pub(crate) fn into_list(self) -> Vec<Source> {
         self.0.into_inner()
     }
@@ -56,17 +68,41 @@ pub(crate) fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads everything that `args` names, and starts its threads.
-pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<GraspScene>, Script)> {
-    if args.threads == Some(0) {
+/// Starts the threads that are asked for; at most once.
+pub(crate) fn start_threads(threads: Option<usize>) -> anyhow::Result<()> {
+    if threads == Some(0) {
         bail!("--threads is 0, expected at least 1");
     }
-    if let Some(threads) = args.threads {
+    if let Some(threads) = threads {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build_global()
             .with_context(|| format!("failed to start {threads} threads"))?;
     }
+    Ok(())
+}
+
+/// A grasp world without an object.
+pub(crate) struct OpenWorld {
+    pub(crate) station: Arc<Station>,
+    pub(crate) config: GraspConfig,
+    sense: Box<dyn Sense>,
+}
+
+impl OpenWorld {
+    /// `object` in it, felt as the arguments say.
+    pub(crate) fn scene(&self, object: &ObjectModel) -> anyhow::Result<GraspScene> {
+        Ok(GraspScene::new(Arc::clone(&self.station), self.config.clone(), object, &*self.sense)?)
+    }
+
+    /// `object` in it, felt by nobody.
+    pub(crate) fn scene_without_touch(&self, object: &ObjectModel) -> anyhow::Result<GraspScene> {
+        Ok(GraspScene::new(Arc::clone(&self.station), self.config.clone(), object, &NoTouch)?)
+    }
+}
+
+/// Reads station, world and sense that `args` names.
+pub(crate) fn open_world(args: &SceneArgs, sources: &Sources) -> anyhow::Result<OpenWorld> {
     let folder = args.station.parent().unwrap_or(Path::new("")).to_owned();
     let name = args.station.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
     let read = |path: &str| sources.beside("station", &folder, path);
@@ -79,12 +115,6 @@ pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<G
         }
         config.task.half_width_m = 0.01 * start_cm;
     }
-    let script = Script::from_toml(
-        &shown(&args.script),
-        &sources.text("script", &args.script)?,
-        &station.robot,
-        &config,
-    )?;
     let sense: Box<dyn Sense> = match (&args.truth, &args.model) {
         _ if args.silence_touch => Box::new(NoTouch),
         (Some(path), _) => {
@@ -94,15 +124,70 @@ pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<G
         (None, Some(path)) => Box::new(SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?),
         (None, None) => Box::new(SensorModel::from_toml("nominal model", &station.nominal_model_toml)?),
     };
-    let scene = GraspScene::new(station, config, &object(&args.object, sources)?, &*sense)?;
+    Ok(OpenWorld { station, config, sense })
+}
+
+/// The script at `path`.
+pub(crate) fn script(path: &Path, world: &OpenWorld, sources: &Sources) -> anyhow::Result<Script> {
+    let text = sources.text("script", path)?;
+    Ok(Script::from_toml(&shown(path), &text, &world.station.robot, &world.config)?)
+}
+
+/// Reads everything that `args` names, and starts its threads.
+pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<GraspScene>, Script)> {
+    start_threads(args.threads)?;
+    let world = open_world(args, sources)?;
+    let script = script(&args.script, &world, sources)?;
+    let scene = world.scene(&object(&args.object, sources)?)?;
     Ok((Arc::new(scene), script))
 }
 
-fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
+/// Names of the objects that a list names: "seen", "unseen", "all", or names and files with commas between.
+pub(crate) fn objects(list: &str) -> anyhow::Result<Vec<String>> {
+    let of_groups = |groups: &[ObjectGroup]| -> anyhow::Result<Vec<String>> {
+        let mut names = Vec::new();
+        for name in known_objects() {
+            let group = object(&name, &Sources::default())?.group;
+            if group.is_some_and(|group| groups.contains(&group)) {
+                names.push(name);
+            }
+        }
+        if names.is_empty() {
+            bail!(
+                "--objects is {list:?}, but no object in {OBJECTS} belongs to it; run the command in the folder that \
+                   holds it"
+            );
+        }
+        Ok(names)
+    };
+    match list {
+        "seen" => of_groups(&[ObjectGroup::Seen]),
+        "unseen" => of_groups(&[ObjectGroup::Unseen]),
+        "all" => of_groups(&[ObjectGroup::Seen, ObjectGroup::Unseen]),
+        _ => {
+            let names: Vec<String> = list.split(',').map(|name| name.trim().to_owned()).collect();
+            let twice = names.iter().enumerate().find(|(idx, name)| names[..*idx].contains(name));
+            if let Some((_, name)) = twice {
+                bail!("--objects names {name:?} twice");
+            }
+            names.iter().try_for_each(|name| object(name, &Sources::default()).map(drop))?;
+            Ok(names)
+        }
+    }
+}
+
+/// The object of this name, or in this file.
+pub(crate) fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
     let given = PathBuf::from(name);
     let path = if given.is_file() { given } else { Path::new(OBJECTS).join(format!("{name}.toml")) };
     if !path.is_file() {
-        bail!("--object is {name:?}, which is no file and no object in {OBJECTS}: {}", known_objects());
+        let known = known_objects();
+        let known = if known.is_empty() {
+            "there is no such folder here; run the command in the folder that holds it".to_owned()
+        } else {
+            known.join(", ")
+        };
+        bail!("--object is {name:?}, which is no file and no object in {OBJECTS}: {known}");
     }
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
     let read_mesh = |mesh: &str| sources.beside("object", &folder, mesh);
@@ -111,10 +196,14 @@ fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
 
 const OBJECTS: &str = "assets/objects";
 
-fn known_objects() -> String {
-    let Ok(entries) = std::fs::read_dir(OBJECTS) else {
-        return "there is no such folder here; run the command in the folder that holds it".to_owned();
-    };
+/// Names of the objects in [`OBJECTS`].
+fn known_objects() -> Vec<String> {
+    names_in(Path::new(OBJECTS))
+}
+
+/// Names of the TOML files in `folder`, sorted; none where there is no such folder.
+pub(crate) fn names_in(folder: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut names: Vec<String> = entries
         .filter_map(|entry| {
             let path = entry.ok()?.path();
@@ -123,7 +212,19 @@ fn known_objects() -> String {
         })
         .collect();
     names.sort();
-    names.join(", ")
+    names
+}
+
+/// What is wrong with the place of a file that will be written.
+pub(crate) fn check_out(out: &Path) -> anyhow::Result<()> {
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        bail!("--out is {out:?}, but there is no folder {folder:?}; make it first");
+    }
+    if out.is_dir() {
+        bail!("--out is {out:?}, which is a folder, expected a file");
+    }
+    Ok(())
 }
 
 pub(crate) fn text(path: &Path) -> anyhow::Result<String> {

@@ -1,8 +1,9 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, scores what was learned and keeps it as demonstrations, pretrains the tactile encoder on these, and measures the
-//! grasp world's speed.
+//! they, searches by touch, scores what was learned and keeps it as demonstrations, pretrains the tactile encoder on these, and
+//! measures the grasp world's speed.
 
 mod bench;
+mod compare;
 mod curves;
 mod demos;
 mod encode;
@@ -12,6 +13,7 @@ mod files;
 mod policy;
 mod ppo;
 mod script;
+mod search;
 mod task;
 mod truth;
 mod tune;
@@ -36,8 +38,10 @@ enum Command {
     Tune(tune::TuneArgs),
     /// Learn to grasp one object by touch: what a policy adds to a script, or all of it
     Ppo(ppo::PpoArgs),
-    /// Run trials of a policy, and score them
+    /// Run trials of a policy, and score them; under a protocol beside others on the same starts
     Evaluate(evaluate::EvaluateArgs),
+    /// Simulate closings of the hand, which the searching expert learns from
+    Closings(search::ClosingsArgs),
     /// Roll out a policy, and keep the trials that succeed as files to learn from
     Demos(demos::DemosArgs),
     /// Pretrain the tactile encoder with what demonstrations know beyond touch
@@ -51,7 +55,7 @@ enum Command {
 }
 
 /// What is grasped with what, and felt how.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 pub(crate) struct SceneArgs {
     /// Station file
     #[arg(long, default_value = "assets/stations/xarm6_leap.toml")]
@@ -91,6 +95,7 @@ fn main() -> ExitCode {
         Command::Tune(args) => tune::run(&args),
         Command::Ppo(args) => ppo::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Closings(args) => search::run(&args),
         Command::Demos(args) => demos::run(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Export(args) => export::run(&args),

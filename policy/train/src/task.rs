@@ -4,13 +4,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use palpate_grasp::learn::{Curriculum, LearnConfig, LearnTask};
+use palpate_grasp::{GraspScene, Script};
 use serde::{Deserialize, Serialize};
 
 use crate::files::{Source, Sources, sha256};
 use crate::{SceneArgs, files};
 
 /// A scene and what is learned in it.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 pub(crate) struct TaskArgs {
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
@@ -33,6 +34,16 @@ pub(crate) struct OpenTask {
 pub(crate) fn open(args: &TaskArgs) -> anyhow::Result<OpenTask> {
     let sources = Sources::default();
     let (scene, script) = files::open(&args.scene, &sources)?;
+    of(args, scene, script, sources)
+}
+
+/// The task of `args` in a scene that is open already, made from `sources`.
+pub(crate) fn of(
+    args: &TaskArgs,
+    scene: Arc<GraspScene>,
+    script: Script,
+    sources: Sources,
+) -> anyhow::Result<OpenTask> {
     let text = sources.text("learning", &args.learning)?;
     let learning = LearnConfig::from_toml(&files::shown(&args.learning), &text, &scene.station().robot)?;
     let script = (!args.without_script).then_some(script);

@@ -106,14 +106,7 @@ fn check(args: &TuneArgs) -> anyhow::Result<()> {
     if args.elite > args.candidates {
         bail!("--elite is {}, expected at most the {} of --candidates", args.elite, args.candidates);
     }
-    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        bail!("--out is {:?}, but there is no folder {folder:?}; make it first", args.out);
-    }
-    if args.out.is_dir() {
-        bail!("--out is {:?}, which is a folder, expected a file", args.out);
-    }
-    Ok(())
+    files::check_out(&args.out)
 }
 
 fn tell(args: &TuneArgs, bar: &Bar, generation: &Generation, began: Instant) -> anyhow::Result<()> {

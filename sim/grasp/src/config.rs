@@ -135,6 +135,11 @@ pub struct TaskConfig {
     pub hold_s: f64,
     /// Force between robot and table at which the safety layer would stop the arm, N.
     pub max_table_force_n: f64,
+    /// Whether an episode ends when the policy says that it holds the object instead of when it does. Then the object has to
+    /// have been up for `hold_s` at that moment, or at the end of the time where the policy says nothing. World files leave
+    /// it out; a [`crate::Protocol`] sets it.
+    #[serde(default)]
+    pub one_claim: bool,
 }
 
 /// Ranges of uniform draws at the start of an episode.

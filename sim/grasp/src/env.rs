@@ -92,6 +92,11 @@ impl GraspScene {
         world.settle(&start.positions, self.config.task.settle_s)
     }
 
+    /// Where the robot waits, one position per degree of freedom.
+    pub fn start_positions(&self) -> &[f64] {
+        &self.start
+    }
+
     /// By degree of freedom, whether it is one of the hand's.
     pub fn dofs_in_hand(&self) -> &[bool] {
         &self.in_hand

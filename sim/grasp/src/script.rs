@@ -201,7 +201,7 @@ impl Again {
 }
 
 /// Targets of `timeline` at `time_s`, linear in between; the last hold for ever.
-fn between(timeline: &[(f64, Vec<f64>)], time_s: f64) -> Vec<f64> {
+pub(crate) fn between(timeline: &[(f64, Vec<f64>)], time_s: f64) -> Vec<f64> {
     let after = timeline.partition_point(|(at_s, _)| *at_s <= time_s);
     let (from_s, from) = &timeline[after.saturating_sub(1)];
     let Some((to_s, to)) = timeline.get(after) else { return from.clone() };

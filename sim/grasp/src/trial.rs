@@ -6,6 +6,7 @@ use palpate_statistics::wilson;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::controller::{Controller, Observation};
 use crate::env::stream;
 use crate::{Contacts, GraspConfig, GraspEnv, GraspError, GraspScene, Script, ScriptRun, Start, World};
 
@@ -47,8 +48,19 @@ impl Judge {
 
     /// Looks at `world`, which has these `contacts`, after a control step; the verdict as soon as there is one. Success
     /// needs touch by the robot, the object's origin `lift_m` above where it began, and that for `hold_s` without a break
-    /// (paper, "Evaluation Protocol").
+    /// (paper, "Evaluation Protocol"); in a task of one claim also that the episode is over.
     pub fn look(&mut self, config: &GraspConfig, world: &World, contacts: &Contacts) -> Option<Outcome> {
+        self.look_and_hear(config, world, contacts, false)
+    }
+
+    /// The same when the policy may have claimed just now that it holds the object, which ends a task of one claim.
+    pub fn look_and_hear(
+        &mut self,
+        config: &GraspConfig,
+        world: &World,
+        contacts: &Contacts,
+        claims_held: bool,
+    ) -> Option<Outcome> {
         let step_s = 1.0 / config.control_rate_hz;
         if contacts.robot_table_n > config.task.max_table_force_n {
             return Some(Outcome::EmergencyStop);
@@ -61,14 +73,13 @@ impl Judge {
             self.lifted_for_s = 0.0;
         }
         // A step's rounding is no reason to hold, or to last, for a step longer.
-        if self.lifted_for_s >= config.task.hold_s - 0.5 * step_s {
+        let is_held = self.lifted_for_s >= config.task.hold_s - 0.5 * step_s;
+        let is_late = world.time_s() >= self.longest_s - 0.5 * step_s;
+        let is_over = is_late || (config.task.one_claim && claims_held);
+        if is_held && (is_over || !config.task.one_claim) {
             return Some(Outcome::Success);
         }
-        (world.time_s() >= self.longest_s - 0.5 * step_s).then_some(if self.was_lifted {
-            Outcome::Slip
-        } else {
-            Outcome::EmptyGrasp
-        })
+        is_over.then_some(if self.was_lifted { Outcome::Slip } else { Outcome::EmptyGrasp })
     }
 }
 
@@ -197,6 +208,84 @@ fn judged<T>(
         }
     }
     Ok(report)
+}
+
+/// What a controller gets to know in a trial: controls of an experiment take something away, or give what no robot has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Known {
+    /// Touch as it is felt; otherwise no channel ever feels anything.
+    pub touch: bool,
+    /// Joint positions as they are; otherwise every joint seems to be where it was sent, so that tracking errors say nothing.
+    pub tracking: bool,
+    /// Where the object is ([`Observation::told_place_m`]).
+    pub place: bool,
+}
+
+impl Known {
+    /// What the robot itself knows.
+    pub const ROBOT: Self = Self { touch: true, tracking: true, place: false };
+}
+
+/// How a trial under a protocol ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ending {
+    /// Its verdict.
+    pub outcome: Outcome,
+    /// When the verdict was there, s.
+    pub time_s: f64,
+    /// Whether the controller said in a task of one claim that it held the object.
+    pub claimed: bool,
+}
+
+impl Ending {
+    /// Whether it was won.
+    pub fn is_won(&self) -> bool {
+        self.outcome == Outcome::Success
+    }
+
+    /// Whether the controller claimed to hold an object that it did not hold.
+    pub fn is_false_claim(&self) -> bool {
+        self.claimed && !self.is_won()
+    }
+}
+
+/// Trial number `trial` of those with `seed` moved by `controller`, which sees what `known` says. It begins where
+/// [`watch`] begins with the same numbers.
+pub fn conduct(
+    scene: &Arc<GraspScene>,
+    controller: &mut dyn Controller,
+    known: Known,
+    seed: u64,
+    trial: u64,
+) -> Result<Ending, GraspError> {
+    let mut rng = stream(seed, trial);
+    let start = Start::draw(scene, &mut rng);
+    let mut env = GraspEnv::at(Arc::clone(scene), &start, rng)?;
+    let task = &scene.config().task;
+    let mut judge = Judge::new(env.world(), task.episode_s);
+    let nothing = vec![false; scene.station().layout.num_channels()];
+    loop {
+        let at = env.world().base_from_object().translation;
+        let command = controller.control(&Observation {
+            time_s: env.time_s(),
+            positions: if known.tracking { env.positions() } else { env.targets() },
+            commands: env.targets(),
+            active: if known.touch { &env.readings().active } else { &nothing },
+            told_place_m: known.place.then_some([at.x - task.center_m[0], at.y - task.center_m[1]]),
+        });
+        let claimed = task.one_claim && command.claims_held;
+        match env.step(&command.targets) {
+            Err(GraspError::Diverged { .. }) => {
+                return Ok(Ending { outcome: Outcome::EmergencyStop, time_s: env.time_s(), claimed });
+            }
+            other => other?,
+        }
+        let contacts = env.world().contacts();
+        let verdict = judge.look_and_hear(scene.config(), env.world(), &contacts, claimed);
+        if let Some(outcome) = verdict {
+            return Ok(Ending { outcome, time_s: env.time_s(), claimed });
+        }
+    }
 }
 
 /// The verdict on one trial of `script`: number `trial` of those with `seed`.

@@ -31,6 +31,8 @@ pub struct LearnEnv {
     action: Vec<f64>,
     /// Joint positions as the actor reads them.
     read_positions: Vec<f64>,
+    /// Whether they are where the joints were sent instead.
+    tracking_hidden: bool,
     /// What is left of touches before the current one, 0 to 1.
     past_touch: Vec<f64>,
     push: Push,
@@ -84,6 +86,7 @@ impl LearnEnv {
             targets_before: vec![0.0; num_dofs],
             action: vec![0.0; task.layout.action_dim()],
             read_positions: vec![0.0; num_dofs],
+            tracking_hidden: false,
             past_touch: vec![0.0; task.scene.station().layout.num_channels()],
             push: Push::default(),
             is_pushed: true,
@@ -111,6 +114,11 @@ impl LearnEnv {
         let any_orientation = self.is_pushed && task.config.start.any_orientation;
         let start = Start::draw_within(&task.scene, half_width_m, any_orientation, &mut self.rng);
         self.begin(&start)
+    }
+
+    /// Whether from the next episode on every joint seems to be where it was sent, so that tracking errors tell the actor nothing.
+    pub fn hide_tracking(&mut self, hidden: bool) {
+        self.tracking_hidden = hidden;
     }
 
     /// Draws from `rng` from now on.
@@ -247,6 +255,9 @@ impl LearnEnv {
         let noise = task.config.observation.position_noise;
         for (read, &position) in self.read_positions.iter_mut().zip(self.env.positions()) {
             *read = position + noise * (2.0 * self.rng.random::<f64>() - 1.0);
+        }
+        if self.tracking_hidden {
+            self.read_positions.copy_from_slice(self.env.targets());
         }
         let world = self.env.world();
         let mut frames = Vec::new();

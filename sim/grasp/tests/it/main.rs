@@ -7,6 +7,7 @@ mod learning;
 #[cfg(feature = "mujoco")]
 mod physics;
 mod scripts;
+mod search;
 mod tuning;
 
 use std::path::{Path, PathBuf};

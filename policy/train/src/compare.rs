@@ -1,0 +1,328 @@
+//! Compares policies under a protocol, on the same starts.
+
+mod report;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context as _, bail};
+use palpate_grasp::controller::{Controller, Scripted};
+use palpate_grasp::learn::{Conditions, LearnEnv};
+use palpate_grasp::search::{Experience, Prior, Searcher, Senses};
+use palpate_grasp::trial::{Ending, Known, conduct};
+use palpate_grasp::{GraspScene, Protocol, Script};
+use palpate_robot_model::ObjectGroup;
+use palpate_sim::job::Progress as _;
+use palpate_terminal::Bar;
+use rayon::prelude::*;
+
+use self::report::{Arm, Comparison, OfObject};
+use crate::evaluate::EvaluateArgs;
+use crate::files::{self, OpenWorld, Sources};
+use crate::policy::Policy;
+use crate::search::Expert;
+use crate::task::{self, OpenTask};
+
+const PROTOCOLS: &str = "assets/grasp/protocols";
+
+/// What moves the robot in one arm of a comparison.
+#[derive(Clone, Debug, PartialEq)]
+enum Mover {
+    Script,
+    /// The searching expert that has learned with these senses.
+    Search(Senses),
+    /// The searching expert, told where the object is.
+    Oracle,
+    /// A policy that was learned, in a file or folder.
+    Learned(String),
+}
+
+impl Mover {
+    fn parse(text: &str) -> Self {
+        match text {
+            "script" => Self::Script,
+            "search" => Self::Search(Senses::BOTH),
+            "search:touch" => Self::Search(Senses { touch: true, tracking: false }),
+            "search:tracking" => Self::Search(Senses { touch: false, tracking: true }),
+            // Which places come next then follows from the time alone.
+            "search:none" | "repetition" => Self::Search(Senses::NONE),
+            "oracle" => Self::Oracle,
+            path => Self::Learned(path.to_owned()),
+        }
+    }
+
+    /// What it gets to know when nothing is taken away.
+    fn known(&self) -> Known {
+        match self {
+            Self::Script | Self::Learned(_) => Known::ROBOT,
+            Self::Search(senses) => Known { touch: senses.touch, tracking: senses.tracking, place: false },
+            Self::Oracle => Known { place: true, ..Known::ROBOT },
+        }
+    }
+}
+
+/// The arms of a comparison, the policy first.
+fn arms(args: &EvaluateArgs) -> anyhow::Result<Vec<(String, Mover, Known)>> {
+    let policy = Mover::parse(&args.policy);
+    let whole = policy.known();
+    let known = Known {
+        touch: whole.touch && !args.task.scene.silence_touch,
+        tracking: whole.tracking && !args.hide_tracking,
+        ..whole
+    };
+    let mut arms = vec![("policy".to_owned(), policy.clone(), known)];
+    if args.controls {
+        for (name, mover) in [
+            ("script", Mover::Script),
+            ("repetition", Mover::Search(Senses::NONE)),
+            ("oracle", Mover::Oracle),
+        ] {
+            let known = mover.known();
+            arms.push((name.to_owned(), mover, known));
+        }
+        for (name, known) in [
+            ("silenced", Known { touch: false, ..known }),
+            ("tracking_hidden", Known { tracking: false, ..known }),
+            ("clock_only", Known { touch: false, tracking: false, ..known }),
+        ] {
+            arms.push((name.to_owned(), policy.clone(), known));
+        }
+    }
+    for text in &args.beside {
+        let mover = Mover::parse(text);
+        let known = mover.known();
+        arms.push((text.clone(), mover, known));
+    }
+    let twice = arms.iter().enumerate().find(|(idx, arm)| arms[..*idx].iter().any(|one| one.0 == arm.0));
+    if let Some((_, (name, ..))) = twice {
+        bail!("{name:?} is compared twice; leave one --beside out");
+    }
+    Ok(arms)
+}
+
+/// What an arm needs in the world of one object.
+enum Ready {
+    Scripted(Arc<Script>),
+    Searching { expert: Arc<Expert>, experience: Arc<Experience>, prior: Prior },
+    Learned { policy: Box<Policy>, opened: OpenTask, tracking_hidden: bool },
+}
+
+pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
+    let began = Instant::now();
+    if let Some(out) = &args.out {
+        files::check_out(out)?;
+    }
+    if args.task.scene.start_cm.is_some() {
+        bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
+    }
+    let sources = Sources::default();
+    let (name, mut protocol) = protocol(args, &sources)?;
+    protocol.trials = args.trials.unwrap_or(protocol.trials);
+    protocol.seed = args.seed.unwrap_or(protocol.seed);
+    let objects = files::objects(args.objects.as_deref().unwrap_or(&args.task.scene.object))?;
+    let arms = arms(args)?;
+    files::start_threads(args.task.scene.threads)?;
+    let mut experiences = Experiences::default();
+    let (bar, done) = (Bar::new(), AtomicU64::new(0));
+    let all = protocol.trials * (objects.len() * arms.len()) as u64;
+    let mut endings: Vec<Vec<OfObject>> = arms.iter().map(|_| Vec::new()).collect();
+    for object in &objects {
+        let mut of_object = Bench::open(args, object, &protocol)?;
+        for ((_, mover, known), endings) in arms.iter().zip(&mut endings) {
+            let ready = of_object.ready(args, mover, *known, &protocol, &mut experiences)?;
+            let scene = if known.touch { &of_object.scene } else { &of_object.without_touch };
+            let trials = (0..protocol.trials)
+                .into_par_iter()
+                .map(|trial| {
+                    let ending = ready.run(scene, *known, protocol.seed, trial)?;
+                    let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+                    bar.report(done as f64 / all as f64, "trials");
+                    Ok(ending)
+                })
+                .collect::<anyhow::Result<Vec<Ending>>>()?;
+            endings.push(OfObject { id: scene.object().id.clone(), group: scene.object().group, trials });
+        }
+        of_object.sources.list().into_iter().for_each(|source| sources.keep(source));
+    }
+    drop(bar);
+    let arms = arms.into_iter().zip(endings).map(|((name, ..), objects)| Arm { name, objects }).collect();
+    let comparison = Comparison {
+        protocol_name: name,
+        protocol,
+        policy: args.policy.clone(),
+        arms,
+        sources: sources.into_list(),
+        seconds: began.elapsed().as_secs_f64(),
+    };
+    if let Some(out) = &args.out {
+        let text = serde_json::to_string_pretty(&comparison.document(true))?;
+        files::write_in_one_move(out, format!("{text}\n").as_bytes())?;
+    }
+    if args.task.scene.json {
+        println!("{}", serde_json::to_string_pretty(&comparison.document(false))?);
+    } else {
+        print!("{}", comparison.text());
+    }
+    Ok(())
+}
+
+/// The protocol that the arguments name, and its name.
+fn protocol(args: &EvaluateArgs, sources: &Sources) -> anyhow::Result<(String, Protocol)> {
+    let given = args.protocol.as_deref().unwrap_or_default();
+    let file = PathBuf::from(given);
+    let path = if file.is_file() { file } else { Path::new(PROTOCOLS).join(format!("{given}.toml")) };
+    if !path.is_file() {
+        let known: Vec<String> = files::names_in(Path::new(PROTOCOLS));
+        bail!(
+            "--protocol is {given:?}, which is no file and no protocol in {PROTOCOLS}: {}",
+            known.join(", ")
+        );
+    }
+    let text = sources.text("protocol", &path)?;
+    let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or(given).to_owned();
+    Ok((name, Protocol::from_toml(&files::shown(&path), &text)?))
+}
+
+/// One object in the world of a protocol.
+struct Bench {
+    object: String,
+    world: OpenWorld,
+    script: Script,
+    scene: Arc<GraspScene>,
+    without_touch: Arc<GraspScene>,
+    expert: Option<Arc<Expert>>,
+    sources: Sources,
+}
+
+impl Bench {
+    fn open(args: &EvaluateArgs, object: &str, protocol: &Protocol) -> anyhow::Result<Self> {
+        let sources = Sources::default();
+        let mut world = files::open_world(&args.task.scene, &sources)?;
+        protocol.apply(&mut world.config);
+        let model = files::object(object, &sources)?;
+        let script =
+            files::script(&path_for(&files::shown(&args.task.scene.script), &model.id), &world, &sources)?;
+        Ok(Self {
+            object: object.to_owned(),
+            scene: Arc::new(world.scene(&model)?),
+            without_touch: Arc::new(world.scene_without_touch(&model)?),
+            world,
+            script,
+            expert: None,
+            sources,
+        })
+    }
+
+    /// Makes `mover` ready to run.
+    fn ready(
+        &mut self,
+        args: &EvaluateArgs,
+        mover: &Mover,
+        known: Known,
+        protocol: &Protocol,
+        experiences: &mut Experiences,
+    ) -> anyhow::Result<Ready> {
+        let id = self.scene.object().id.clone();
+        match mover {
+            Mover::Script => Ok(Ready::Scripted(Arc::new(self.script.clone()))),
+            Mover::Search(_) | Mover::Oracle => {
+                let senses = if let Mover::Search(senses) = mover { *senses } else { Senses::BOTH };
+                let expert = self.expert(args)?;
+                let shape = if args.know_shape {
+                    let shape = expert.shape(&id);
+                    Some(shape.with_context(|| {
+                        format!("--know-shape, but there are no closings on {id:?} in {:?}", args.closings)
+                    })?)
+                } else {
+                    None
+                };
+                let closings = path_for(&files::shown(&args.closings), &id);
+                let experience = experiences.of(&closings, senses, &expert)?;
+                let prior = Prior { half_width_m: protocol.half_width_m, shape };
+                Ok(Ready::Searching { expert, experience, prior })
+            }
+            Mover::Learned(path) => {
+                // A policy is tied to the files of one object, so these are read again on their own.
+                let sources = Sources::default();
+                let world = files::open_world(&args.task.scene, &sources)?;
+                let model = files::object(&self.object, &sources)?;
+                let script = files::script(
+                    &path_for(&files::shown(&args.task.scene.script), &model.id),
+                    &world,
+                    &sources,
+                )?;
+                let scene = if known.touch { &self.scene } else { &self.without_touch };
+                let opened = task::of(&args.task, Arc::clone(scene), script, sources)?;
+                let (policy, source) = Policy::open(&path_for(path, &id), &opened)?;
+                self.sources.keep(source);
+                Ok(Ready::Learned { policy: Box::new(policy), opened, tracking_hidden: !known.tracking })
+            }
+        }
+    }
+
+    fn expert(&mut self, args: &EvaluateArgs) -> anyhow::Result<Arc<Expert>> {
+        if let Some(expert) = &self.expert {
+            return Ok(Arc::clone(expert));
+        }
+        let id = &self.scene.object().id;
+        let expert = Arc::new(Expert::open(
+            &args.search,
+            &path_for(&files::shown(&args.closings), id),
+            &self.world.station,
+            &self.world.config,
+            &self.sources,
+        )?);
+        self.expert = Some(Arc::clone(&expert));
+        Ok(expert)
+    }
+}
+
+/// `path` with the object's name in it where it says {object}.
+fn path_for(path: &str, object: &str) -> PathBuf {
+    PathBuf::from(path.replace("{object}", object))
+}
+
+/// Experiences by file and senses: making one takes a second.
+#[derive(Default)]
+struct Experiences(Vec<(PathBuf, Senses, Arc<Experience>)>);
+
+impl Experiences {
+    fn of(&mut self, path: &Path, senses: Senses, expert: &Expert) -> anyhow::Result<Arc<Experience>> {
+        let known = self.0.iter().find(|(of, with, _)| of == path && *with == senses);
+        if let Some((.., experience)) = known {
+            return Ok(Arc::clone(experience));
+        }
+        let experience = expert.experience(senses)?;
+        self.0.push((path.to_owned(), senses, Arc::clone(&experience)));
+        Ok(experience)
+    }
+}
+
+impl Ready {
+    fn run(&self, scene: &Arc<GraspScene>, known: Known, seed: u64, trial: u64) -> anyhow::Result<Ending> {
+        let mut controller: Box<dyn Controller> = match self {
+            Self::Scripted(script) => {
+                let config = Arc::new(scene.config().clone());
+                Box::new(Scripted::new(Arc::clone(script), Arc::clone(scene.station()), config))
+            }
+            Self::Searching { expert, experience, prior } => {
+                Box::new(Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior))
+            }
+            Self::Learned { policy, opened, tracking_hidden } => {
+                let mut env = LearnEnv::for_trials(Arc::clone(&opened.task))?;
+                env.hide_tracking(*tracking_hidden);
+                env.begin_trial(seed, trial, Conditions::Evaluation)?;
+                let outcome = policy.run(&mut env, &mut ())?;
+                return Ok(Ending { outcome, time_s: env.grasp().time_s(), claimed: false });
+            }
+        };
+        Ok(conduct(scene, &mut *controller, known, seed, trial)?)
+    }
+}
+
+/// Whether an object belongs to a group.
+fn is_in(group: Option<ObjectGroup>, wanted: ObjectGroup) -> bool {
+    group == Some(wanted)
+}

@@ -1,0 +1,139 @@
+//! Comparisons under a protocol, and the searching expert.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::palpate_train;
+use super::policies::{printed, train, zeroed};
+
+#[test]
+fn what_is_wrong_with_a_comparison_is_named_before_anything_starts() {
+    for (args, expected) in [
+        (
+            &["--protocol", "wild"][..],
+            "--protocol is \"wild\", which is no file and no protocol in assets/grasp/protocols: claim, paper",
+        ),
+        (&["--controls"], "--protocol"),
+        (&["--protocol", "wide", "--start-cm", "5"], "--start-cm and --protocol exclude each other"),
+        (&["--protocol", "wide", "--objects", "cube,cube"], "--objects names \"cube\" twice"),
+        (&["--protocol", "wide", "--objects", "cueb"], "which is no file and no object"),
+        (&["--protocol", "wide", "--trials", "0"], "--trials is 0"),
+        (&["--protocol", "wide", "--beside", "oracle", "--beside", "oracle"], "\"oracle\" is compared twice"),
+        (&["--protocol", "wide", "--out", "no_such_folder/a.json"], "there is no folder \"no_such_folder\""),
+        (
+            &["--protocol", "wide", "--closings", "no_such_file"],
+            "`palpate-train closings --out` makes such a file",
+        ),
+        (&["--protocol", "wide", "--closings", "Cargo.toml"], "holds no closings that can be used"),
+    ] {
+        let output = palpate_train(&[&["evaluate", "--policy", "search"], args].concat());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
+    }
+    let output = palpate_train(&["closings", "--count", "0"]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--count is 0"));
+}
+
+#[test]
+fn a_policy_of_zeros_is_paired_with_the_script_start_by_start() {
+    let folder = tempfile::tempdir().expect("a folder");
+    train(folder.path());
+    let bytes = std::fs::read(folder.path().join("run/checkpoint.safetensors")).expect("a checkpoint");
+    std::fs::write(folder.path().join("cube.safetensors"), zeroed(&bytes, 0.0)).expect("a file");
+    let policy = folder.path().join("{object}.safetensors");
+    let report: Value = serde_json::from_str(&printed(&[
+        "evaluate",
+        "--policy",
+        policy.to_str().expect("a path"),
+        "--protocol",
+        "wide",
+        "--trials",
+        "6",
+        "--beside",
+        "script",
+        "--json",
+    ]))
+    .expect("a report");
+    assert_eq!((&report["protocol"], &report["overall"]["trials"]), (&"wide".into(), &6.into()));
+    let script = &report["controls"]["script"];
+    assert_eq!(report["overall"], script["overall"]);
+    assert_eq!(
+        script["paired"]["overall"],
+        serde_json::json!({"only_policy": 0, "only_control": 0, "p_value": 1.0})
+    );
+    assert!(report["unseen"].is_null() && report["seen"] == report["overall"]);
+}
+
+#[test]
+fn a_search_is_compared_with_its_controls_and_has_the_same_bits_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("a path").to_owned();
+    let closings = path("closings.safetensors");
+    let make = |out: &str, threads: &str| {
+        printed(&[
+            "closings",
+            "--objects",
+            "cube",
+            "--count",
+            "24",
+            "--window-cm",
+            "8",
+            "--seed",
+            "3",
+            "--out",
+            out,
+            "--threads",
+            threads,
+        ])
+    };
+    make(&closings, "1");
+    let again = path("again.safetensors");
+    make(&again, "3");
+    assert_eq!(std::fs::read(&closings).expect("a file"), std::fs::read(&again).expect("a file"));
+    let run = |out: &str, threads: &str| -> Value {
+        printed(&[
+            "evaluate",
+            "--policy",
+            "search",
+            "--protocol",
+            "claim",
+            "--objects",
+            "cube,ring",
+            "--trials",
+            "3",
+            "--seed",
+            "9",
+            "--controls",
+            "--beside",
+            "search:touch",
+            "--closings",
+            &closings,
+            "--out",
+            out,
+            "--threads",
+            threads,
+        ]);
+        let text = std::fs::read_to_string(Path::new(out)).expect("a file");
+        serde_json::from_str(&text).expect("a report")
+    };
+    let (mut one, mut other) = (run(&path("one.json"), "1"), run(&path("other.json"), "3"));
+    for report in [&mut one, &mut other] {
+        report["seconds"] = Value::Null;
+    }
+    assert_eq!(one, other);
+    for name in
+        ["script", "repetition", "oracle", "silenced", "tracking_hidden", "clock_only", "search:touch"]
+    {
+        let control = &one["controls"][name];
+        assert_eq!(control["overall"]["trials"], 6, "{name}");
+        assert_eq!(control["trials"]["ring"].as_array().map(Vec::len), Some(3), "{name}");
+        let paired = &control["paired"]["overall"];
+        let won = |report: &Value| report["overall"]["successes"].as_i64().expect("a number");
+        let only = |who: &str| paired[who].as_i64().expect("a number");
+        assert_eq!(won(&one) - won(control), only("only_policy") - only("only_control"), "{name}");
+    }
+    assert_eq!((&one["seen"]["trials"], &one["unseen"]["trials"]), (&3.into(), &3.into()));
+    // Who has been told the place finds the cube.
+    assert!(one["controls"]["oracle"]["objects"]["cube"]["successes"].as_i64() >= Some(2), "{one}");
+}
