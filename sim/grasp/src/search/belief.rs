@@ -7,6 +7,9 @@ use super::{Felt, Skill};
 const BLUR_CELLS: f64 = 0.8;
 /// Mass below which a cell is passed over.
 const NOTHING: f64 = 1e-9;
+/// Likelihood below which what was felt is impossible by all that was simulated, so that nothing is learned from it. Smaller
+/// numbers have too few digits to divide by.
+const IMPOSSIBLE: f64 = f64::MIN_POSITIVE;
 
 /// Masses of cells of 1 cm, by shape, that sum to 1 with that of objects which have left the grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -149,13 +152,11 @@ impl Belief {
         });
         far.gone *= alike_far;
         let sum = weights.iter().sum::<f64>() + far.sum();
-        if sum > 0.0 {
-            weights.iter_mut().for_each(|weight| *weight /= sum);
-            far.scale(1.0 / sum);
-        } else {
-            // Impossible by all that was simulated: nothing is learned.
-            far = self.clone();
+        if sum < IMPOSSIBLE {
+            return Attempt { place_m, weights: vec![0.0; weights.len()], far: self.clone() };
         }
+        weights.iter_mut().for_each(|weight| *weight /= sum);
+        far.scale(1.0 / sum);
         Attempt { place_m, weights, far }
     }
 
@@ -319,7 +320,7 @@ impl Attempt {
 
     fn normalised_or(mut self, other: &Self) -> Self {
         let sum = self.weights.iter().sum::<f64>() + self.far.sum();
-        if sum <= 0.0 {
+        if sum < IMPOSSIBLE {
             return other.clone();
         }
         self.weights.iter_mut().for_each(|weight| *weight /= sum);

@@ -136,6 +136,21 @@ proptest! {
 }
 
 #[test]
+fn what_is_next_to_impossible_teaches_nothing() {
+    let experience = experience(Senses::BOTH);
+    let before = even(&experience);
+    // Found by the property above: a sum of likelihoods between zero and the smallest number with all its digits.
+    let felt = Felt { touch: vec![0.0, -0.421_714_04], tracking: vec![-0.472_165_55, 1.259_781_1, 0.0] };
+    let nothing = Felt { touch: vec![0.0; 2], tracking: vec![0.0; 3] };
+    let attempt = before.attempt(&experience, [-0.113_398_952_571_003_62, 0.0], &felt);
+    let lifted = attempt.lifted(&experience, &nothing);
+    for attempt in [&attempt, &lifted] {
+        assert!((0.0..=1.0 + 1e-9).contains(&attempt.held(&experience)));
+        assert!(is_distribution(&attempt.belief(&experience, true)));
+    }
+}
+
+#[test]
 fn a_try_that_felt_nothing_moves_the_belief_away_from_its_place() {
     let experience = experience(Senses::BOTH);
     let before = even(&experience);
