@@ -1,5 +1,6 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
+mod campaigns;
 mod diagnosis;
 mod jobs;
 mod live;
@@ -8,6 +9,7 @@ mod recording;
 
 use std::collections::BTreeMap;
 
+pub use campaigns::*;
 pub use diagnosis::*;
 pub use jobs::*;
 pub use live::*;
