@@ -4,6 +4,7 @@ mod actuator;
 mod bench;
 mod blind;
 mod calibrate;
+mod campaign;
 mod devices;
 mod diagnose;
 mod emulate;
@@ -58,6 +59,9 @@ enum Command {
     /// The jobs of a studio
     #[command(subcommand)]
     Jobs(jobs::JobsCommand),
+    /// Trials of policies on the hand, and what they say
+    #[command(subcommand)]
+    Campaign(campaign::CampaignCommand),
     /// What runners of jobs call (docs/jobs.md)
     #[command(subcommand, hide = true)]
     Job(job::JobCommand),
@@ -82,6 +86,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Blind(args) => blind::run(&args),
         Command::Jobs(command) => jobs::run(&command),
+        Command::Campaign(command) => campaign::run(&command),
         Command::Job(command) => job::run(&command),
         Command::Bench(command) => bench::run(&command),
     };

@@ -12,6 +12,7 @@ use palpate_jobs::JobsError;
 use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
 use palpate_sim::SensorModelError;
+use palpate_trials::TrialsError;
 
 /// Anything that can go wrong with a command or a request.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +51,9 @@ pub enum Error {
     /// The jobs of the data folder.
     #[error(transparent)]
     Jobs(#[from] JobsError),
+    /// The campaigns of the data folder.
+    #[error(transparent)]
+    Trials(#[from] TrialsError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -184,6 +188,15 @@ impl Error {
                 JobsError::Argument(_) => Class::BadArgument,
                 JobsError::Content { .. } => Class::BadContent,
                 JobsError::Io { action, source, .. } => io_class(action, source),
+                _ => Class::Failed,
+            },
+            Self::Trials(err) => match err {
+                TrialsError::UnknownCampaign(_) | TrialsError::UnknownTrial { .. } => Class::NotFound,
+                TrialsError::Argument(_) => Class::BadArgument,
+                TrialsError::Conflict(_) => Class::Conflict,
+                TrialsError::Content { .. } => Class::BadContent,
+                TrialsError::File(err) => recording_class(err),
+                TrialsError::Io { action, source, .. } => io_class(action, source),
                 _ => Class::Failed,
             },
             Self::Conflict(_) => Class::Conflict,

@@ -1,8 +1,8 @@
-//! Hands live frames and job updates to every client of the stream.
+//! Hands live frames, job updates and changes of lists to every client of the stream.
 
 use std::sync::{Arc, Mutex, Weak};
 
-use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage};
+use palpate_wire::proto::{Changed, JobUpdate, LiveFrame, StreamMessage};
 use tokio::sync::Notify;
 
 mod client_queue;
@@ -16,6 +16,28 @@ use crate::data::cache::lock;
 pub struct Hub {
     clients: Mutex<Vec<Weak<Client>>>,
     newest_frame: Mutex<Option<Arc<LiveFrame>>>,
+}
+
+/// A list of the API that pages show and others change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum List {
+    /// Sessions of the data folder.
+    Sessions,
+    /// Its sensor models.
+    Models,
+    /// Its campaigns.
+    Campaigns,
+}
+
+impl List {
+    /// Its name in messages.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Sessions => "sessions",
+            Self::Models => "models",
+            Self::Campaigns => "campaigns",
+        }
+    }
 }
 
 /// The queue of one client.
@@ -51,6 +73,12 @@ impl Hub {
     /// Sends the newest state of a job to everybody.
     pub fn publish_job(&self, update: &JobUpdate) {
         self.for_each(|client| client.push_job(update.clone()));
+    }
+
+    /// Tells everybody that entry `id` of a list has changed, or several if `id` is empty.
+    pub(crate) fn publish_changed(&self, list: List, id: &str) {
+        let changed = Changed { list: list.name().to_owned(), id: id.to_owned() };
+        self.for_each(|client| client.push(|queue| queue.push_changed(changed.clone())));
     }
 
     fn for_each(&self, send: impl Fn(&Client)) {

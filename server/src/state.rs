@@ -6,10 +6,11 @@ use std::{
 };
 
 use palpate_emulator::devices::StationControl;
+use palpate_trials::Campaigns;
 use tokio::sync::watch;
 
 use crate::{
-    Error, Hub, Store,
+    Error, Hub, Store, assets,
     data::library::Library,
     jobs::{
         board::Jobs,
@@ -34,6 +35,7 @@ pub struct Access {
 pub struct AppState {
     // The first to go: the folder is free once nothing starts jobs any more.
     jobs: Jobs,
+    campaigns: Campaigns,
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
@@ -65,6 +67,7 @@ impl Studio {
         };
         let jobs = Jobs::open(store.clone(), hub.clone(), &program)?;
         let work = Work::start()?;
+        let campaigns = Campaigns::new(data.join("campaigns"), assets::published_results()?);
         let (live, station) = match station {
             Some(station) => {
                 let (live, running) = Live::start(station, 0, &store, hub.clone())?;
@@ -74,7 +77,7 @@ impl Studio {
         };
         let data = data.canonicalize().map_err(Error::io("open", data))?;
         let shutdown = watch::Sender::new(false);
-        let state = AppState { jobs, store, library, hub, live, work, access, data, shutdown };
+        let state = AppState { jobs, campaigns, store, library, hub, live, work, access, data, shutdown };
         Ok(Self { state: Arc::new(state), station })
     }
 }
@@ -100,6 +103,10 @@ impl AppState {
 
     pub(crate) fn jobs(&self) -> &Jobs {
         &self.jobs
+    }
+
+    pub(crate) fn campaigns(&self) -> &Campaigns {
+        &self.campaigns
     }
 
     pub(crate) fn calibrations(&self) -> Runs<'_, Calibrations> {

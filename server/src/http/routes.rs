@@ -1,6 +1,7 @@
 //! The HTTP API, route by route.
 
 mod calibrations;
+mod campaigns;
 mod diagnoses;
 mod jobs;
 mod live;
@@ -99,6 +100,43 @@ pub fn routes(state: &AppState) -> Vec<Route> {
         route(Method::GET, "/jobs/{job}/log", Needs::Nothing, get(jobs::log)),
         route(Method::GET, "/jobs/{job}/metrics", Needs::Nothing, get(jobs::metrics)),
         route(Method::GET, "/jobs/{job}/files/{file}", Needs::Nothing, get(jobs::file)),
+        route(Method::GET, "/campaigns", Needs::Nothing, get(campaigns::list)),
+        route(Method::POST, "/campaigns", Needs::Nothing, post(campaigns::create)),
+        route(Method::GET, "/campaigns/{campaign}", Needs::Nothing, get(campaigns::detail)),
+        route(Method::GET, "/campaigns/{campaign}/results", Needs::Nothing, get(campaigns::results)),
+        route(Method::GET, "/campaigns/{campaign}/tables/{file}", Needs::Nothing, get(campaigns::table)),
+        route(Method::POST, "/campaigns/{campaign}/close", Needs::Nothing, post(campaigns::close)),
+        route(Method::POST, "/campaigns/{campaign}/reopen", Needs::Nothing, post(campaigns::reopen)),
+        route(
+            Method::POST,
+            "/campaigns/{campaign}/trials/{trial}/begin",
+            Needs::Nothing,
+            post(campaigns::begin),
+        ),
+        route(
+            Method::POST,
+            "/campaigns/{campaign}/trials/{trial}/outcome",
+            Needs::Nothing,
+            post(campaigns::outcome),
+        ),
+        route(
+            Method::POST,
+            "/campaigns/{campaign}/trials/{trial}/score",
+            Needs::Nothing,
+            post(campaigns::score),
+        ),
+        route(
+            Method::POST,
+            "/campaigns/{campaign}/trials/{trial}/unscore",
+            Needs::Nothing,
+            post(campaigns::unscore),
+        ),
+        route(
+            Method::POST,
+            "/campaigns/{campaign}/trials/{trial}/settle",
+            Needs::Nothing,
+            post(campaigns::settle),
+        ),
         route(Method::GET, "/stream", Needs::Nothing, get(stream::upgrade)),
         route(Method::GET, "/live", Needs::Nothing, get(live::document)),
         route(Method::PUT, "/live/model", Needs::Nothing, put(live::set_model)),

@@ -4,6 +4,7 @@
 mod api;
 mod bad_input;
 mod calibrations;
+mod campaigns;
 mod cli;
 mod client_paths;
 mod data_folder;

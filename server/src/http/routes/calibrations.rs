@@ -16,6 +16,7 @@ use crate::{
         extract::{Body, Ids},
         problem::Answer,
     },
+    hub::List,
     work::Kind,
 };
 
@@ -53,6 +54,7 @@ pub(super) async fn save(
 ) -> Answer<Response> {
     let saved =
         state.run(Kind::Read, move |state| state.calibrations().save_model(&id, &request.name)).await?;
+    state.hub().publish_changed(List::Models, &saved.id);
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((StatusCode::CREATED, location, Json(saved)).into_response())
 }

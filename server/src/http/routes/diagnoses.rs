@@ -16,6 +16,7 @@ use crate::{
         extract::{Body, Ids},
         problem::Answer,
     },
+    hub::List,
     work::Kind,
 };
 
@@ -54,6 +55,7 @@ pub(super) async fn save(
 ) -> Answer<Response> {
     let status = if request.to.is_some() { StatusCode::OK } else { StatusCode::CREATED };
     let saved = state.run(Kind::Read, move |state| state.diagnoses().save(&id, &request)).await?;
+    state.hub().publish_changed(List::Models, &saved.id);
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((status, location, Json(saved)).into_response())
 }

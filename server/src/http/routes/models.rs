@@ -14,6 +14,7 @@ use crate::{
     AppState,
     data::store,
     http::{extract::Ids, problem::Answer},
+    hub::List,
     work::Kind,
 };
 
@@ -34,6 +35,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     state
         .run(Kind::Read, move |state| {
             state.store().discard(store::Kind::Model, &id)?;
+            state.hub().publish_changed(List::Models, &id);
             state.jobs().scheduler().forget_saved(&id, None)?;
             Ok(StatusCode::NO_CONTENT)
         })
@@ -47,6 +49,7 @@ pub(super) async fn undo(
     state
         .run(Kind::Read, move |state| {
             let (summary, by) = state.store().undo_model(&id)?;
+            state.hub().publish_changed(List::Models, &id);
             state.jobs().scheduler().forget_saved(&id, Some(&by))?;
             Ok(Json(summary))
         })
@@ -60,6 +63,7 @@ pub(super) async fn restore(
     state
         .run(Kind::Read, move |state| {
             state.store().restore(store::Kind::Model, &id)?;
+            state.hub().publish_changed(List::Models, &id);
             Ok(Json(state.store().model_summary(&id)?))
         })
         .await

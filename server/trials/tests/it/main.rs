@@ -46,7 +46,7 @@ fn plan(policies: &[&str], objects: &[(&str, &str)], starts: u32) -> CampaignPla
 
 fn outcome(suggested: TrialVerdict) -> RolloutOutcome {
     RolloutOutcome {
-        suggested,
+        suggested: Some(suggested),
         reasons: vec!["lifted by 41 mm for 1.2 s".to_owned()],
         time_to_grasp_s: Some(3.5),
         held_s: Some(1.2),

@@ -147,12 +147,13 @@ pub struct TrialStart {
     pub seed: u64,
 }
 
-/// `POST /api/v1/campaigns/{campaign}/trials/{trial}/outcome`: what a rollout says of its trial.
+/// What a rollout says of its trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RolloutOutcome {
-    /// The verdict that it suggests.
-    pub suggested: TrialVerdict,
+    /// The verdict that it suggests; absent where nobody measured.
+    #[serde(default)]
+    pub suggested: Option<TrialVerdict>,
     /// Why: what was felt, what moved, how long it held.
     #[serde(default)]
     pub reasons: Vec<String>,
@@ -165,6 +166,27 @@ pub struct RolloutOutcome {
     /// The take that was recorded, `session/take`.
     #[serde(default)]
     pub take: Option<String>,
+}
+
+/// `POST /api/v1/campaigns/{campaign}/trials/{trial}/outcome`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialEnd {
+    /// The attempt that has ended, from 0.
+    pub attempt: u32,
+    /// What its rollout says.
+    pub outcome: RolloutOutcome,
+}
+
+/// `POST /api/v1/campaigns/{campaign}/trials/{trial}/unscore`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScoreBack {
+    /// Name of whoever takes their score back, as in [`ScoreRequest`].
+    #[serde(default)]
+    pub scorer: String,
+    /// The attempt, from 0.
+    pub attempt: u32,
 }
 
 /// `POST /api/v1/campaigns/{campaign}/trials/{trial}/score`, and `.../settle`.
