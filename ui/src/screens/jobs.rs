@@ -54,7 +54,7 @@ pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSt
     if is_narrow {
         match (shown, asked) {
             (Some(job), _) => {
-                if ui.button("\u{2190} All jobs").clicked() {
+                if ui.button("Back to all jobs").clicked() {
                     *cx.go_to = Some(Route::to(Screen::Jobs));
                 }
                 job_ui(ui, cx, state, job);
@@ -158,9 +158,9 @@ fn mark(state: JobState) -> &'static str {
     match state {
         JobState::Queued => "\u{2026}",
         JobState::Running => "\u{25b6}",
-        JobState::Done => "\u{2713}",
+        JobState::Done => "\u{2714}",
         JobState::Failed => "\u{26a0}",
-        JobState::Cancelled => "\u{2715}",
+        JobState::Cancelled => "\u{2716}",
     }
 }
 
