@@ -56,13 +56,24 @@
 //! | POST | `/api/v1/recording/act` | body `RecordingAction`; `RecordingDocument`; operator |
 //! | POST | `/api/v1/recording/wanted` | body `WantedTake`; `RecordingDocument`; operator, if there is one |
 //! | DELETE | `/api/v1/recording/wanted/{object}/{primitive}` | takes it back; `RecordingDocument`; operator, if there is one |
-//! | GET | `/api/v1/audit` | the newest part of who moved or stopped the station: JSON lines |
+//! | GET | `/api/v1/audit[?before=PLACE]` | who moved or stopped the station and changed data: JSON lines; `Link` leads to older ones |
+//! | POST | `/api/v1/login`, `/api/v1/logout` | body `Login`; sets the cookie, or takes it away; open to everybody |
+//! | GET | `/api/v1/me` | `Me` |
+//! | POST | `/api/v1/me/password` | body `PasswordChange`; 204 |
+//! | GET, POST | `/api/v1/people` | `[Person]`; body `NewPerson`; admin |
+//! | PATCH, DELETE | `/api/v1/people/{person}` | body `PersonChanges`; `Person`; 204; admin |
+//! | GET, POST | `/api/v1/tokens` | `[Token]`; body `NewToken`; 201 `CreatedToken` |
+//! | DELETE | `/api/v1/tokens/{token}` | 204 |
 //! | GET, PUT | `/api/v1/emulator/faults` | what is wrong with emulated devices, TOML (`docs/emulated_devices.md`); PUT: operator, if there is one |
 //! | POST | `/api/v1/emulator/object` | body `PlaceObject`; operator, if there is one |
+//! | GET | `/healthz`, `/readyz` | whether the process is alive; `Readiness`, 503 if not; open to everybody |
+//! | GET | `/metrics` | OpenMetrics |
+//! | GET, POST | `/login`, POST `/logout` | the login page |
 //! | GET | everything else | the page |
 //!
 //! "Operator" means that the request carries the lease of an open control connection in the header `Palpate-Lease`; it is
-//! refused with 403 otherwise. Every request passes the door, which checks Host and Origin (421, 403). 503 with
+//! refused with 403 otherwise. Where there is a login, each route needs the role that the table in `http/routes.rs` states: 401
+//! without a login or token, 403 where it may not. Every request passes the door, which checks Host and Origin (421, 403). 503 with
 //! `Retry-After` means that too much work of that kind waits, 429 that a connection asks too often.
 //!
 //! Errors are RFC 9457 `application/problem+json` (`ProblemDetails`); `detail` says what happened, where, and what to
@@ -77,6 +88,7 @@
 //! reads slowly sees few pictures but no old ones.
 
 pub mod assets;
+mod backup;
 pub mod data;
 mod error;
 mod http;
@@ -85,12 +97,15 @@ pub mod jobs;
 mod serve;
 mod state;
 mod station;
+mod tls;
 mod work;
 
+pub use backup::{BackupReport, backup};
 pub use data::Store;
 pub use error::{Class, Error, chain};
-pub use http::{Needs, Route, app, routes};
+pub use http::{Needs, NeedsLease, Route, app, root_routes, routes};
 pub use hub::Hub;
-pub use serve::{ServeConfig, Served, serve, serve_on};
+pub use serve::{Ready, ServeConfig, Served, open_people, serve, serve_on};
 pub use state::{Access, AppState, Studio};
 pub use station::{EmulatedDevices, LiveStation, RunningStation};
+pub use tls::Tls;

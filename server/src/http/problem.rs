@@ -23,24 +23,36 @@ impl<E: Into<Error>> From<E> for Problem {
     }
 }
 
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let status = match self.0.class() {
+impl Problem {
+    /// The status of the answer.
+    pub(crate) fn status(&self) -> StatusCode {
+        match self.0.class() {
             Class::BadArgument => StatusCode::BAD_REQUEST,
             Class::BadContent => StatusCode::UNPROCESSABLE_ENTITY,
             Class::NotFound => StatusCode::NOT_FOUND,
             Class::Conflict | Class::Cancelled => StatusCode::CONFLICT,
             Class::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
-            Class::NotOperator => StatusCode::FORBIDDEN,
+            Class::NotLoggedIn => StatusCode::UNAUTHORIZED,
+            Class::TooOften => StatusCode::TOO_MANY_REQUESTS,
+            Class::NotOperator | Class::NotPermitted => StatusCode::FORBIDDEN,
             Class::Busy => StatusCode::SERVICE_UNAVAILABLE,
             Class::DiskFull => StatusCode::INSUFFICIENT_STORAGE,
             Class::Failed => StatusCode::INTERNAL_SERVER_ERROR,
-        };
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = self.status();
         let detail = chain(&self.0);
         if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(err = detail, "a request failed");
         }
         let mut response = problem_response(status, &detail);
+        if let Error::TooOften { after_s, .. } = &self.0 {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(*after_s));
+        }
         if status == StatusCode::SERVICE_UNAVAILABLE {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));
         }

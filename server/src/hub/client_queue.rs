@@ -16,13 +16,15 @@ pub(crate) struct ClientQueue {
 }
 
 impl ClientQueue {
-    /// Adds the newest state of the station.
-    pub(crate) fn push_live(&mut self, frame: Arc<LiveFrame>) {
-        if self.live.len() == MAX_LIVE_FRAMES {
+    /// Adds the newest state of the station; says whether an older one was dropped for it.
+    pub(crate) fn push_live(&mut self, frame: Arc<LiveFrame>) -> bool {
+        let is_full = self.live.len() == MAX_LIVE_FRAMES;
+        if is_full {
             self.live.pop_front();
             self.dropped += 1;
         }
         self.live.push_back(frame);
+        is_full
     }
 
     /// Adds a job's newest state in place of an older one of the same job that still waits, so that there are never more

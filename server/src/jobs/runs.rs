@@ -49,8 +49,8 @@ impl<'a, K: RunKind> Runs<'a, K> {
         Self { jobs, kind: PhantomData }
     }
 
-    /// Checks `request` and queues it.
-    pub(crate) fn start(&self, request: &K::Request) -> Result<RunOf<K>, Error> {
+    /// Checks `request` and queues it for `owner`.
+    pub(crate) fn start(&self, request: &K::Request, owner: &str) -> Result<RunOf<K>, Error> {
         let request = JobRequest {
             kind: K::KIND.name.to_owned(),
             request: serde_json::to_value(request).map_err(|err| Error::Internal(err.to_string()))?,
@@ -59,7 +59,7 @@ impl<'a, K: RunKind> Runs<'a, K> {
             resources: None,
             runner: None,
         };
-        Self::head(self.jobs.submit(&request, "", None)?.job)
+        Self::head(self.jobs.submit(&request, owner, None)?.job)
     }
 
     /// Every run, newest first, without what is large.

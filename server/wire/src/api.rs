@@ -4,6 +4,7 @@ mod diagnosis;
 mod jobs;
 mod live;
 mod objects;
+mod people;
 mod recording;
 
 use std::collections::BTreeMap;
@@ -12,6 +13,7 @@ pub use diagnosis::*;
 pub use jobs::*;
 pub use live::*;
 pub use objects::*;
+pub use people::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 

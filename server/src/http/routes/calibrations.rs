@@ -13,7 +13,7 @@ use palpate_wire::api::{CalibrationRequest, CalibrationRun, SaveModelRequest};
 use crate::{
     AppState,
     http::{
-        extract::{Body, Ids},
+        extract::{Body, Ids, Owner},
         problem::Answer,
     },
     work::Kind,
@@ -21,9 +21,10 @@ use crate::{
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
+    Owner(owner): Owner,
     Body(request): Body<CalibrationRequest>,
 ) -> Answer<Response> {
-    let run = state.run(Kind::Read, move |state| state.calibrations().start(&request)).await?;
+    let run = state.run(Kind::Read, move |state| state.calibrations().start(&request, &owner)).await?;
     let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }

@@ -13,7 +13,7 @@ use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, SaveDiagnosisRequest};
 use crate::{
     AppState,
     http::{
-        extract::{Body, Ids},
+        extract::{Body, Ids, Owner},
         problem::Answer,
     },
     work::Kind,
@@ -21,9 +21,10 @@ use crate::{
 
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
+    Owner(owner): Owner,
     Body(request): Body<DiagnosisRequest>,
 ) -> Answer<Response> {
-    let run = state.run(Kind::Read, move |state| state.diagnoses().start(&request)).await?;
+    let run = state.run(Kind::Read, move |state| state.diagnoses().start(&request, &owner)).await?;
     let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
     Ok((StatusCode::ACCEPTED, location, Json(run)).into_response())
 }

@@ -17,7 +17,7 @@ use crate::{
     AppState, Error,
     data::files,
     http::{
-        extract::{Body, Ids, Params, Peer},
+        extract::{Body, Ids, Owner, Params},
         problem::{Answer, Problem},
     },
     work::Kind,
@@ -33,13 +33,13 @@ const MAX_FILE_BYTES: u64 = 256 << 20;
 /// 202 for a new job, 200 for one that the same key made before.
 pub(super) async fn submit(
     State(state): State<Arc<AppState>>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     headers: HeaderMap,
     Body(request): Body<JobRequest>,
 ) -> Answer<Response> {
     let key = key_of(&headers).map_err(Problem)?;
     let submitted =
-        state.run(Kind::Read, move |state| state.jobs().submit(&request, &peer, key.as_deref())).await?;
+        state.run(Kind::Read, move |state| state.jobs().submit(&request, &owner, key.as_deref())).await?;
     Ok(accepted(submitted))
 }
 
@@ -47,13 +47,13 @@ pub(super) async fn submit(
 pub(super) async fn clone(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     headers: HeaderMap,
     Body(changes): Body<JobChanges>,
 ) -> Answer<Response> {
     let key = key_of(&headers).map_err(Problem)?;
     let submitted = state
-        .run(Kind::Read, move |state| state.jobs().clone_job(&id, changes, &peer, key.as_deref()))
+        .run(Kind::Read, move |state| state.jobs().clone_job(&id, changes, &owner, key.as_deref()))
         .await?;
     Ok(accepted(submitted))
 }
