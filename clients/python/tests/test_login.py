@@ -28,7 +28,7 @@ class Locked:
         return made
 
     def run(self, *arguments: str, password: str | None = None) -> str:
-        command = [self.binary, *arguments, "--data", self.data]
+        command: list[str | Path] = [self.binary, *arguments, "--data", self.data]
         return subprocess.run(command, input=password, check=True, capture_output=True, text=True).stdout.strip()
 
 

@@ -48,8 +48,9 @@ class Palpate:
             print(report.held_out.calibrated.f1)
 
     `url` is by default what the environment variable PALPATE_URL says, else http://127.0.0.1:8080; `token` is what
-    PALPATE_TOKEN says, if anything, and goes along with every request and WebSocket. `ca_file` holds certificates to trust
-    besides the system's, such as a studio's own `tls/cert.pem`; by default what PALPATE_CA_FILE says. `jobs` are the studio's jobs of every kind.
+    PALPATE_TOKEN says, if anything, and goes along with every request and WebSocket. `ca_file` holds certificates to
+    trust besides the system's, such as a studio's own `tls/cert.pem`; by default what PALPATE_CA_FILE says. `jobs` are
+    the studio's jobs of every kind.
     """
 
     def __init__(

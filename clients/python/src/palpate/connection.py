@@ -174,8 +174,8 @@ class Connection:
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
             return PalpateError(
                 "Unknown certificate",
-                f"{self.url} shows a certificate that is not trusted ({error}); if it is the studio's own, say where a copy of "
-                "its tls/cert.pem is: Palpate(url, ca_file=...), or the environment variable PALPATE_CA_FILE",
+                f"{self.url} shows a certificate that is not trusted ({error}); if it is the studio's own, say where "
+                "a copy of its tls/cert.pem is: Palpate(url, ca_file=...), or the environment variable PALPATE_CA_FILE",
             )
         if isinstance(error, httpx.TimeoutException) and not isinstance(error, httpx.ConnectTimeout):
             return PalpateError("Timeout", f"{self.url} did not answer within {self._timeout_s:g} s")
@@ -193,7 +193,9 @@ def _trust(ca_file: str | Path | None) -> ssl.SSLContext:
         try:
             context.load_verify_locations(cafile=ca_file)
         except (OSError, ssl.SSLError) as error:
-            raise PalpateError("No certificate", f"failed to read certificates in PEM from {str(ca_file)!r}: {error}") from error
+            raise PalpateError(
+                "No certificate", f"failed to read certificates in PEM from {str(ca_file)!r}: {error}"
+            ) from error
     return context
 
 
