@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import until
 
 from palpate import Palpate, PalpateError
 from palpate.control import stop
@@ -78,13 +79,13 @@ def test_a_viewer_watches_and_may_stop_but_not_operate(locked: Locked) -> None:
             p.connection.request("POST", "/calibrations", body={"session": "x"})
         assert caught.value.status == 403
         stop(p.connection)
-        assert p.live().phase == "stopped"
+        until("stopped", lambda: p.live().phase == "stopped")
 
 
 def test_an_operator_has_control_over_tls_under_their_own_name(locked: Locked) -> None:
     with Palpate(locked.url, locked.token("olga"), ca_file=locked.ca_file) as p:
         with p.control("somebody else"):
-            assert p.live().holder == "olga"
+            until("held by olga", lambda: p.live().holder == "olga")
         token = json.loads(locked.run("tokens", "list", "--json"))[-1]
         locked.run("tokens", "revoke", str(token["id"]))
         with pytest.raises(PalpateError):
