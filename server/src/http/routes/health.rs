@@ -194,9 +194,16 @@ fn station(registry: &mut Registry, frame: &LiveFrame, silent: Option<Duration>)
         "From a device's byte to a live frame: the newest, and the 95th percentile of ten seconds",
         of(&[("now", control.latency_ms), ("p95", control.latency_p95_ms)]),
     );
-    let silence = Gauge::<f64, AtomicU64>::default();
-    silence.set(silent.map_or(f64::INFINITY, |silent| silent.as_secs_f64()));
-    registry.register_with_unit("control_loop_silent", "Since the newest live frame", Unit::Seconds, silence);
+    if let Some(silent) = silent {
+        let silence = Gauge::<f64, AtomicU64>::default();
+        silence.set(silent.as_secs_f64());
+        registry.register_with_unit(
+            "control_loop_silent",
+            "Since the newest live frame",
+            Unit::Seconds,
+            silence,
+        );
+    }
     let (up, rates) = (Gauges::default(), Gauges::default());
     let (gaps, bad, again) = (Counters::default(), Counters::default(), Counters::default());
     for device in &control.devices {
