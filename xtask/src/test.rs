@@ -26,7 +26,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         .args(["test", "--workspace", "--exclude", "xtask", "--no-fail-fast"])
         .args(["--exclude", "palpate_encoder", "--exclude", "palpate_ppo"])
         .env("PALPATE_UI_DIST", paths::target().join("page"))
-        .env("PALPATE_BIN", palpate)
+        .env("PALPATE_BIN", &palpate)
         .env("PALPATE_PYTHON", python)
         .env("PALPATE_BROWSER_TESTS", browser_tests)
         .env("PALPATE_ARTIFACTS", &artifacts)
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo.args(["--", filter]);
     }
     let workspace = shell::run(&mut cargo);
-    let grasping = mujoco::test(args.filter.as_deref());
+    let grasping = mujoco::test(&palpate, args.filter.as_deref());
     workspace.and(grasping)?;
     eprintln!("screenshots and reports: {}", artifacts.display());
     Ok(())
