@@ -19,6 +19,12 @@ const STOPPED_RAD: f64 = 0.12;
 /// So many digits that are stopped make a grip, as one alone holds nothing.
 const GRIP_DIGITS: u32 = 2;
 
+/// They are stopped and not merely behind when that lasts so long, s.
+const GRIP_S: f64 = 0.5;
+/// A trial goes on for so long after something was held for long enough, s: whoever looks from outside sees it held, too, though
+/// the hand rises before what it holds does.
+const LOOK_S: f64 = 1.0;
+
 /// How a trial is to be counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Verdict {
@@ -60,6 +66,8 @@ pub struct Watch {
     num_channels: usize,
     last_s: Option<f64>,
     channels_touched: usize,
+    /// Since when there has been a grip.
+    grip_from_s: Option<f64>,
     time_to_grasp_s: Option<f64>,
     held_s: f64,
     longest_held_s: f64,
@@ -93,6 +101,7 @@ impl Watch {
             num_channels: station.layout.num_channels(),
             last_s: None,
             channels_touched: 0,
+            grip_from_s: None,
             time_to_grasp_s: None,
             held_s: 0.0,
             longest_held_s: 0.0,
@@ -101,7 +110,8 @@ impl Watch {
         }
     }
 
-    /// Takes in what the stream said `time_s` after the trial began. Whether the object has been held for long enough.
+    /// Takes in what the stream said `time_s` after the trial began. Whether the object has been held for so long that
+    /// nothing more is to be seen.
     pub fn look(&mut self, station: &Station, time_s: f64, live: &LiveFrame) -> bool {
         let positions: Vec<f64> = live.joint_positions.iter().map(|&position| f64::from(position)).collect();
         let commanded = live.control.as_ref().map(|control| control.commanded.as_slice()).unwrap_or_default();
@@ -117,9 +127,9 @@ impl Watch {
         let digits =
             stopped.filter_map(|(digit, _)| *digit).fold(0_u64, |all, digit| all | (1 << (digit % 64)));
         let has_grip = digits.count_ones() >= GRIP_DIGITS;
-        if has_grip && self.time_to_grasp_s.is_none() {
-            self.time_to_grasp_s = Some(time_s);
-        }
+        self.grip_from_s = has_grip.then_some(self.grip_from_s.unwrap_or(time_s));
+        let lasting = self.grip_from_s.filter(|from_s| time_s - from_s >= GRIP_S);
+        self.time_to_grasp_s = self.time_to_grasp_s.or(lasting);
         let mut frames = Vec::new();
         station.robot.forward_kinematics(&positions, &mut frames);
         let height_m = frames[self.hand_root].translation.z;
@@ -130,7 +140,7 @@ impl Watch {
         let motors =
             live.control.iter().flat_map(|control| &control.devices).flat_map(|device| &device.motors);
         self.current_a = motors.map(|motor| f64::from(motor.current_a.abs())).sum();
-        self.held_s >= self.hold_s
+        self.held_s >= self.hold_s + LOOK_S
     }
 
     /// Joint targets of the arm at which the hand was lowest are where an object is let go.

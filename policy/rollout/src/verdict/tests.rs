@@ -66,12 +66,13 @@ fn a_grip_that_is_felt_and_raised_for_long_enough_is_a_success() {
     assert!(!trial.spend(1.0, &[], 0, false));
     assert!(!trial.spend(0.5, GRIP, 3, false));
     assert!(!trial.spend(0.9, GRIP, 3, true));
-    assert!(trial.spend(0.3, GRIP, 3, true));
+    assert!(!trial.spend(0.3, GRIP, 3, true), "somebody may still be looking");
     let suggestion = trial.watch.suggest(None);
     assert_eq!(suggestion.verdict, Verdict::Success);
     let at_s = suggestion.time_to_grasp_s.expect("it gripped");
     assert!((at_s - 1.0).abs() < 0.1, "{at_s} s");
     assert!((suggestion.held_s - 1.2).abs() < 0.1, "{suggestion:?}");
+    assert!(trial.spend(1.0, GRIP, 3, true));
 }
 
 #[test]
