@@ -105,8 +105,8 @@ fn a_rollout_sees_and_commands_the_bits_of_training() {
     assert!(num_touched > 50, "touch is part of what was compared");
 }
 
-/// Replays the record of a rollout of the cube's expert: what was seen gives what was wanted, to the bit. Gives the number of
-/// steps.
+/// Replays the record of a rollout of the cube's expert: what was seen gives what was wanted, but for the last bit, which the
+/// reader of JSON rounds. Gives the number of steps.
 pub(crate) fn replay(record: &[Value]) -> usize {
     let mut rolled = Cube::shipped().rolled_out();
     let station = station();
@@ -124,7 +124,9 @@ pub(crate) fn replay(record: &[Value]) -> usize {
         let time_s = line["time_s"].as_f64().expect("a time");
         let step =
             rolled.plan(&VecDeque::from([Seen { time_s, positions, active }])).expect("a plan").remove(0);
-        assert_eq!(bits64(&step.targets), bits64(&numbers(&line["wanted"])), "at {time_s} s");
+        for (again, wanted) in step.targets.iter().zip(numbers(&line["wanted"])) {
+            assert!((again - wanted).abs() < 1e-12, "{again} instead of {wanted} at {time_s} s");
+        }
     }
     steps.len()
 }
