@@ -3,14 +3,41 @@
 use std::{
     path::Path,
     process::{Command, Stdio},
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, bail};
+
+/// What took longer than [`LONG`], in order.
+static LONG_STEPS: Mutex<Vec<(String, Duration)>> = Mutex::new(Vec::new());
+const LONG: Duration = Duration::from_secs(5);
+
+/// Says where the time went.
+pub(crate) fn print_long_steps() {
+    let steps = LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner);
+    let total: Duration = steps.iter().map(|(_, taken)| *taken).sum();
+    for (line, taken) in steps.iter() {
+        let line: String = line.chars().take(110).collect();
+        eprintln!("{:6.0} s  {line}", taken.as_secs_f64());
+    }
+    eprintln!("{:6.0} s  together", total.as_secs_f64());
+}
 
 /// Runs `command`, showing its output; fails when it does.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
     let line = describe(command);
     eprintln!("$ {line}");
+    let begun = Instant::now();
+    let result = run_line(command, &line);
+    let taken = begun.elapsed();
+    if taken >= LONG {
+        LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner).push((line, taken));
+    }
+    result
+}
+
+fn run_line(command: &mut Command, line: &str) -> anyhow::Result<()> {
     let status = command.stdin(Stdio::null()).status().with_context(|| format!("failed to start {line}"))?;
     if !status.success() {
         bail!("{line}: {status}");

@@ -24,12 +24,21 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     let palpate = build::dev()?;
     let artifacts = paths::target().join("e2e");
     std::fs::create_dir_all(&artifacts)?;
-    let mut cargo = shell::cargo(&paths::root());
+    let page = paths::target().join("page");
+    let cargo_test = || {
+        let mut cargo = shell::cargo(&paths::root());
+        cargo
+            .args(["test", "--workspace", "--exclude", "xtask"])
+            .args(["--exclude", "palpate_encoder", "--exclude", "palpate_ppo"])
+            .env("PALPATE_UI_DIST", &page);
+        cargo
+    };
+    // A step of its own, so that one sees what building takes and what running takes.
+    shell::run(cargo_test().arg("--no-run"))?;
+    let mut cargo = cargo_test();
     cargo
-        .args(["test", "--workspace", "--exclude", "xtask", "--no-fail-fast"])
-        .args(["--exclude", "palpate_encoder", "--exclude", "palpate_ppo"])
-        .env("PALPATE_UI_DIST", paths::target().join("page"))
-        .env("PALPATE_BIN", palpate)
+        .arg("--no-fail-fast")
+        .env("PALPATE_BIN", &palpate)
         .env("PALPATE_PYTHON", python)
         .env("PALPATE_BROWSER_TESTS", browser_tests)
         .env("PALPATE_ARTIFACTS", &artifacts)
@@ -39,7 +48,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo.args(["--", filter]);
     }
     let workspace = shell::run(&mut cargo);
-    let grasping = mujoco::test(args.filter.as_deref());
+    let grasping = mujoco::test(&palpate, args.filter.as_deref());
     workspace.and(grasping)?;
     eprintln!("screenshots and reports: {}", artifacts.display());
     Ok(())
@@ -58,6 +67,8 @@ pub(crate) fn check() -> anyhow::Result<()> {
         "warnings",
     ]))?;
     mujoco::lint()?;
-    run(&TestArgs { filter: None })?;
-    build::release().map(|_| ())
+    let tested = run(&TestArgs { filter: None });
+    let built = tested.and_then(|()| build::release().map(|_| ()));
+    shell::print_long_steps();
+    built
 }

@@ -8,21 +8,11 @@ use anyhow::{Context as _, bail};
 use palpate_grasp::touch::{NoTouch, Sense};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectModel, Station};
+pub(crate) use palpate_rollout::task::{Source, sha256};
 use palpate_sim::SensorModel;
-use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
 use crate::SceneArgs;
 use crate::truth::Emulated;
-
-/// A file that was read.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Source {
-    /// What for: "station", "world", "script", "model" or "truth", "object", "learning", "policy".
-    pub(crate) role: String,
-    pub(crate) path: String,
-    pub(crate) sha256: String,
-}
 
 /// Files in the order in which they were read.
 #[derive(Default)]
@@ -49,11 +39,6 @@ impl Sources {
     pub(crate) fn into_list(self) -> Vec<Source> {
         self.0.into_inner()
     }
-}
-
-/// In hexadecimal digits, as `sha256sum` prints it.
-pub(crate) fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Reads everything that `args` names, and starts its threads.
@@ -98,7 +83,7 @@ pub(crate) fn open(args: &SceneArgs, sources: &Sources) -> anyhow::Result<(Arc<G
     Ok((Arc::new(scene), script))
 }
 
-fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
+pub(crate) fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
     let given = PathBuf::from(name);
     let path = if given.is_file() { given } else { Path::new(OBJECTS).join(format!("{name}.toml")) };
     if !path.is_file() {

@@ -4,6 +4,8 @@
 mod demonstrations;
 mod encoders;
 mod policies;
+mod rollouts;
+mod station;
 
 use std::path::Path;
 use std::process::{Command, Output};

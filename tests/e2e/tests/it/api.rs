@@ -1,5 +1,4 @@
 //! The HTTP API from outside: the examples of its document as they are written, and a tester that nobody here wrote.
-#![expect(clippy::unwrap_used, reason = "helpers of tests stop at what they do not expect, as tests do")]
 
 use std::{
     fs,
