@@ -7,6 +7,7 @@ use std::{
 };
 
 use palpate_robot_model::Station;
+use palpate_wire::api::PublishedResult;
 use tempfile::TempDir;
 
 use crate::Error;
@@ -70,6 +71,13 @@ fn stream_files(csv_dir: &Path) -> BTreeSet<String> {
         .filter_map(|path| path.file_stem()?.to_str().map(str::to_owned))
         .filter(|stem| stem != "joints")
         .collect()
+}
+
+/// Published results that campaigns are shown beside.
+pub fn published_results() -> Result<Vec<PublishedResult>, Error> {
+    let path = "trials/published.json";
+    let text = read(path).ok_or_else(|| Error::Internal(format!("{path} is not shipped")))?;
+    serde_json::from_slice(text).map_err(|err| Error::Internal(format!("{path}: {err}")))
 }
 
 /// Writes all of it to a folder that goes when the result is dropped.

@@ -1,9 +1,12 @@
 //! The command line: arguments in, one line of error or one JSON document out.
 
 mod actuator;
+mod backup;
 mod bench;
 mod blind;
 mod calibrate;
+mod campaign;
+mod completions;
 mod devices;
 mod diagnose;
 mod emulate;
@@ -12,14 +15,16 @@ mod job;
 mod jobs;
 mod openapi;
 mod output;
+mod people;
 mod replay;
 mod serve;
 mod session;
 mod station;
+mod tokens;
 
 use std::{io::IsTerminal as _, process::ExitCode};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use palpate_server::{Error, chain};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 
@@ -59,6 +64,21 @@ enum Command {
     /// The jobs of a studio
     #[command(subcommand)]
     Jobs(jobs::JobsCommand),
+    /// Trials of policies on the hand, and what they say
+    #[command(subcommand)]
+    Campaign(campaign::CampaignCommand),
+    /// Who may log in to a studio
+    #[command(subcommand)]
+    People(people::PeopleCommand),
+    /// API tokens for programs
+    #[command(subcommand)]
+    Tokens(tokens::TokensCommand),
+    /// Copy a data folder into one file, while a studio has it open or not
+    Backup(backup::BackupArgs),
+    /// Print completions for a shell
+    Completions(completions::CompletionsArgs),
+    /// Write man pages
+    Man(completions::ManArgs),
     /// Print the OpenAPI document of the studio's HTTP API, as it serves it at /api/v1/openapi.json
     Openapi,
     /// What runners of jobs call (docs/jobs.md)
@@ -71,8 +91,15 @@ enum Command {
 
 /// Runs the command; exit code 0 done, 1 failed, 2 bad arguments or bad input.
 pub(crate) fn main() -> ExitCode {
-    let args = Args::parse();
-    let _log = init_log(matches!(args.command, Command::Serve(_)));
+    let mut args = Args::parse();
+    let format = match &mut args.command {
+        Command::Serve(args) => match args.read_config() {
+            Ok(()) => Some(args.log_format()),
+            Err(err) => return failed(&err),
+        },
+        _ => None,
+    };
+    let _log = init_log(format);
     let result = match args.command {
         Command::Emulate(args) => emulate::run(&args),
         Command::Import(args) => import::run(&args),
@@ -85,17 +112,25 @@ pub(crate) fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Blind(args) => blind::run(&args),
         Command::Jobs(command) => jobs::run(&command),
+        Command::Campaign(command) => campaign::run(&command),
+        Command::People(command) => people::run(&command),
+        Command::Tokens(command) => tokens::run(&command),
+        Command::Backup(args) => backup::run(&args),
+        Command::Completions(args) => completions::completions(&args, Args::command()),
+        Command::Man(args) => completions::man(&args, Args::command()),
         Command::Openapi => openapi::run(),
         Command::Job(command) => job::run(&command),
         Command::Bench(command) => bench::run(&command),
     };
     match result {
         Ok(code) => code,
-        Err(err) => {
-            eprintln!("error: {}", chain(&err));
-            ExitCode::from(err.exit_code())
-        }
+        Err(err) => failed(&err),
     }
+}
+
+fn failed(err: &Error) -> ExitCode {
+    eprintln!("error: {}", chain(err));
+    ExitCode::from(err.exit_code())
 }
 
 /// What a command gives: its exit code, or why it could not be done.
@@ -104,23 +139,21 @@ type Outcome = Result<ExitCode, Error>;
 /// Logs go to standard error; `RUST_LOG` chooses what. A thread of its own writes them: nothing else stands still because a
 /// terminal or a pipe does, and lines that find it too far behind are dropped. What waits is written when the guard is
 /// dropped.
-fn init_log(is_server: bool) -> WorkerGuard {
-    let default_level = if is_server { "info" } else { "warn" };
+fn init_log(server: Option<serve::LogFormat>) -> WorkerGuard {
+    let default_level = if server.is_some() { "info" } else { "warn" };
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default_level));
     let (writer, guard) = NonBlockingBuilder::default().lossy(true).finish(std::io::stderr());
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(writer)
-        .init();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
+    match server {
+        Some(serve::LogFormat::Json) => log.json().flatten_event(true).init(),
+        _ => log.with_ansi(std::io::stderr().is_terminal()).init(),
+    }
     guard
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
     use super::*;
 
     #[test]

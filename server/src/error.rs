@@ -9,9 +9,11 @@ use palpate_diagnosis::DiagnosisError;
 use palpate_drivers::DriverError;
 use palpate_emulator::EmulationError;
 use palpate_jobs::JobsError;
+use palpate_people::PeopleError;
 use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
 use palpate_sim::SensorModelError;
+use palpate_trials::TrialsError;
 
 /// Anything that can go wrong with a command or a request.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +52,12 @@ pub enum Error {
     /// The jobs of the data folder.
     #[error(transparent)]
     Jobs(#[from] JobsError),
+    /// The campaigns of the data folder.
+    #[error(transparent)]
+    Trials(#[from] TrialsError),
+    /// The people of the data folder.
+    #[error(transparent)]
+    People(#[from] PeopleError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -59,6 +67,17 @@ pub enum Error {
         id: String,
         /// Where to look.
         hint: &'static str,
+    },
+    /// Whoever asks may not.
+    #[error("{0}")]
+    NotPermitted(String),
+    /// Asked for too often.
+    #[error("{what}; try again in {after_s} s")]
+    TooOften {
+        /// What was asked for.
+        what: &'static str,
+        /// Seconds to wait.
+        after_s: u64,
     },
     /// There is no live station.
     #[error(
@@ -149,6 +168,12 @@ pub enum Class {
     Busy,
     /// The operator's of the station: nobody else may.
     NotOperator,
+    /// The caller's: who they are is not known.
+    NotLoggedIn,
+    /// An admin's: the caller may not.
+    NotPermitted,
+    /// The caller's: much later.
+    TooOften,
     /// The operator's of this machine: it needs space.
     DiskFull,
     /// Nobody's.
@@ -198,6 +223,25 @@ impl Error {
                 JobsError::Io { action, source, .. } => io_class(action, source),
                 _ => Class::Failed,
             },
+            Self::Trials(err) => match err {
+                TrialsError::UnknownCampaign(_) | TrialsError::UnknownTrial { .. } => Class::NotFound,
+                TrialsError::Argument(_) => Class::BadArgument,
+                TrialsError::Conflict(_) => Class::Conflict,
+                TrialsError::Content { .. } => Class::BadContent,
+                TrialsError::File(err) => recording_class(err),
+                TrialsError::Io { action, source, .. } => io_class(action, source),
+                _ => Class::Failed,
+            },
+            Self::People(err) => match err {
+                PeopleError::Argument(_) => Class::BadArgument,
+                PeopleError::NotFound { .. } => Class::NotFound,
+                PeopleError::Conflict(_) => Class::Conflict,
+                PeopleError::WrongLogin => Class::NotLoggedIn,
+                PeopleError::Database { .. } => Class::BadContent,
+                _ => Class::Failed,
+            },
+            Self::NotPermitted(_) => Class::NotPermitted,
+            Self::TooOften { .. } => Class::TooOften,
             Self::Conflict(_) => Class::Conflict,
             Self::Exists(_) => Class::Exists,
             Self::MediaType(_) => Class::MediaType,
@@ -218,7 +262,7 @@ impl Error {
     /// Exit code of the command line: 2 where the caller can mend it, 1 otherwise.
     pub fn exit_code(&self) -> u8 {
         match self.class() {
-            Class::Cancelled | Class::Failed | Class::Busy | Class::DiskFull => 1,
+            Class::Cancelled | Class::Failed | Class::Busy | Class::TooOften | Class::DiskFull => 1,
             _ => 2,
         }
     }

@@ -1,10 +1,16 @@
-//! Hands live frames and job updates to every client of the stream.
+//! Hands live frames, job updates and changes of lists to every client of the stream.
 
-use std::sync::{Arc, Mutex, Weak};
+use std::{
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
 
 use palpate_wire::{
     api::Job,
-    proto::{JobUpdate, LiveFrame, StreamMessage},
+    proto::{Changed, JobUpdate, LiveFrame, StreamMessage},
 };
 use tokio::sync::Notify;
 
@@ -18,8 +24,32 @@ use crate::data::cache::lock;
 #[derive(Debug, Default)]
 pub struct Hub {
     clients: Mutex<Vec<Weak<Client>>>,
-    newest_frame: Mutex<Option<Arc<LiveFrame>>>,
+    newest_frame: Mutex<Option<(Arc<LiveFrame>, Instant)>>,
+    /// Frames that clients were too slow for.
+    num_dropped: AtomicU64,
     watchers: Mutex<Vec<Weak<Watcher>>>,
+}
+
+/// A list of the API that pages show and others change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum List {
+    /// Sessions of the data folder.
+    Sessions,
+    /// Its sensor models.
+    Models,
+    /// Its campaigns.
+    Campaigns,
+}
+
+impl List {
+    /// Its name in messages.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Sessions => "sessions",
+            Self::Models => "models",
+            Self::Campaigns => "campaigns",
+        }
+    }
 }
 
 /// Whoever follows one job.
@@ -42,8 +72,8 @@ impl Hub {
     /// A new client; it begins with the newest frame, and leaves when dropped.
     pub(crate) fn join(&self) -> Arc<Client> {
         let client = Arc::new(Client::default());
-        if let Some(frame) = &*lock(&self.newest_frame) {
-            client.push(|queue| queue.push_live(frame.clone()));
+        if let Some((frame, _)) = &*lock(&self.newest_frame) {
+            client.push(|queue| _ = queue.push_live(frame.clone()));
         }
         lock(&self.clients).push(Arc::downgrade(&client));
         client
@@ -51,19 +81,46 @@ impl Hub {
 
     /// The newest state of the live station, if there is one.
     pub(crate) fn newest_frame(&self) -> Option<Arc<LiveFrame>> {
-        lock(&self.newest_frame).clone()
+        lock(&self.newest_frame).as_ref().map(|(frame, _)| frame.clone())
+    }
+
+    /// Since when the live station has said nothing; `None` if it never has.
+    pub(crate) fn silent_for(&self) -> Option<Duration> {
+        lock(&self.newest_frame).as_ref().map(|(_, at)| at.elapsed())
+    }
+
+    /// Clients of the stream.
+    pub(crate) fn num_clients(&self) -> usize {
+        lock(&self.clients).iter().filter(|client| client.strong_count() > 0).count()
+    }
+
+    /// Live frames that clients were too slow for, since the start.
+    pub(crate) fn num_dropped(&self) -> u64 {
+        self.num_dropped.load(Ordering::Relaxed)
     }
 
     /// Sends the newest state of the live station to everybody.
     pub fn publish_live(&self, frame: LiveFrame) {
         let frame = Arc::new(frame);
-        *lock(&self.newest_frame) = Some(frame.clone());
-        self.for_each(|client| client.push(|queue| queue.push_live(frame.clone())));
+        *lock(&self.newest_frame) = Some((frame.clone(), Instant::now()));
+        self.for_each(|client| {
+            client.push(|queue| {
+                if queue.push_live(frame.clone()) {
+                    self.num_dropped.fetch_add(1, Ordering::Relaxed);
+                }
+            });
+        });
     }
 
     /// Sends the newest state of a job to everybody.
     pub fn publish_job(&self, update: &JobUpdate) {
         self.for_each(|client| client.push_job(update.clone()));
+    }
+
+    /// Tells everybody that entry `id` of a list has changed, or several if `id` is empty.
+    pub(crate) fn publish_changed(&self, list: List, id: &str) {
+        let changed = Changed { list: list.name().to_owned(), id: id.to_owned() };
+        self.for_each(|client| client.push(|queue| queue.push_changed(changed.clone())));
     }
 
     /// Follows the job called `id` from now on, until dropped.

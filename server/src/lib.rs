@@ -12,7 +12,8 @@
 //! `/api/v1/openapi.json`, shown at `/api/docs` and kept in `docs/openapi.json`. `docs/api.md` says how to script it.
 //! Every path below `/api` that is not in the table is a problem of type `no-route`; everything else is the page.
 //!
-//! Every request passes the door, which checks Host and Origin. Only an operator's requests carry the lease of an open
+//! Every request passes the door, which checks Host and Origin and finds out who asks. Where there is a login, each route
+//! needs the role that the table states; without one everybody is the local operator. Only an operator's requests carry the lease of an open
 //! control connection, in the header `Palpate-Lease`. Errors are RFC 9457 `application/problem+json`
 //! (`palpate_wire::api::ProblemDetails`), and `palpate_wire::api::ProblemType` names their kinds.
 //!
@@ -25,6 +26,7 @@
 //! reads slowly sees few pictures but no old ones.
 
 pub mod assets;
+mod backup;
 pub mod data;
 mod error;
 mod http;
@@ -33,12 +35,15 @@ pub mod jobs;
 mod serve;
 mod state;
 mod station;
+mod tls;
 mod work;
 
+pub use backup::{BackupReport, backup};
 pub use data::Store;
 pub use error::{Class, Error, chain};
-pub use http::{Needs, Route, app, openapi, routes};
+pub use http::{Needs, NeedsLease, Route, app, openapi, root_routes, routes};
 pub use hub::Hub;
-pub use serve::{ServeConfig, Served, serve, serve_on};
+pub use serve::{Ready, ServeConfig, Served, open_people, serve, serve_on};
 pub use state::{Access, AppState, Studio};
 pub use station::{EmulatedDevices, LiveStation, RunningStation};
+pub use tls::Tls;

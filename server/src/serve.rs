@@ -2,18 +2,22 @@
 
 use std::{
     net::SocketAddr,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use palpate_control::Ending;
+use palpate_jobs::Database;
+use palpate_people::People;
 use tokio::{net::TcpListener, sync::oneshot};
 
 use crate::{
-    Error, LiveStation, RunningStation, app,
+    Error, LiveStation, RunningStation, Tls, app,
     http::{listener, page},
+    jobs::board::DATABASE_FILE,
     state::{Access, AppState, Studio},
+    tls::{self, TlsIdentity},
 };
 
 /// The control loop takes 1.6 s at most to end all motion; one that has not said how it went after this has died.
@@ -32,8 +36,72 @@ pub struct ServeConfig {
     pub station: Option<LiveStation>,
     /// Host names by which the server is known, besides `localhost` and addresses.
     pub hosts: Vec<String>,
-    /// Listen beyond this computer though there is no login.
+    /// Listen beyond this computer without login and TLS.
     pub insecure: bool,
+    /// A proxy on the way has TLS and says from where requests come: everybody has to log in, whatever the address.
+    pub behind_proxy: bool,
+    /// Everybody has to log in, also on this computer.
+    pub login: bool,
+    /// Which certificate the studio shows.
+    pub tls: Tls,
+}
+
+/// How a studio that is ready can be reached.
+#[derive(Clone, Debug)]
+pub struct Ready {
+    /// The real address.
+    pub address: SocketAddr,
+    /// SHA-256 of the certificate, where there is TLS.
+    pub fingerprint: Option<String>,
+    /// Where the certificate is, if it is the studio's own.
+    pub own_cert: Option<PathBuf>,
+}
+
+impl Ready {
+    /// The address as a browser takes it.
+    pub fn url(&self) -> String {
+        let scheme = if self.fingerprint.is_some() { "https" } else { "http" };
+        format!("{scheme}://{}", self.address)
+    }
+}
+
+/// What an address and the words of whoever starts the studio come to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Security {
+    needs_login: bool,
+    has_tls: bool,
+    /// Anybody in the network may take control.
+    is_open: bool,
+}
+
+impl ServeConfig {
+    /// Refuses what could not be served, without starting anything.
+    pub fn check(&self) -> Result<(), Error> {
+        let Security { needs_login, .. } = self.security()?;
+        if let Tls::Files { cert, key } = &self.tls {
+            TlsIdentity::of_files(cert, key)?;
+        }
+        if needs_login {
+            refuse_nobody(&self.data, self.listen)?;
+        }
+        Ok(())
+    }
+
+    fn security(&self) -> Result<Security, Error> {
+        let is_exposed = !self.listen.ip().is_loopback();
+        if self.insecure && (self.behind_proxy || self.login) {
+            return Err(Error::Argument(
+                "--insecure means that nobody logs in; leave it out, or --behind-proxy and --login"
+                    .to_owned(),
+            ));
+        }
+        let guards = is_exposed && !self.insecure;
+        Ok(Security {
+            needs_login: guards || self.behind_proxy || self.login,
+            has_tls: self.tls != Tls::Auto || (guards && !self.behind_proxy),
+            is_open: is_exposed && self.insecure,
+        })
+    }
 }
 
 /// How serving ended.
@@ -46,36 +114,47 @@ pub struct Served {
 }
 
 /// Serves until `stop` completes. Then motion ends before anything else does, whatever clients are up to; `motion_ended` is
-/// told how. `ready` learns the real address.
+/// told how. `ready` learns how it is reached.
 pub async fn serve(
     config: ServeConfig,
-    ready: impl FnOnce(SocketAddr),
+    ready: impl FnOnce(Ready),
     stop: impl Future<Output = ()> + Send + 'static,
     motion_ended: impl FnOnce(Option<&Ending>) + Send + 'static,
 ) -> Result<Served, Error> {
-    let ServeConfig { listen, data, station, hosts, insecure } = config;
-    let is_exposed = !listen.ip().is_loopback();
-    if is_exposed && !insecure {
-        return Err(Error::Argument(format!(
-            "{listen} can be reached from other computers, and there is no login yet: anybody there could move the \
-             robot. Listen on 127.0.0.1 and forward the port (ssh -L 8080:127.0.0.1:8080 THIS_COMPUTER), or say --insecure"
-        )));
-    }
+    let Security { needs_login, has_tls, is_open } = config.security()?;
+    let ServeConfig { listen, data, station, hosts, behind_proxy, tls, .. } = config;
     let failed_to = |action: &'static str| {
         move |err: std::io::Error| {
             Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))
         }
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
-    let access = Access { hosts, insecure: is_exposed, program: None };
+    let names = tls::names(listen, &hosts);
+    let access = Access { hosts, insecure: is_open, login: needs_login, behind_proxy, program: None };
+    if needs_login {
+        refuse_nobody(&data, listen)?;
+    }
+    // Before the station: what cannot be served must not switch anything on.
+    let identity = match &tls {
+        Tls::Files { cert, key } => Some(TlsIdentity::of_files(cert, key)?),
+        Tls::Own | Tls::Auto if has_tls => Some(TlsIdentity::own(&data, &names)?),
+        Tls::Own | Tls::Auto => None,
+    };
     let Studio { state, station } = Studio::open(&data, station.as_ref(), access)?;
-    if is_exposed {
+    if is_open {
         tracing::warn!(%listen, "no login: anybody who reaches this address may take control of the robot");
     }
     if !page::is_built() {
         tracing::warn!("built without the page; `cargo xtask build` builds a binary that has it");
     }
-    ready(listener.local_addr().map_err(failed_to("listen on"))?);
+    let (tls, fingerprint, own_cert) = match identity {
+        Some(TlsIdentity { acceptor, fingerprint, own_cert }) => {
+            (Some(acceptor), Some(fingerprint), own_cert)
+        }
+        None => (None, None, None),
+    };
+    let address = listener.local_addr().map_err(failed_to("listen on"))?;
+    ready(Ready { address, fingerprint, own_cert });
     let (tell, told) = oneshot::channel();
     let ending = state.clone();
     let stop = async move {
@@ -86,7 +165,7 @@ pub async fn serve(
         // Whoever asked for the end waits for this.
         let _ = tell.send(ended);
     };
-    listener::listen(listener, app(state), stop).await;
+    listener::listen(listener, tls, app(state), stop).await;
     let Ok(Some((motion, station))) = told.await else {
         return Ok(Served { motion: None, is_written: true });
     };
@@ -97,7 +176,33 @@ pub async fn serve(
 
 /// Serves `state` on `listener` until `stop` completes.
 pub async fn serve_on(listener: TcpListener, state: Arc<AppState>, stop: impl Future<Output = ()>) {
-    listener::listen(listener, app(state), stop).await;
+    listener::listen(listener, None, app(state), stop).await;
+}
+
+/// Refuses to serve where everybody has to log in and nobody can.
+fn refuse_nobody(data: &Path, listen: SocketAddr) -> Result<(), Error> {
+    std::fs::create_dir_all(data).map_err(Error::io("make", data))?;
+    if !open_people(data)?.is_empty() {
+        return Ok(());
+    }
+    Err(Error::Argument(format!(
+        "whoever reaches {listen} has to log in, and nobody could: add yourself with `palpate people add NAME --role admin \
+         --data {}`, or listen on 127.0.0.1 and forward the port (ssh -L 8080:127.0.0.1:8080 THIS_COMPUTER)",
+        data.display()
+    )))
+}
+
+/// The people of the data folder `data`, with or without a studio that has it open.
+pub fn open_people(data: &Path) -> Result<People, Error> {
+    if !data.is_dir() {
+        return Err(Error::Argument(format!(
+            "{data:?} is no folder; give the data folder of a studio (--data)"
+        )));
+    }
+    let path = data.join(DATABASE_FILE);
+    // Checks where it is, and makes it if need be.
+    drop(Database::open(&path)?);
+    Ok(People::open(&path)?)
 }
 
 /// Ends the motion of a station, if there is one. On a thread of its own: the runtime's may all be busy.
@@ -128,4 +233,40 @@ async fn on_own_thread<T: Send + 'static>(
         tracing::error!(%err, name, "failed to start a thread");
     }
     told.await.ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whatever_can_be_reached_from_elsewhere_needs_login_and_tls() {
+        let config = |listen: &str| ServeConfig {
+            listen: listen.parse().unwrap(),
+            data: PathBuf::new(),
+            station: None,
+            hosts: Vec::new(),
+            insecure: false,
+            behind_proxy: false,
+            login: false,
+            tls: Tls::Auto,
+        };
+        let security = |config: ServeConfig| {
+            let Security { needs_login, has_tls, is_open } = config.security().unwrap();
+            (needs_login, has_tls, is_open)
+        };
+        for listen in ["127.0.0.1:8080", "[::1]:8080", "127.9.9.9:1"] {
+            assert_eq!(security(config(listen)), (false, false, false), "{listen}");
+            assert_eq!(security(ServeConfig { login: true, ..config(listen) }), (true, false, false));
+            // Others come through the proxy.
+            assert_eq!(security(ServeConfig { behind_proxy: true, ..config(listen) }), (true, false, false));
+            assert_eq!(security(ServeConfig { tls: Tls::Own, ..config(listen) }), (false, true, false));
+        }
+        for listen in ["0.0.0.0:8080", "[::]:8080", "10.0.0.7:8080"] {
+            assert_eq!(security(config(listen)), (true, true, false), "{listen}");
+            assert_eq!(security(ServeConfig { behind_proxy: true, ..config(listen) }), (true, false, false));
+            assert_eq!(security(ServeConfig { insecure: true, ..config(listen) }), (false, false, true));
+            assert!(ServeConfig { insecure: true, login: true, ..config(listen) }.security().is_err());
+        }
+    }
 }

@@ -3,16 +3,21 @@
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
+    thread,
+    time::Duration,
 };
 
+use palpate_control::{AuditFile, AuditRotation};
 use palpate_emulator::devices::StationControl;
+use palpate_people::{LoginLimits, People};
+use palpate_trials::Campaigns;
 use tokio::sync::watch;
 
 use crate::{
-    Error, Hub, Store,
+    Error, Hub, Store, assets,
     data::library::Library,
     jobs::{
-        board::Jobs,
+        board::{DATABASE_FILE, Jobs},
         runs::{Calibrations, Diagnoses, Runs},
     },
     station::{Live, LiveStation, RunningStation},
@@ -26,6 +31,10 @@ pub struct Access {
     pub hosts: Vec<String>,
     /// It listens beyond this computer without a login; the page says so.
     pub insecure: bool,
+    /// Everybody has to log in; without, whoever gets in is the local operator.
+    pub login: bool,
+    /// Requests come from a proxy on the way, which says in `X-Forwarded-For` from where it has them.
+    pub behind_proxy: bool,
     /// The `palpate` program that jobs run as; without, the one that runs now.
     pub program: Option<PathBuf>,
 }
@@ -34,10 +43,14 @@ pub struct Access {
 pub struct AppState {
     // The first to go: the folder is free once nothing starts jobs any more.
     jobs: Jobs,
+    campaigns: Campaigns,
     store: Arc<Store>,
     library: Arc<Library>,
     hub: Arc<Hub>,
     live: Option<Live>,
+    people: Arc<People>,
+    logins: LoginLimits,
+    audit: AuditFile,
     work: Work,
     access: Access,
     /// The path of the data folder, without links.
@@ -64,19 +77,67 @@ impl Studio {
             None => std::env::current_exe().map_err(Error::io("find", "this program"))?,
         };
         let jobs = Jobs::open(store.clone(), hub.clone(), &program)?;
+        let people = Arc::new(People::open(&store.root().join(DATABASE_FILE))?);
+        look_after(&people)?;
+        let audit_path = store.audit_path();
+        let audit = AuditFile::open(&audit_path, AuditRotation::default())
+            .map_err(Error::io("open the audit log", &audit_path))?;
         let work = Work::start()?;
+        let campaigns = Campaigns::new(data.join("campaigns"), assets::published_results()?);
         let (live, station) = match station {
             Some(station) => {
-                let (live, running) = Live::start(station, 0, &store, hub.clone())?;
+                let (live, running) = Live::start(station, 0, &store, audit.clone(), hub.clone())?;
                 (Some(live), Some(running))
             }
             None => (None, None),
         };
         let data = data.canonicalize().map_err(Error::io("open", data))?;
         let shutdown = watch::Sender::new(false);
-        let state = AppState { jobs, store, library, hub, live, work, access, data, shutdown };
+        let logins = LoginLimits::default();
+        let state = AppState {
+            jobs,
+            campaigns,
+            store,
+            library,
+            hub,
+            live,
+            people,
+            logins,
+            audit,
+            work,
+            access,
+            data,
+            shutdown,
+        };
         Ok(Self { state: Arc::new(state), station })
     }
+}
+
+/// How often people are looked after: what `palpate people` or `palpate tokens` revoked in another process is good for no
+/// longer than this.
+const LOOK_AFTER: Duration = Duration::from_secs(1);
+
+/// Looks after people until they are dropped.
+fn look_after(people: &Arc<People>) -> Result<(), Error> {
+    let people = Arc::downgrade(people);
+    let look = move || {
+        let mut problem = String::new();
+        while let Some(people) = people.upgrade() {
+            let now = people.refresh(palpate_people::now_s()).err().map(|err| crate::chain(&err));
+            let now = now.unwrap_or_default();
+            if now != problem && !now.is_empty() {
+                tracing::error!("{now}");
+            }
+            problem = now;
+            drop(people);
+            thread::sleep(LOOK_AFTER);
+        }
+    };
+    thread::Builder::new()
+        .name("people".to_owned())
+        .spawn(look)
+        .map_err(|err| Error::Internal(format!("failed to start a thread: {err}")))?;
+    Ok(())
 }
 
 impl AppState {
@@ -102,6 +163,10 @@ impl AppState {
         &self.jobs
     }
 
+    pub(crate) fn campaigns(&self) -> &Campaigns {
+        &self.campaigns
+    }
+
     pub(crate) fn calibrations(&self) -> Runs<'_, Calibrations> {
         Runs::of(&self.jobs)
     }
@@ -112,6 +177,21 @@ impl AppState {
 
     pub(crate) fn live(&self) -> Option<&Live> {
         self.live.as_ref()
+    }
+
+    /// Who the people are.
+    pub fn people(&self) -> &Arc<People> {
+        &self.people
+    }
+
+    /// Attempts to log in.
+    pub(crate) fn logins(&self) -> &LoginLimits {
+        &self.logins
+    }
+
+    /// Who did what.
+    pub(crate) fn audit(&self) -> &AuditFile {
+        &self.audit
     }
 
     pub(crate) fn access(&self) -> &Access {

@@ -7,8 +7,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 use palpate_wire::{
     api::{
-        CalibrationRequest, DiagnosisRequest, LiveModel, ProblemDetails, RecordingAction,
-        SaveDiagnosisRequest, SaveModelRequest, StartRecording, WantedTake,
+        CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, LiveModel, ProblemDetails,
+        RecordingAction, SaveDiagnosisRequest, SaveModelRequest, ScoreBack, ScoreRequest, StartRecording,
+        TrialEnd, WantedTake,
     },
     proto::{ControlRequest, control_request},
 };
@@ -114,6 +115,75 @@ pub enum Request {
     },
     /// Choose what the live twin simulates with.
     SetLiveModel(LiveModel),
+    /// Campaigns, newest first.
+    Campaigns,
+    /// One campaign.
+    Campaign {
+        /// Id of the campaign.
+        campaign: String,
+        /// Who looks.
+        scorer: String,
+        /// They score, and are told no more than scorers are.
+        as_scorer: bool,
+    },
+    /// What the verdicts of a campaign say.
+    CampaignResults(String),
+    /// Make a campaign.
+    MakeCampaign(CampaignPlan),
+    /// Do something in a campaign.
+    ActOnCampaign {
+        /// Id of the campaign.
+        campaign: String,
+        /// The answer tells no more than scorers are told.
+        as_scorer: bool,
+        /// What.
+        act: CampaignAct,
+    },
+    /// Jobs, newest first: from the beginning, or from where a page of them ended.
+    Jobs(Option<String>),
+    /// One job.
+    Job(String),
+    /// What a job's process printed.
+    JobLog(String),
+    /// Do something with a job.
+    ActOnJob {
+        /// Id of the job.
+        job: String,
+        /// What.
+        act: JobAct,
+    },
+}
+
+/// What can be done in a campaign.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CampaignAct {
+    /// The object of a trial is placed.
+    Begin(u32),
+    /// A trial has ended.
+    End(u32, TrialEnd),
+    /// Give a verdict.
+    Score(u32, ScoreRequest),
+    /// Take it back.
+    Unscore(u32, ScoreBack),
+    /// Decide where scorers differ.
+    Settle(u32, ScoreRequest),
+    /// No more trials.
+    Close,
+    /// Trials go on.
+    Reopen,
+}
+
+/// What can be done with a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobAct {
+    /// Ask it to stop.
+    Cancel,
+    /// Queue it once more.
+    Retry,
+    /// Ask for the same again.
+    Clone,
+    /// Move it to the trash.
+    Delete,
 }
 
 /// A request as HTTP.
@@ -200,6 +270,49 @@ impl Request {
                 delete(format!("/recording/wanted/{}/{}", segment(object), segment(primitive)))
             }
             Self::SetLiveModel(body) => http("PUT", "/live/model".into(), json(body)),
+            Self::Campaigns => get("/campaigns".into()),
+            Self::Campaign { campaign, scorer, as_scorer } => get(format!(
+                "/campaigns/{}?scorer={}&as_scorer={as_scorer}",
+                segment(campaign),
+                segment(scorer)
+            )),
+            Self::CampaignResults(campaign) => get(format!("/campaigns/{}/results", segment(campaign))),
+            Self::MakeCampaign(plan) => post("/campaigns".into(), json(plan)),
+            Self::ActOnCampaign { campaign, as_scorer, act } => {
+                let campaign = format!("/campaigns/{}", segment(campaign));
+                let trial = |trial: &u32, what: &str| {
+                    // Only scores tell how much whoever gave them may know.
+                    let view = if what.ends_with("score") {
+                        format!("?as_scorer={as_scorer}")
+                    } else {
+                        String::new()
+                    };
+                    format!("{campaign}/trials/{trial}/{what}{view}")
+                };
+                match act {
+                    CampaignAct::Begin(number) => post(trial(number, "begin"), None),
+                    CampaignAct::End(number, body) => post(trial(number, "outcome"), json(body)),
+                    CampaignAct::Score(number, body) => post(trial(number, "score"), json(body)),
+                    CampaignAct::Unscore(number, body) => post(trial(number, "unscore"), json(body)),
+                    CampaignAct::Settle(number, body) => post(trial(number, "settle"), json(body)),
+                    CampaignAct::Close => post(format!("{campaign}/close"), None),
+                    CampaignAct::Reopen => post(format!("{campaign}/reopen"), None),
+                }
+            }
+            Self::Jobs(None) => get("/jobs".into()),
+            Self::Jobs(Some(cursor)) => get(format!("/jobs?cursor={}", segment(cursor))),
+            Self::Job(job) => get(format!("/jobs/{}", segment(job))),
+            Self::JobLog(job) => get(format!("/jobs/{}/log", segment(job))),
+            Self::ActOnJob { job, act } => {
+                let path = format!("/jobs/{}", segment(job));
+                match act {
+                    JobAct::Cancel => post(format!("{path}/cancel"), None),
+                    JobAct::Retry => post(format!("{path}/retry"), None),
+                    // Nothing is different.
+                    JobAct::Clone => post(format!("{path}/clone"), json(&JobChanges::default())),
+                    JobAct::Delete => delete(path),
+                }
+            }
         }
     }
 }

@@ -89,6 +89,8 @@ pub struct StudioApp {
     diagnose: screens::diagnose::DiagnoseState,
     sessions: screens::sessions::SessionsState,
     objects: screens::objects::ObjectsState,
+    trials: screens::trials::TrialsState,
+    jobs: screens::jobs::JobsState,
 }
 
 impl StudioApp {
@@ -126,6 +128,8 @@ impl StudioApp {
             diagnose: screens::diagnose::DiagnoseState::default(),
             sessions: screens::sessions::SessionsState::default(),
             objects: screens::objects::ObjectsState::default(),
+            trials: screens::trials::TrialsState::default(),
+            jobs: screens::jobs::JobsState::default(),
         };
         app.store.ask_info();
         app.store.control.operator = app.platform.saved_operator();
@@ -245,6 +249,8 @@ impl StudioApp {
             Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
             Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
             Screen::Objects => screens::objects::objects_ui(ui, &mut cx, &mut self.objects),
+            Screen::Trials => screens::trials::trials_ui(ui, &mut cx, &mut self.trials),
+            Screen::Jobs => screens::jobs::jobs_ui(ui, &mut cx, &mut self.jobs),
         }
         if pick_file {
             self.platform.pick_file();
@@ -393,7 +399,9 @@ impl StudioApp {
                 | Screen::Calibrate
                 | Screen::Diagnose
                 | Screen::Sessions
-                | Screen::Objects => None,
+                | Screen::Objects
+                | Screen::Trials
+                | Screen::Jobs => None,
             },
             run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
                 (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),

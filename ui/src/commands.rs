@@ -49,7 +49,7 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 27] = [
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
         Self::Open(Screen::Timelines),
@@ -57,6 +57,8 @@ impl Command {
         Self::Open(Screen::Diagnose),
         Self::Open(Screen::Sessions),
         Self::Open(Screen::Objects),
+        Self::Open(Screen::Trials),
+        Self::Open(Screen::Jobs),
         Self::Stop,
         Self::ResetStop,
         Self::TakeControl,
@@ -94,6 +96,8 @@ impl Command {
             Self::Open(Screen::Diagnose) => "Go to Diagnose",
             Self::Open(Screen::Sessions) => "Go to Sessions",
             Self::Open(Screen::Objects) => "Go to Objects",
+            Self::Open(Screen::Trials) => "Go to Trials",
+            Self::Open(Screen::Jobs) => "Go to Jobs",
             Self::PlayPause => "Play or pause",
             Self::PreviousFrame => "One frame back",
             Self::NextFrame => "One frame on",
@@ -135,6 +139,8 @@ impl Command {
             Self::Open(Screen::Sessions) => alt(Key::Num5),
             Self::Open(Screen::Record) => alt(Key::Num6),
             Self::Open(Screen::Objects) => alt(Key::Num7),
+            Self::Open(Screen::Trials) => alt(Key::Num8),
+            Self::Open(Screen::Jobs) => alt(Key::Num9),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
             Self::ResetStop

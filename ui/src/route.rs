@@ -36,11 +36,15 @@ pub enum Screen {
     Sessions,
     /// What is touched and grasped.
     Objects,
+    /// Campaigns: policies tried on the hand, trials scored.
+    Trials,
+    /// Long work: what waits, runs and has ended.
+    Jobs,
 }
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Hand,
         Self::Record,
         Self::Timelines,
@@ -48,6 +52,8 @@ impl Screen {
         Self::Diagnose,
         Self::Sessions,
         Self::Objects,
+        Self::Trials,
+        Self::Jobs,
     ];
 
     /// The word in the rail.
@@ -60,6 +66,8 @@ impl Screen {
             Self::Diagnose => "Diagnose",
             Self::Sessions => "Sessions",
             Self::Objects => "Objects",
+            Self::Trials => "Trials",
+            Self::Jobs => "Jobs",
         }
     }
 
@@ -75,6 +83,8 @@ impl Screen {
             }
             Self::Sessions => "What has been recorded, and whether it can be used",
             Self::Objects => "What is touched and grasped: shape, mass, poses at rest",
+            Self::Trials => "Try policies on the hand, score each trial, compare success rates",
+            Self::Jobs => "Long work: what waits, what runs, how it ended",
         }
     }
 
@@ -92,6 +102,8 @@ impl Screen {
             Self::Diagnose => "diagnose",
             Self::Sessions => "sessions",
             Self::Objects => "objects",
+            Self::Trials => "trials",
+            Self::Jobs => "jobs",
         }
     }
 
@@ -121,6 +133,12 @@ pub struct Route {
     pub live: bool,
     /// Object shown, by id.
     pub object: Option<String>,
+    /// Campaign shown, by id.
+    pub campaign: Option<String>,
+    /// Which part of a campaign is shown: `run`, `score` or `results`.
+    pub part: Option<String>,
+    /// Job shown, by id.
+    pub job: Option<String>,
 }
 
 impl Default for Route {
@@ -142,6 +160,9 @@ impl Route {
             run: None,
             live: false,
             object: None,
+            campaign: None,
+            part: None,
+            job: None,
         }
     }
 
@@ -181,6 +202,9 @@ impl Route {
                 "run" => route.run = value,
                 "source" => route.live = value.as_deref() == Some("live"),
                 "object" => route.object = value,
+                "campaign" => route.campaign = value,
+                "part" => route.part = value,
+                "job" => route.job = value,
                 _ => {}
             }
         }
@@ -189,8 +213,11 @@ impl Route {
 
     /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
     pub fn is_same_place(&self, other: &Self) -> bool {
-        (self.screen, &self.session, &self.take, &self.run, &self.object, self.live)
-            == (other.screen, &other.session, &other.take, &other.run, &other.object, other.live)
+        let ids = |route: &Self| {
+            let Self { session, take, run, object, campaign, part, job, .. } = route.clone();
+            [session, take, run, object, campaign, part, job]
+        };
+        (self.screen, self.live, ids(self)) == (other.screen, other.live, ids(other))
     }
 }
 
@@ -214,6 +241,9 @@ impl fmt::Display for Route {
             ("diagnosed", &self.diagnosed),
             ("run", &self.run),
             ("object", &self.object),
+            ("campaign", &self.campaign),
+            ("part", &self.part),
+            ("job", &self.job),
         ];
         let mut separator = '?';
         for (key, value) in pairs {
@@ -268,12 +298,14 @@ mod tests {
         #[test]
         fn every_route_survives_its_hash(
             screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
-            diagnosed in id(), run in id(), object in id(),
+            diagnosed in id(), run in id(), object in id(), campaign in id(), part in id(), job in id(),
             time_ms in proptest::option::of(0_u32..10_000_000), live in any::<bool>(),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
-            let route = Route { screen, session, take, time_s, model, diagnosed, run, live, object };
+            let route = Route {
+                screen, session, take, time_s, model, diagnosed, run, live, object, campaign, part, job,
+            };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
         }
 

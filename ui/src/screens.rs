@@ -5,11 +5,13 @@ pub mod control;
 pub mod controls;
 pub mod diagnose;
 pub mod hand;
+pub mod jobs;
 pub mod objects;
 pub mod record;
 pub mod run_controls;
 pub mod sessions;
 pub mod timelines;
+pub mod trials;
 
 pub use palpate_wire::wording::words;
 

@@ -3,7 +3,9 @@
 //! Accessors take `&mut self`: asking for something that is not there yet queues a request and answers
 //! [`Loadable::Loading`]. What is loaded is behind an `Arc`, so that a screen can keep it while it asks for more.
 
+mod campaigns;
 pub mod control;
+mod jobs;
 mod live;
 pub mod notice;
 mod runs;
@@ -22,11 +24,14 @@ use palpate_wire::{
         RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary,
         StationDocument,
     },
-    proto::{LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
+    proto::{Changed, LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
 use prost::Message as _;
 
-use self::{control::ControlLink, notice::Notice, runs::RunTable, touch_history::TouchHistory};
+use self::{
+    campaigns::CampaignTable, control::ControlLink, jobs::JobTable, notice::Notice, runs::RunTable,
+    touch_history::TouchHistory,
+};
 
 use crate::{
     api_client::{ApiEvent, Request},
@@ -139,6 +144,10 @@ pub struct Store {
     pub wanted_busy: bool,
     /// The model that [`Store::set_live_model`] asked for: its id once the live twin has it.
     pub live_model: Loadable<String>,
+    /// Campaigns.
+    pub campaigns: CampaignTable,
+    /// Jobs of every kind.
+    pub jobs: JobTable,
     /// What the live station and its twin felt in the last seconds.
     pub touch_history: TouchHistory,
     /// Something was done in a recording, and the server has not answered yet.
@@ -349,6 +358,8 @@ impl Store {
         reset(&mut self.recording);
         reset(&mut self.models);
         reset(&mut self.objects);
+        self.campaigns.retry_failed();
+        self.jobs.retry_failed();
         self.calibrations.retry_failed();
         self.diagnoses.retry_failed();
         self.details.values_mut().for_each(reset);
@@ -366,7 +377,10 @@ impl Store {
 
     /// Requests that wait to be sent.
     pub fn take_outbox(&mut self) -> Vec<Request> {
-        std::mem::take(&mut self.outbox)
+        let mut outbox = std::mem::take(&mut self.outbox);
+        outbox.extend(self.campaigns.take_outbox());
+        outbox.extend(self.jobs.take_outbox());
+        outbox
     }
 
     /// Takes in what the server sent. `now_s` is the page's clock, `time_of_day` the operator's.
@@ -395,6 +409,8 @@ impl Store {
     /// What may have changed while nobody listened. The old values stay on the page until the new ones are here.
     fn refresh_after_loss(&mut self) {
         self.retry_failed();
+        self.campaigns.changed("", &self.control.operator);
+        self.jobs.refresh();
         if self.recording.ready().is_some() {
             self.recording_asked = true;
             self.outbox.push(Request::Recording);
@@ -436,6 +452,19 @@ impl Store {
             Request::Run(id) => self.calibrations.receive_detail(id, result),
             Request::Diagnoses => self.diagnoses.receive_list(result),
             Request::Diagnosis(id) => self.diagnoses.receive_detail(id, result),
+            Request::Campaigns => self.campaigns.receive_list(result),
+            Request::Campaign { campaign, as_scorer, .. } => {
+                self.campaigns.receive_campaign((campaign, as_scorer), result);
+            }
+            Request::CampaignResults(id) => self.campaigns.receive_results(id, result),
+            Request::MakeCampaign(_) => self.campaigns.receive_made(result),
+            Request::ActOnCampaign { campaign, as_scorer, .. } => {
+                self.campaigns.receive_acted(campaign, as_scorer, result);
+            }
+            Request::Jobs(cursor) => self.jobs.receive_list(cursor, result),
+            Request::Job(_) => self.jobs.receive_job(result),
+            Request::JobLog(id) => self.jobs.receive_log(id, result),
+            Request::ActOnJob { job, act } => self.jobs.receive_acted(job, act, result),
             // Whether it could be stopped or not: where the run stands now is what matters.
             Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
             Request::CancelDiagnosis(run) => self.outbox.push(Request::Diagnosis(run)),
@@ -509,6 +538,7 @@ impl Store {
             }
             Some(stream_message::Message::Job(update)) => {
                 let Some(state) = job_state(&update.state) else { return };
+                self.jobs.update(state, &update);
                 if update.job.starts_with(DIAGNOSIS_PREFIX) {
                     if self.diagnoses.update(state, &update) {
                         self.outbox.push(Request::Diagnosis(update.job));
@@ -519,7 +549,21 @@ impl Store {
                     self.outbox.push(Request::Run(update.job));
                 }
             }
+            Some(stream_message::Message::Changed(changed)) => self.receive_changed(&changed),
             None => {}
+        }
+    }
+
+    /// Somebody, perhaps on another page, changed what a list shows.
+    fn receive_changed(&mut self, changed: &Changed) {
+        match changed.list.as_str() {
+            "sessions" if self.sessions.ready().is_some() => {
+                self.details.remove(&changed.id);
+                self.outbox.push(Request::Sessions);
+            }
+            "models" if self.models.ready().is_some() => self.models_changed(),
+            "campaigns" => self.campaigns.changed(&changed.id, &self.control.operator),
+            _ => {}
         }
     }
 

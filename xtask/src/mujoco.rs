@@ -17,7 +17,8 @@ const VERSION: &str = "3.17.0";
 
 /// Crates with a `mujoco` feature, and the learners, which one of them uses: tested with the whole workspace instead, their
 /// tensor library would be built a second time.
-const CRATES: &[&str] = &["palpate_encoder", "palpate_grasp", "palpate_ppo", "palpate_train"];
+const CRATES: &[&str] =
+    &["palpate_encoder", "palpate_grasp", "palpate_ppo", "palpate_rollout", "palpate_train"];
 
 /// The folder of the library: the one that `MUJOCO_DYNAMIC_LINK_DIR` names, or else one below `target/tools`, fetched
 /// from PyPI (pip checks the wheel's hash) unless it is there.
@@ -110,8 +111,10 @@ pub(crate) fn lint() -> anyhow::Result<()> {
 }
 
 /// Tests of the grasp world; with `filter` only those whose name contains it.
-pub(crate) fn test(filter: Option<&str>) -> anyhow::Result<()> {
+pub(crate) fn test(palpate: &Path, filter: Option<&str>) -> anyhow::Result<()> {
     let mut cargo = cargo(&["test", "--no-fail-fast"])?;
+    // The physical station is driven by a studio.
+    cargo.env("PALPATE_BIN", palpate);
     // Test binaries know where the library is; those of documentation examples do not.
     cargo.env("LD_LIBRARY_PATH", link_dir()?).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
     if let Some(filter) = filter {

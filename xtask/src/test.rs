@@ -38,7 +38,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     let mut cargo = cargo_test();
     cargo
         .arg("--no-fail-fast")
-        .env("PALPATE_BIN", palpate)
+        .env("PALPATE_BIN", &palpate)
         .env("PALPATE_PYTHON", python)
         .env("PALPATE_BROWSER_TESTS", browser_tests)
         .env("PALPATE_ARTIFACTS", &artifacts)
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo.args(["--", filter]);
     }
     let workspace = shell::run(&mut cargo);
-    let grasping = mujoco::test(args.filter.as_deref());
+    let grasping = mujoco::test(&palpate, args.filter.as_deref());
     workspace.and(grasping)?;
     eprintln!("screenshots and reports: {}", artifacts.display());
     Ok(())

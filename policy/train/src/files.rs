@@ -8,21 +8,11 @@ use anyhow::{Context as _, bail};
 use palpate_grasp::touch::{NoTouch, Sense};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectGroup, ObjectModel, Station};
+pub(crate) use palpate_rollout::task::{Source, sha256};
 use palpate_sim::SensorModel;
-use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
 use crate::SceneArgs;
 use crate::truth::Emulated;
-
-/// A file that was read.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Source {
-    /// What for: "station", "world", "script", "model" or "truth", "object", "learning", "policy".
-    pub(crate) role: String,
-    pub(crate) path: String,
-    pub(crate) sha256: String,
-}
 
 /// Files in the order in which they were read.
 #[derive(Default)]
@@ -61,11 +51,6 @@ impl Sources {
     pub(crate) fn into_list(self) -> Vec<Source> {
         self.0.into_inner()
     }
-}
-
-/// In hexadecimal digits, as `sha256sum` prints it.
-pub(crate) fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Starts the threads that are asked for; at most once.

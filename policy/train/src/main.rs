@@ -14,6 +14,7 @@ mod policy;
 mod ppo;
 mod script;
 mod search;
+mod station;
 mod task;
 mod truth;
 mod tune;
@@ -52,6 +53,10 @@ enum Command {
     Curves(curves::CurvesArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
+    /// Run trials of a policy on the hand that a studio drives
+    Rollout(palpate_rollout::RolloutArgs),
+    /// Run an emulated station whose hand can grasp and lift, for any client of the real devices
+    Station(station::StationArgs),
 }
 
 /// What is grasped with what, and felt how.
@@ -101,6 +106,8 @@ fn main() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Rollout(args) => palpate_rollout::run(&args),
+        Command::Station(args) => station::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

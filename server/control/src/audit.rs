@@ -1,19 +1,25 @@
-//! The audit log: who did what and what the station made of it, one JSON object a line, appended for ever.
+//! The audit log: who did what and what the station made of it, one JSON object a line. A file that is full is kept beside
+//! the one that is written ([`files`]).
+
+mod files;
 
 use std::{
-    fs::{self, File, OpenOptions},
-    io::{self, BufWriter, Write},
-    path::{Path, PathBuf},
+    fs, io,
+    path::Path,
     sync::{
         Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
     },
     thread::{self, JoinHandle},
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use palpate_wire::wording::counted;
 use serde::{Deserialize, Serialize};
+
+use files::LogFile;
+pub use files::{AuditPage, AuditPosition, read_audit};
 
 /// Lines that may wait for the disk. A station writes a few a minute; who fills this is out of order.
 const MOST_WAITING: usize = 4096;
@@ -55,33 +61,145 @@ struct Entry {
     is_trouble: bool,
 }
 
-/// Writes lines from a thread of its own, so that a slow disk holds nobody up.
+/// How large the log's file grows before another one is begun, and how many full ones are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AuditRotation {
+    /// A file is full from here on, bytes.
+    pub max_bytes: u64,
+    /// Full files that are kept; the oldest go.
+    pub keep: usize,
+}
+
+impl Default for AuditRotation {
+    /// A gigabyte in all: decades of a station that writes some lines a minute.
+    fn default() -> Self {
+        Self { max_bytes: 16 << 20, keep: 64 }
+    }
+}
+
+/// What the writing thread is told.
 #[derive(Debug)]
-pub(crate) struct AuditLog {
-    lines: Option<SyncSender<Entry>>,
+enum Told {
+    Line(Entry),
+    /// Everything before is written when this is answered.
+    Flush(SyncSender<()>),
+}
+
+/// The file of the audit log, which a thread of its own writes, so that a slow disk holds nobody up. Clones write to the same
+/// file; the thread ends, and everything is written, when the last of them is dropped.
+#[derive(Clone, Debug)]
+pub struct AuditFile {
+    writer: Arc<Writer>,
+}
+
+#[derive(Debug)]
+struct Writer {
+    told: Option<SyncSender<Told>>,
     thread: Option<JoinHandle<()>>,
     problem: Arc<Mutex<String>>,
-    num_lost: u64,
+    num_lost: AtomicU64,
+}
+
+impl AuditFile {
+    /// Appends to the file at `path`, which is made with its folders if need be. Full files become `NAME-NNNNNN.jsonl`
+    /// beside it.
+    pub fn open(path: &Path, rotation: AuditRotation) -> io::Result<Self> {
+        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            fs::create_dir_all(folder)?;
+        }
+        let file = LogFile::open(path, rotation)?;
+        let (told, received) = sync_channel(MOST_WAITING);
+        let problem = Arc::new(Mutex::new(String::new()));
+        let thread = thread::Builder::new().name("audit-log".to_owned()).spawn({
+            let problem = Arc::clone(&problem);
+            move || write_lines(file, &received, &problem)
+        })?;
+        let writer = Writer { told: Some(told), thread: Some(thread), problem, num_lost: AtomicU64::new(0) };
+        Ok(Self { writer: Arc::new(writer) })
+    }
+
+    /// Notes that `who` did `what` now, asked for from `connection`. Never waits.
+    pub fn note(&self, who: &str, connection: &str, what: &str) {
+        let (who, connection, what) = (who.to_owned(), connection.to_owned(), what.to_owned());
+        let line = AuditLine { time: rfc3339_now(), who, connection, what };
+        self.append(Entry { line, is_trouble: false });
+    }
+
+    /// Lines that never reached the file, because too many waited.
+    pub fn num_lost(&self) -> u64 {
+        self.writer.num_lost.load(Ordering::Relaxed)
+    }
+
+    /// Waits until everything that was noted is written, for `patience` at most; says whether it is.
+    pub fn flush(&self, patience: Duration) -> bool {
+        let (reply, written) = sync_channel(1);
+        let Some(told) = &self.writer.told else { return false };
+        // The queue is full for a moment at most, unless the disk stands still.
+        let deadline = Instant::now() + patience;
+        let mut flush = Told::Flush(reply);
+        loop {
+            match told.try_send(flush) {
+                Ok(()) => break,
+                Err(TrySendError::Disconnected(_)) => return false,
+                Err(TrySendError::Full(back)) if Instant::now() < deadline => {
+                    flush = back;
+                    thread::sleep(Duration::from_millis(1));
+                }
+                Err(TrySendError::Full(_)) => return false,
+            }
+        }
+        written.recv_timeout(deadline.saturating_duration_since(Instant::now())).is_ok()
+    }
+
+    /// Why lines are missing from the log; empty when none are.
+    pub fn problem(&self) -> String {
+        let problem = self.writer.problem.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match (problem.is_empty(), self.num_lost()) {
+            (false, _) => problem,
+            (true, 0) => String::new(),
+            (true, lost) => {
+                format!("the audit log lost {}, because the disk is too slow", counted(lost, "line"))
+            }
+        }
+    }
+
+    fn append(&self, entry: Entry) {
+        if let Some(Err(TrySendError::Full(_) | TrySendError::Disconnected(_))) =
+            self.writer.told.as_ref().map(|told| told.try_send(Told::Line(entry)))
+        {
+            self.writer.num_lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // The thread writes what is waiting and ends once nobody can send any more.
+        self.told = None;
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the thread of the audit log panicked");
+        }
+    }
+}
+
+/// The control loop's way to the log: its lines have the station's time.
+#[derive(Debug)]
+pub(crate) struct AuditLog {
+    file: AuditFile,
     /// Wall-clock time at which the station's time began, since 1970.
     began: Duration,
 }
 
+/// What the control loop has noted is waited for this long when it ends.
+const FLUSH_PATIENCE: Duration = Duration::from_secs(30);
+
 impl AuditLog {
-    /// Appends to the file at `path`, which is made with its folders if need be. `now_ns` is the station's time now.
-    pub(crate) fn open(path: &Path, now_ns: u64) -> io::Result<Self> {
-        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-            fs::create_dir_all(folder)?;
-        }
-        let file = OpenOptions::new().create(true).append(true).open(path)?;
-        let (lines, received) = sync_channel(MOST_WAITING);
-        let problem = Arc::new(Mutex::new(String::new()));
-        let thread = thread::Builder::new().name("audit-log".to_owned()).spawn({
-            let (path, problem) = (path.to_path_buf(), Arc::clone(&problem));
-            move || write_lines(file, &path, &received, &problem)
-        })?;
+    /// Writes to `file`. `now_ns` is the station's time now.
+    pub(crate) fn new(file: AuditFile, now_ns: u64) -> Self {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let began = since_1970.saturating_sub(Duration::from_nanos(now_ns));
-        Ok(Self { lines: Some(lines), thread: Some(thread), problem, num_lost: 0, began })
+        Self { file, began: since_1970.saturating_sub(Duration::from_nanos(now_ns)) }
     }
 
     /// Notes that `who` did `what` at the station's time `at_ns`. Never waits.
@@ -107,49 +225,34 @@ impl AuditLog {
             connection: who.connection.clone(),
             what: what.to_owned(),
         };
-        if let Some(Err(TrySendError::Full(_) | TrySendError::Disconnected(_))) =
-            self.lines.as_ref().map(|lines| lines.try_send(Entry { line, is_trouble }))
-        {
-            self.num_lost += 1;
-        }
+        self.file.append(Entry { line, is_trouble });
     }
 
     /// Why lines are missing from the log; empty when none are.
     pub(crate) fn problem(&self) -> String {
-        let problem = self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        match (problem.is_empty(), self.num_lost) {
-            (false, _) => problem,
-            (true, 0) => String::new(),
-            (true, lost) => {
-                format!("the audit log lost {}, because the disk is too slow", counted(lost, "line"))
-            }
-        }
+        self.file.problem()
     }
 }
 
 impl Drop for AuditLog {
     fn drop(&mut self) {
-        // The thread writes what is waiting and ends once nobody can send any more.
-        self.lines = None;
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the thread of the audit log panicked");
+        if !self.file.flush(FLUSH_PATIENCE) {
+            tracing::error!("the end of the audit log is not written: the disk stands still");
         }
     }
 }
 
-fn write_lines(file: File, path: &PathBuf, lines: &Receiver<Entry>, problem: &Mutex<String>) {
-    let mut sink = BufWriter::new(file);
-    while let Ok(first) = lines.recv() {
-        let entries: Vec<Entry> = std::iter::once(first).chain(lines.try_iter()).collect();
-        let written = entries
-            .iter()
-            .try_for_each(|entry| {
-                serde_json::to_writer(&mut sink, &entry.line).map_err(io::Error::from)?;
-                sink.write_all(b"\n")
-            })
-            .and_then(|()| sink.flush());
+fn write_lines(mut file: LogFile, received: &Receiver<Told>, problem: &Mutex<String>) {
+    while let Ok(first) = received.recv() {
+        let (mut entries, mut flushes) = (Vec::new(), Vec::new());
+        for told in std::iter::once(first).chain(received.try_iter()) {
+            match told {
+                Told::Line(entry) => entries.push(entry),
+                Told::Flush(reply) => flushes.push(reply),
+            }
+        }
+        let written =
+            entries.iter().try_for_each(|entry| file.write(&entry.line)).and_then(|()| file.flush());
         // Logged here and not where they are made: whatever prints the log may be slow, and the control loop must not be.
         for Entry { line: AuditLine { who, connection, what, .. }, is_trouble } in &entries {
             match is_trouble {
@@ -160,15 +263,22 @@ fn write_lines(file: File, path: &PathBuf, lines: &Receiver<Entry>, problem: &Mu
         let now = match written {
             Ok(()) => String::new(),
             Err(err) => format!(
-                "failed to write the audit log {path:?}: {err}; free some space, or check that the folder can be written"
+                "failed to write the audit log {:?}: {err}; free some space, or check that the folder can be written",
+                file.path
             ),
         };
-        let mut known = problem.lock().unwrap_or_else(PoisonError::into_inner);
-        if *known != now {
-            if !now.is_empty() {
-                tracing::error!("{now}");
+        {
+            let mut known = problem.lock().unwrap_or_else(PoisonError::into_inner);
+            if *known != now {
+                if !now.is_empty() {
+                    tracing::error!("{now}");
+                }
+                *known = now;
             }
-            *known = now;
+        }
+        for reply in flushes {
+            // Whoever asked may have lost patience.
+            let _ = reply.try_send(());
         }
     }
 }
@@ -222,7 +332,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("new").join("audit.jsonl");
         for round in 0..2_u64 {
-            let mut log = AuditLog::open(&path, 0).unwrap();
+            let file = AuditFile::open(&path, AuditRotation::default()).unwrap();
+            let mut log = AuditLog::new(file, 0);
             log.note(round, "Ada \"A.\"", "armed\nthe station");
             assert_eq!(log.problem(), "");
         }

@@ -13,7 +13,7 @@ use palpate_safety::Supervisor;
 use palpate_wire::{api::Source, proto::LiveFrame};
 
 use crate::{
-    audit::AuditLog,
+    audit::{AuditFile, AuditLog},
     control_loop::{ControlLoop, Publish},
     error::ControlError,
     guided::{Guided, PlaceObject},
@@ -49,8 +49,8 @@ pub struct ControlConfig {
     pub source: Source,
     /// Folder of the sessions that are recorded.
     pub sessions_dir: PathBuf,
-    /// File that the audit log is appended to, one JSON object a line ([`crate::AuditLine`]).
-    pub audit_path: PathBuf,
+    /// The audit log, which others may write to as well.
+    pub audit: AuditFile,
     /// File of the takes that are wanted and wait for a session; made when there is the first.
     pub wanted_path: PathBuf,
     /// File that remembers a latched stop over a restart; it exists while the station is stopped.
@@ -67,7 +67,6 @@ impl std::fmt::Debug for ControlConfig {
             .field("ports", &self.ports)
             .field("source", &self.source)
             .field("sessions_dir", &self.sessions_dir)
-            .field("audit_path", &self.audit_path)
             .field("wanted_path", &self.wanted_path)
             .field("latch_path", &self.latch_path)
             .finish_non_exhaustive()
@@ -91,7 +90,7 @@ impl Control {
             ports,
             source,
             sessions_dir,
-            audit_path,
+            audit,
             wanted_path,
             latch_path,
             place_object,
@@ -107,11 +106,7 @@ impl Control {
         let plans = Plans::new(Arc::clone(&station), sessions_dir)?;
         let mut guided =
             Guided::new(Arc::clone(&station), plans.summaries(), place_object).map_err(failed("recorder"))?;
-        let mut audit = AuditLog::open(&audit_path, 0).map_err(|source| ControlError::Io {
-            action: "open the audit log",
-            path: audit_path.clone(),
-            source,
-        })?;
+        let mut audit = AuditLog::new(audit, 0);
         audit.note(0, "station", &format!("the control loop of {} was started", station.id));
         let (wanted_file, problem) = WantedFile::open(wanted_path);
         for wanted in wanted_file.wanted() {

@@ -145,7 +145,7 @@ mod tests {
     fn full_queues_reject_and_lose_neither_stops_nor_lost_connections() {
         let (mailbox, inbox) = inbox();
         let heartbeat = || Urgent::Request {
-            caller: Caller { connection: 1, peer: "test".into() },
+            caller: Caller { connection: 1, peer: "test".into(), may_operate: true },
             request: ControlRequest::default(),
             received_ns: 0,
             answer: Box::new(|_| {}),

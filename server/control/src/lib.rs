@@ -43,7 +43,7 @@ mod streams;
 mod twin;
 mod wanted;
 
-pub use audit::AuditLine;
+pub use audit::{AuditFile, AuditLine, AuditPage, AuditPosition, AuditRotation, read_audit};
 pub use control::{Control, ControlConfig};
 pub use control_loop::{LOOP_HZ, Publish};
 pub use error::ControlError;

@@ -19,8 +19,10 @@ const MAX_CONNECTIONS: usize = 4096;
 pub struct Caller {
     /// A number that stands for this connection and no other.
     pub connection: u64,
-    /// Who is at the other end, for the audit log: an address.
+    /// Who is at the other end, for the audit log: an address, and a person where there is a login.
     pub peer: Arc<str>,
+    /// Whether it may take control. Whoever may not can do nothing but STOP.
+    pub may_operate: bool,
 }
 
 /// An HTTP request that claims to come from the operator.
@@ -164,6 +166,12 @@ impl Desk {
         let by_desk = |problem: String| Err(Refused::ByDesk(problem));
         let connection = caller.connection;
         let stop = is_stop(request);
+        if !stop && !caller.may_operate {
+            return by_desk(
+                "you may watch and press STOP; to take control, ask an admin for the role of operator"
+                    .to_owned(),
+            );
+        }
         if !self.connections.contains_key(&connection) && self.connections.len() >= MAX_CONNECTIONS {
             if stop {
                 // Never refused, not even where there is no room to remember who it was.

@@ -4,7 +4,8 @@
 //! arrived and gives bytes with the time at which they are due, so that the same bytes in at the same times give the same
 //! bytes out. Servos and arm move the truth world, whose sensors the tactile boards read: a hand that somebody moves into
 //! the object feels it. The object does not yield, and holds a finger back only where
-//! [`StationControl::set_resistance`] asks for it.
+//! [`StationControl::set_resistance`] asks for it; with [`Mechanics`] (`EmulatedStation::with_bodies`) robot and object push
+//! each other, and the object can be lifted.
 //!
 //! [`serve_devices`] gives it pseudo-terminals, sockets and the clock. [`Faults`] says what is wrong.
 
@@ -12,6 +13,7 @@ mod arm;
 mod boards;
 mod control;
 mod faults;
+mod mechanics;
 #[cfg(unix)]
 mod ports;
 mod servo;
@@ -34,6 +36,7 @@ use boards::Board;
 pub use control::{ArmSnapshot, ControlError, LoggedStep, MotionLog, Push, StationControl, StationSnapshot};
 use control::{Shared, Wish};
 pub use faults::{Fault, Faults};
+pub use mechanics::{Bodies, Drive, FeltObject, Mechanics};
 #[cfg(unix)]
 pub use ports::{ArmPortNumbers, ArmPorts, DevicePorts, PortsConfig, PortsError, serve_devices};
 use servo::ServoFaults;
@@ -130,6 +133,17 @@ pub struct EmulatedStation {
     seed: u64,
     /// Steps done.
     num_steps: u64,
+    /// What servos and arm move; without it they move the truth world themselves.
+    bodies: Option<Moving>,
+}
+
+/// Bodies that something else simulates.
+struct Moving {
+    mechanics: Box<dyn Mechanics>,
+    drives: Vec<Drive>,
+    velocities: Vec<f64>,
+    /// The arm has hit something, and has not moved away since.
+    is_hit: bool,
 }
 
 impl EmulatedStation {
@@ -137,28 +151,70 @@ impl EmulatedStation {
     /// as at the start of a take.
     pub fn new(truth_path: &Path, seed: u64) -> Result<Self, EmulationError> {
         let emulation = Emulation::read(truth_path)?;
+        let take = &emulation.plan.takes[0];
+        let pose = emulation.plan.objects[&take.object]
+            .to_isometry()
+            .map_err(|problem| emulation.error(format!("object {:?}", take.object), problem))?;
+        let world = TruthWorld::new(&emulation, &emulation.station.objects[&take.object], &pose, seed, 0)?;
+        let mut objects = BTreeMap::new();
+        for (id, pose) in &emulation.plan.objects {
+            let place = || format!("object {id:?}");
+            let pose = pose.to_isometry().map_err(|problem| emulation.error(place(), problem))?;
+            let placed = Placed::new(&emulation, &emulation.station.objects[id], &pose)?;
+            objects.insert(id.clone(), Arc::new(placed));
+        }
+        let object = Some(take.object.clone());
+        Self::among(&emulation, emulation.rest(), world, object, objects, seed)
+    }
+
+    /// The same devices on robot, table and object that push each other. [`StationControl::place_object`] knows no object
+    /// then: whoever made the bodies places them. Resistances ([`StationControl::set_resistance`]) come from the bodies.
+    pub fn with_bodies(truth_path: &Path, seed: u64, bodies: Bodies) -> Result<Self, EmulationError> {
+        let emulation = Emulation::read(truth_path)?;
+        let num_dofs = emulation.station.robot.num_dofs();
+        let Bodies { mechanics, positions, fixed } = bodies;
+        if positions.len() != num_dofs {
+            let problem = format!("has {num_dofs} degrees of freedom, the bodies have {}", positions.len());
+            return Err(emulation.error("station", problem));
+        }
+        let world = TruthWorld::among(&emulation, &fixed, seed)?;
+        let mut station = Self::among(&emulation, positions, world, None, BTreeMap::new(), seed)?;
+        station.bodies = Some(Moving {
+            mechanics,
+            drives: vec![Drive::Torque { torque_nm: 0.0, is_jammed: false }; num_dofs],
+            velocities: vec![0.0; num_dofs],
+            is_hit: false,
+        });
+        station.feel_object();
+        station.tell();
+        Ok(station)
+    }
+
+    /// The devices in `world`, the robot's joints truly at `start`.
+    fn among(
+        emulation: &Emulation,
+        start: Vec<f64>,
+        mut world: TruthWorld,
+        object: Option<String>,
+        objects: BTreeMap<String, Arc<Placed>>,
+        seed: u64,
+    ) -> Result<Self, EmulationError> {
         let station = Arc::clone(&emulation.station);
         let hand_dofs = hand_dofs(&station);
         let ids_left = usize::from(palpate_device_protocol::dynamixel::MAX_ID) + 1;
-        let rest = emulation.rest();
-        let mut offsets = emulation.positions(&emulation.truth.joints.offset, &vec![0.0; rest.len()]);
+        let mut offsets = emulation.positions(&emulation.truth.joints.offset, &vec![0.0; start.len()]);
         for (offset, hidden) in offsets.iter_mut().zip(&emulation.secrets.joint_offsets) {
             *offset += hidden;
         }
-        let arm_model = ArmModel::new(Arc::clone(&station), rest.clone());
+        let arm_model = ArmModel::new(Arc::clone(&station), start.clone());
         let (Some(arm_model), 1..) = (arm_model.filter(|_| hand_dofs.len() <= ids_left), hand_dofs.len())
         else {
             let problem = "has no hand on an arm of at most seven joints, which is what the emulated devices are: servos \
                            and an xArm; use a station such as xarm6_leap";
             return Err(emulation.error("station", problem));
         };
-        let take = &emulation.plan.takes[0];
-        let pose = emulation.plan.objects[&take.object]
-            .to_isometry()
-            .map_err(|problem| emulation.error(format!("object {:?}", take.object), problem))?;
-        let mut world = TruthWorld::new(&emulation, &station.objects[&take.object], &pose, seed, 0)?;
-        world.advance(0.0, |_, positions| positions.copy_from_slice(&rest), &mut |_| Ok(()))?;
-        let encoder = |dof: usize| rest[dof] + offsets[dof];
+        world.advance(0.0, |_, positions| positions.copy_from_slice(&start), &mut |_| Ok(()))?;
+        let encoder = |dof: usize| start[dof] + offsets[dof];
         let joints: Vec<_> = station.robot.dofs().collect();
         // Stops are where the joint really is; the encoder may see them elsewhere.
         let stops: Vec<(f64, f64)> = hand_dofs
@@ -174,13 +230,6 @@ impl EmulatedStation {
         let arm_rad: Vec<f64> = station.carrier_dofs.iter().map(|&dof| encoder(dof)).collect();
         let names = DeviceNames::of(&station);
         let wires = names.lines.iter().zip(0..).map(|(name, number)| Wire::new(name, seed, number)).collect();
-        let mut objects = BTreeMap::new();
-        for (id, pose) in &emulation.plan.objects {
-            let place = || format!("object {id:?}");
-            let pose = pose.to_isometry().map_err(|problem| emulation.error(place(), problem))?;
-            let placed = Placed::new(&emulation, &station.objects[id], &pose)?;
-            objects.insert(id.clone(), Arc::new(placed));
-        }
         let new = Self {
             bus: ServoBus::new(&hand_rad, &stops),
             arm: ArmBox::new(arm_model, arm_rad),
@@ -192,13 +241,14 @@ impl EmulatedStation {
             faults: Faults::default(),
             hand_dofs,
             offsets,
-            positions: rest,
-            object: Some(take.object.clone()),
+            positions: start,
+            object,
             resistance: 0.0,
             resistances: Vec::new(),
             shared: Arc::new(Shared::new(Arc::clone(&station), objects)),
             seed,
             num_steps: 0,
+            bodies: None,
             names,
             station,
             world,
@@ -225,6 +275,18 @@ impl EmulatedStation {
     /// Where the joints truly are, in the station's order, rad.
     pub fn positions(&self) -> &[f64] {
         &self.positions
+    }
+
+    /// Whether something else than the devices simulates what they move.
+    #[cfg(unix)]
+    pub(crate) fn has_bodies(&self) -> bool {
+        self.bodies.is_some()
+    }
+
+    /// How far the station's time was behind the clock just now, and how much of it has been left out since the start.
+    #[cfg(unix)]
+    pub(crate) fn note_clock(&self, behind: std::time::Duration, left_out: std::time::Duration) {
+        self.shared.note_clock(behind.as_nanos() as u64, left_out.as_nanos() as u64);
     }
 
     /// What is wrong at present.
@@ -289,6 +351,8 @@ impl EmulatedStation {
     /// Does what a [`StationControl`] asked for.
     fn grant(&mut self, wish: Wish) {
         match wish {
+            // The bodies say where the object is, and push back by themselves.
+            Wish::Place(_) | Wish::Resistance(_) if self.bodies.is_some() => {}
             Wish::Place(object) => {
                 let (id, placed) = object.unzip();
                 self.world.place(placed);
@@ -351,16 +415,54 @@ impl EmulatedStation {
         }
     }
 
+    /// One step of bodies that something else simulates. The arm's encoders are those of its motors: what its links give way
+    /// under a load does not show in them.
+    fn step_bodies(&mut self) {
+        let Some(bodies) = &mut self.bodies else { return };
+        for (&dof, (torque_nm, is_jammed)) in self.hand_dofs.iter().zip(self.bus.drive()) {
+            bodies.drives[dof] = Drive::Torque { torque_nm, is_jammed };
+        }
+        for (&dof, &velocity) in self.station.carrier_dofs.iter().zip(self.arm.rad_per_sec()) {
+            bodies.drives[dof] = Drive::Motion { position: self.positions[dof], velocity };
+        }
+        bodies.mechanics.step(&bodies.drives, &mut self.positions, &mut bodies.velocities);
+        let (positions, offsets, velocities) = (&self.positions, &self.offsets, &bodies.velocities);
+        self.bus.follow(self.hand_dofs.iter().map(|&dof| (positions[dof] + offsets[dof], velocities[dof])));
+        let is_hit = bodies.mechanics.arm_has_hit();
+        if is_hit && !bodies.is_hit {
+            self.arm.collide();
+        }
+        bodies.is_hit = is_hit;
+        if self.num_steps.is_multiple_of(RESISTANCE_STEPS) {
+            self.feel_object();
+        }
+    }
+
+    /// Puts the object where the bodies have it, for the skin.
+    fn feel_object(&mut self) {
+        let Some(bodies) = &self.bodies else { return };
+        let (id, placed) = match bodies.mechanics.object() {
+            Some((felt, pose)) => (Some(felt.id.clone()), Some(Arc::new(felt.placed.moved(&pose)))),
+            None => (None, None),
+        };
+        self.world.place(placed);
+        self.object = id;
+    }
+
     fn step(&mut self) {
         let step_s = STEP_NS as f64 * 1e-9;
         let now_ns = self.num_steps * STEP_NS;
-        self.bus.step();
         self.arm.step(step_s);
-        for (&dof, encoder_rad) in self.hand_dofs.iter().zip(self.bus.joints_rad()) {
-            self.positions[dof] = encoder_rad - self.offsets[dof];
-        }
         for (&dof, encoder_rad) in self.station.carrier_dofs.iter().zip(&self.arm.joints_rad) {
             self.positions[dof] = encoder_rad - self.offsets[dof];
+        }
+        if self.bodies.is_some() {
+            self.step_bodies();
+        } else {
+            self.bus.step();
+            for (&dof, encoder_rad) in self.hand_dofs.iter().zip(self.bus.joints_rad()) {
+                self.positions[dof] = encoder_rad - self.offsets[dof];
+            }
         }
         let Self { world, positions, boards, wires, faults, .. } = self;
         let advanced =
@@ -379,7 +481,7 @@ impl EmulatedStation {
                 Ok(())
             });
         debug_assert!(advanced.is_ok(), "the sink cannot fail");
-        if self.num_steps.is_multiple_of(RESISTANCE_STEPS) {
+        if self.bodies.is_none() && self.num_steps.is_multiple_of(RESISTANCE_STEPS) {
             self.resist();
         }
         self.tell();

@@ -15,7 +15,7 @@ use std::{
 };
 
 pub(crate) use jobs::{Ending, NewJob, QueuedJob, Row};
-pub use jobs::{ListFilter, Submitted};
+pub use jobs::{JobTotals, ListFilter, Submitted};
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
 use crate::JobsError;

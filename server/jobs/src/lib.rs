@@ -17,7 +17,7 @@ mod scheduler;
 mod working;
 
 pub use clock::{rfc3339, rfc3339_now};
-pub use database::{Database, ListFilter, Submitted};
+pub use database::{Database, JobTotals, ListFilter, Submitted};
 pub use error::JobsError;
 pub use folder::{FolderLock, JobFolder};
 pub use inputs::check_inputs;

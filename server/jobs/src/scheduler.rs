@@ -20,7 +20,7 @@ use palpate_wire::api::{Job, JobPage, JobProgress, JobSpec, JobState};
 use crate::{
     Database, JobFolder, JobsError, ListFilter, Submitted,
     clock::rfc3339_now,
-    database::{Ending, NewJob, QueuedJob, Row},
+    database::{Ending, JobTotals, NewJob, QueuedJob, Row},
     inputs,
     plan::{Holdings, plan},
     runner::{Launch, RunState, Runner},
@@ -205,6 +205,11 @@ impl Scheduler {
             }
             filter.cursor = page.next_cursor;
         }
+    }
+
+    /// How many jobs there are, by kind and state.
+    pub fn totals(&self) -> Result<Vec<JobTotals>, JobsError> {
+        self.shared.config.database.totals()
     }
 
     /// Jobs that wait or work, oldest first.

@@ -1,5 +1,7 @@
 //! `palpate serve`.
 
+mod config;
+
 use std::{
     net::SocketAddr,
     path::PathBuf,
@@ -11,9 +13,11 @@ use std::{
 use clap::Args;
 use palpate_control::Ending;
 use palpate_drivers::priority;
-use palpate_server::{Error, LiveStation, ServeConfig, assets, serve};
+use palpate_server::{Error, LiveStation, Ready, ServeConfig, Tls, assets, serve};
 use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
+
+pub(super) use config::LogFormat;
 
 use super::{Outcome, output, station::StationArgs};
 
@@ -22,12 +26,24 @@ const END_DEADLINE: Duration = Duration::from_millis(2800);
 
 #[derive(Args)]
 pub(crate) struct ServeArgs {
-    /// Address to listen on; port 0 takes any free one
-    #[arg(long, default_value = "127.0.0.1:8080")]
-    listen: SocketAddr,
-    /// Where sessions, models and calibration runs are kept
-    #[arg(long, value_name = "DIR", default_value = "data")]
-    data: PathBuf,
+    /// Address to listen on; port 0 takes any free one [default: 127.0.0.1:8080]
+    #[arg(long)]
+    listen: Option<SocketAddr>,
+    /// Where sessions, models and calibration runs are kept [default: data]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Configuration file; what the command line says wins
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Check the configuration, and what it names, and start nothing
+    #[arg(long)]
+    check_config: bool,
+    /// Print a configuration file with all keys and their defaults
+    #[arg(long)]
+    print_default_config: bool,
+    /// How the log on standard error is written [default: text]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    log: Option<LogFormat>,
     #[command(flatten)]
     station: StationArgs,
     /// Run an emulated station: a truth file, or the name of a shipped one
@@ -36,15 +52,38 @@ pub(crate) struct ServeArgs {
     /// A host name by which browsers reach this studio, besides localhost and addresses; may be given several times
     #[arg(long = "allow-host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// Listen beyond this computer though there is no login: anybody in the network may then take control of the robot
+    /// Listen beyond this computer without login and TLS: anybody in the network may then take control of the robot
     #[arg(long)]
     insecure: bool,
+    /// Everybody has to log in, also on this computer
+    #[arg(long)]
+    login: bool,
+    /// A proxy in front has TLS, and says in X-Forwarded-For from where requests come; everybody has to log in
+    #[arg(long)]
+    behind_proxy: bool,
+    /// Certificate chain in PEM, in place of one of the studio's own
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, in PEM
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
+    /// Speak TLS on this computer too, by the studio's own certificate
+    #[arg(long, conflicts_with = "tls_cert")]
+    tls: bool,
     /// Print the address as JSON, once the studio is ready
     #[arg(long)]
     json: bool,
 }
 
+/// Where a studio listens, and where it keeps data, without a word.
+const LISTEN: &str = "127.0.0.1:8080";
+const DATA: &str = "data";
+
 pub(super) fn run(args: ServeArgs) -> Outcome {
+    if args.print_default_config {
+        output::line(config::DEFAULT.trim_end())?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let truth = args.emulate.as_deref().map(assets::truth).transpose()?;
     let station = match &truth {
         Some((path, _unpacked)) => Some(LiveStation::Emulated(path.clone())),
@@ -53,18 +92,33 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
             .open()?
             .map(|(station, ports)| LiveStation::Real { station: Arc::new(station), ports }),
     };
-    let config = ServeConfig {
-        listen: args.listen,
-        data: args.data,
+    let serve_config = ServeConfig {
+        listen: match args.listen {
+            Some(listen) => listen,
+            None => LISTEN.parse().map_err(|err| Error::Internal(format!("{LISTEN}: {err}")))?,
+        },
+        data: args.data.unwrap_or_else(|| DATA.into()),
         station,
         hosts: args.hosts,
         insecure: args.insecure,
+        behind_proxy: args.behind_proxy,
+        login: args.login,
+        tls: match (args.tls_cert, args.tls_key) {
+            (Some(cert), Some(key)) => Tls::Files { cert, key },
+            _ if args.tls => Tls::Own,
+            _ => Tls::Auto,
+        },
     };
-    let ready = move |addr: SocketAddr| {
-        let url = format!("http://{addr}");
+    if args.check_config {
+        serve_config.check()?;
+        output::line("the configuration can be used")?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let ready = move |ready: Ready| {
+        let url = ready.url();
         let printed = match args.json {
-            true => output::line(&json!({ "url": url }).to_string()),
-            false => output::line(&format!("listening on {url}")),
+            true => output::line(&address_json(&ready).to_string()),
+            false => output::line(&address_text(&ready)),
         };
         if let Err(err) = printed {
             tracing::warn!(%url, err = palpate_server::chain(&err), "failed to print the address");
@@ -83,7 +137,7 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
     let motion = Motion::default();
     let stop = end_on_signals(motion.clone())?;
     let motion_ended = move |ending: Option<&Ending>| motion.has_ended(ending);
-    let served = runtime.block_on(serve(config, ready, stop, motion_ended))?;
+    let served = runtime.block_on(serve(serve_config, ready, stop, motion_ended))?;
     // A request's work that still computes is not waited for.
     runtime.shutdown_background();
     if !served.is_written {
@@ -95,6 +149,31 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
         Some(ending) => Err(Error::Internal(ending.to_string())),
         None => Ok(ExitCode::SUCCESS),
     }
+}
+
+fn address_json(ready: &Ready) -> serde_json::Value {
+    let mut document = json!({ "url": ready.url() });
+    if let Some(fingerprint) = &ready.fingerprint {
+        document["fingerprint"] = json!(fingerprint);
+    }
+    if let Some(cert) = &ready.own_cert {
+        document["certificate"] = json!(cert);
+    }
+    document
+}
+
+fn address_text(ready: &Ready) -> String {
+    let mut text = format!("listening on {}", ready.url());
+    if let Some(fingerprint) = &ready.fingerprint {
+        text += &format!("\ncertificate SHA-256 {fingerprint}");
+    }
+    if let Some(cert) = &ready.own_cert {
+        text += &format!(
+            "\nit is the studio's own ({}): browsers warn once; compare the SHA-256 before going on",
+            cert.display()
+        );
+    }
+    text
 }
 
 /// What is known of the end of motion, for the thread that hears signals.

@@ -20,6 +20,18 @@ pub(crate) struct StationArgs {
 }
 
 impl StationArgs {
+    /// Whether a station was named.
+    pub(crate) fn is_given(&self) -> bool {
+        self.station.is_some()
+    }
+
+    /// Names a station where none was.
+    pub(crate) fn fill_in(&mut self, station: Option<PathBuf>, ports: Vec<String>) {
+        if self.station.is_none() && station.is_some() {
+            (self.station, self.ports) = (station, ports);
+        }
+    }
+
     /// Reads the station, if one was named.
     pub(crate) fn open(&self) -> Result<Option<(Station, Ports)>, Error> {
         let Some(path) = &self.station else { return Ok(None) };

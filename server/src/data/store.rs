@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File, TryLockError},
-    io::{ErrorKind, Read as _, Seek as _, SeekFrom, Write as _},
+    io::Write as _,
     path::{Path, PathBuf},
     sync::Mutex,
 };
@@ -128,34 +128,9 @@ impl Store {
         self.root.join("stop.txt")
     }
 
-    /// The log of who moved or stopped the live station.
+    /// The log of who moved or stopped the live station, and who changed what.
     pub(crate) fn audit_path(&self) -> PathBuf {
         self.root.join("audit.jsonl")
-    }
-
-    /// The last whole lines of that log, `max_bytes` of it at most.
-    pub(crate) fn audit_tail(&self, max_bytes: u64) -> Result<Vec<u8>, Error> {
-        let path = self.audit_path();
-        let mut file = match open_file(&path) {
-            Ok(file) => file,
-            // Nothing has happened yet.
-            Err(RecordingError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
-                return Ok(Vec::new());
-            }
-            Err(err) => return Err(err.into()),
-        };
-        let len = file.metadata().map_err(Error::io("read", &path))?.len();
-        let skipped = len.saturating_sub(max_bytes);
-        // The byte before tells whether a line begins there.
-        let mut tail = Vec::new();
-        file.seek(SeekFrom::Start(skipped.saturating_sub(1)))
-            .and_then(|_| file.take(max_bytes.saturating_add(1)).read_to_end(&mut tail))
-            .map_err(Error::io("read", &path))?;
-        if skipped > 0 {
-            let begin = tail.iter().position(|&byte| byte == b'\n').map_or(tail.len(), |end| end + 1);
-            tail.drain(..begin);
-        }
-        Ok(tail)
     }
 
     /// The takes that the live station's operator wants and that wait for a session.

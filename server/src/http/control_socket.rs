@@ -22,25 +22,27 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use hyper::upgrade::{OnUpgrade, Upgraded};
 use hyper_util::rt::TokioIo;
 use palpate_control::{Caller, Handle};
-use palpate_wire::proto::{ControlReply, ControlRequest, control_request::Request};
-use prost::Message as _;
-use tokio::{
-    net::TcpStream,
-    sync::{mpsc, oneshot},
+use palpate_wire::{
+    api::{Role, Scope},
+    proto::{ControlReply, ControlRequest, control_request::Request},
 };
+use prost::Message as _;
+use tokio::sync::{mpsc, oneshot};
 use tokio_tungstenite::{
     WebSocketStream,
     tungstenite::{
         Message,
         handshake::derive_accept_key,
-        protocol::{CloseFrame, Role, WebSocketConfig, frame::coding::CloseCode},
+        protocol::{CloseFrame, Role as Side, WebSocketConfig, frame::coding::CloseCode},
     },
 };
 
 use super::{
     bucket::Bucket,
+    connection::Connection,
     document::Refusal,
-    extract::{Peer, Upgrade},
+    extract::{Asking, Peer, Upgrade},
+    identity::no_longer_valid,
     listener::KeepOpen,
     problem::Problem,
 };
@@ -77,6 +79,7 @@ const MAX_REPLIES: usize = 1024;
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,
     Peer(peer): Peer,
+    Asking(principal): Asking,
     open: Option<Extension<KeepOpen>>,
     request: HttpRequest,
 ) -> Response {
@@ -97,10 +100,12 @@ pub(crate) async fn upgrade(
     };
     let accept = derive_accept_key(key.as_bytes());
     let commands = state.work().commands().clone();
+    let people = state.people().clone();
     let ends = ends(&state);
     let converse = async move {
         let _open = open;
-        let caller = Caller { connection: CONNECTIONS.fetch_add(1, Ordering::Relaxed), peer };
+        let may_operate = principal.may(Role::Operator, Scope::Control);
+        let caller = Caller { connection: CONNECTIONS.fetch_add(1, Ordering::Relaxed), peer, may_operate };
         let socket = match connection.await.map_err(std::io::Error::other).and_then(here) {
             Ok(io) => websocket(io).await,
             Err(err) => {
@@ -109,7 +114,9 @@ pub(crate) async fn upgrade(
             }
         };
         let gone = Gone { handle: handle.clone(), connection: caller.connection };
-        converse(socket, &handle, &caller, ends).await;
+        let named = (!principal.is_local()).then(|| principal.name().clone());
+        let revoked = no_longer_valid(people, principal);
+        converse(socket, &handle, &caller, named, revoked, ends).await;
         drop(gone);
     };
     // The task ends with its socket, and all of them with the thread.
@@ -126,16 +133,18 @@ fn ends(state: &AppState) -> impl Future<Output = ()> + Send + use<> {
 }
 
 /// Takes a connection over into the event loop of the calling thread, with the bytes that have been read from it already.
-fn here(upgraded: Upgraded) -> std::io::Result<(TcpStream, Bytes)> {
+fn here(upgraded: Upgraded) -> std::io::Result<(Connection, Bytes)> {
     let parts = upgraded
-        .downcast::<TokioIo<TcpStream>>()
-        .map_err(|_| std::io::Error::other("the connection is not a plain TCP connection"))?;
-    Ok((TcpStream::from_std(parts.io.into_inner().into_std()?)?, parts.read_buf))
+        .downcast::<TokioIo<Connection>>()
+        .map_err(|_| std::io::Error::other("the connection is not one of this server's"))?;
+    let mut connection = parts.io.into_inner();
+    connection.move_here()?;
+    Ok((connection, parts.read_buf))
 }
 
-async fn websocket((stream, read): (TcpStream, Bytes)) -> WebSocketStream<TcpStream> {
+async fn websocket((stream, read): (Connection, Bytes)) -> WebSocketStream<Connection> {
     let config = WebSocketConfig::default().max_message_size(Some(MAX_REQUEST));
-    WebSocketStream::from_partially_read(stream, read.to_vec(), Role::Server, Some(config)).await
+    WebSocketStream::from_partially_read(stream, read.to_vec(), Side::Server, Some(config)).await
 }
 
 /// The answer that ends the handshake.
@@ -165,9 +174,11 @@ impl Drop for Gone {
 
 /// Answers requests until the client leaves or the server `ends`.
 async fn converse(
-    socket: WebSocketStream<TcpStream>,
+    socket: WebSocketStream<Connection>,
     handle: &Handle,
     caller: &Caller,
+    named: Option<Arc<str>>,
+    revoked: impl Future<Output = ()>,
     ends: impl Future<Output = ()>,
 ) {
     let (mut sink, mut requests) = socket.split();
@@ -183,6 +194,7 @@ async fn converse(
         let mut reader = Reader {
             handle,
             caller,
+            named,
             replies,
             bucket: Bucket::new(REQUESTS_PER_S, REQUESTS_BURST, Instant::now()),
             waiting: VecDeque::new(),
@@ -202,13 +214,14 @@ async fn converse(
             }
         }
     };
-    let is_ending = tokio::select! {
-        () = send => false,
-        () = receive => false,
-        () = ends => true,
+    let closes = tokio::select! {
+        () = send => None,
+        () = receive => None,
+        () = revoked => Some((CloseCode::Policy, "the login or token has ended")),
+        () = ends => Some((CloseCode::Away, "the studio is shutting down")),
     };
-    if is_ending {
-        let close = CloseFrame { code: CloseCode::Away, reason: "the studio is shutting down".into() };
+    if let Some((code, reason)) = closes {
+        let close = CloseFrame { code, reason: reason.into() };
         // The client may be gone already, or never read it.
         let _ =
             tokio::time::timeout(crate::http::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close))))
@@ -230,6 +243,8 @@ async fn answered(under_way: &mut Option<oneshot::Receiver<()>>) {
 struct Reader<'a> {
     handle: &'a Handle,
     caller: &'a Caller,
+    /// The person, where there is a login: operators are called that, whatever they call themselves.
+    named: Option<Arc<str>>,
     replies: mpsc::Sender<ControlReply>,
     bucket: Bucket,
     waiting: VecDeque<(u64, ControlRequest)>,
@@ -241,7 +256,7 @@ impl Reader<'_> {
     /// Takes a message; says whether the conversation goes on.
     fn message(&mut self, message: Message) -> bool {
         let received_ns = self.handle.now_ns();
-        let request = match message {
+        let mut request = match message {
             Message::Binary(bytes) => match ControlRequest::decode(bytes) {
                 Ok(request) => request,
                 Err(err) => return self.refuse(0, format!("not a ControlRequest: {err}")),
@@ -253,6 +268,9 @@ impl Reader<'_> {
             Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => return true,
         };
         let is_stop = matches!(request.request, Some(Request::Stop(_)));
+        if let (Some(name), Some(Request::Acquire(acquire))) = (&self.named, &mut request.request) {
+            acquire.operator = name.to_string();
+        }
         let passes = self.bucket.take(Instant::now());
         if !passes && !is_stop {
             let problem =

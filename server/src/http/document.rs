@@ -25,13 +25,14 @@ use utoipa::{
         path::{Operation, Parameter, ParameterBuilder, ParameterIn},
         response::{Response as Answer, ResponseBuilder},
         schema::Type,
+        security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme},
         server::Server,
     },
 };
 
 use super::{
     examples::{self, Example},
-    routes::{Needs, Route, all_routes},
+    routes::{Needs, NeedsLease, Route, all_routes},
 };
 
 /// The document without what is said of routes.
@@ -48,6 +49,8 @@ use super::{
         (name = "objects", description = "What is touched."),
         (name = "station", description = "The live station: its state, its stream and its commands."),
         (name = "recording", description = "Guided sessions on the live station."),
+        (name = "campaigns", description = "Policies tried on the hand, trials scored by people (`docs/campaigns.md`)."),
+        (name = "people", description = "Who may log in, API tokens (`docs/people.md`). A studio on loopback needs neither."),
         (name = "emulator", description = "What only an emulated station can do; a real one has no such paths."),
     ),
     components(schemas(ProblemDetails, EmulateRequest, BlindRequest)),
@@ -192,8 +195,14 @@ impl Documented {
 }
 
 fn only_operation(item: PathItem) -> (Method, Operation) {
-    let PathItem { get, put, post, delete, .. } = item;
-    let found = [(Method::GET, get), (Method::PUT, put), (Method::POST, post), (Method::DELETE, delete)];
+    let PathItem { get, put, post, delete, patch, .. } = item;
+    let found = [
+        (Method::GET, get),
+        (Method::PUT, put),
+        (Method::POST, post),
+        (Method::DELETE, delete),
+        (Method::PATCH, patch),
+    ];
     found
         .into_iter()
         .find_map(|(method, operation)| Some((method, operation?)))
@@ -237,8 +246,9 @@ fn document_of(routes: &[Route]) -> OpenApi {
     document.servers = Some(vec![Server::new("/api/v1")]);
     let components = document.components.get_or_insert_default();
     for route in routes {
-        components.schemas.extend(route.documented.schemas.iter().cloned());
-        let operation = operation_of(route);
+        let Some(documented) = &route.documented else { continue };
+        components.schemas.extend(documented.schemas.iter().cloned());
+        let operation = operation_of(route, documented);
         document.paths.add_path_operation(route.path, vec![http_method(&route.method)], operation);
     }
     let statuses: BTreeSet<u16> = ProblemType::ALL.iter().map(|kind| kind.status()).collect();
@@ -249,11 +259,38 @@ fn document_of(routes: &[Route]) -> OpenApi {
     document
 }
 
-/// Declares how a request shows who sends it. What each route needs is in [`operation_of`].
-fn security(_components: &mut utoipa::openapi::Components) {}
+/// How a request shows who sends it.
+const BEARER: &str = "token";
+const COOKIE: &str = "login";
 
-/// What `needs` asks of a request: a word for programs, a sentence for people, and the headers that show it.
-fn shown(needs: Needs) -> (&'static str, &'static str, Option<Parameter>) {
+/// Declares how a request shows who sends it. What each route needs is in [`operation_of`].
+fn security(components: &mut utoipa::openapi::Components) {
+    let token = HttpBuilder::new()
+        .scheme(HttpAuthScheme::Bearer)
+        .bearer_format("plp_ and 64 hexadecimal digits")
+        .description(Some("An API token, as `palpate tokens create` and `POST /tokens` make them."))
+        .build();
+    let login =
+        ApiKeyValue::with_description("__Host-palpate", "The cookie of a login, which `POST /login` sets.");
+    components.add_security_scheme(BEARER, SecurityScheme::Http(token));
+    components.add_security_scheme(COOKIE, SecurityScheme::ApiKey(ApiKey::Cookie(login)));
+}
+
+/// A token, a cookie, or nothing where there is no login. Nothing at all where nobody has to log in.
+fn security_of(needs: Needs) -> Vec<SecurityRequirement> {
+    let none: [&str; 0] = [];
+    match needs.role {
+        None => vec![SecurityRequirement::default()],
+        Some(_) => vec![
+            SecurityRequirement::new(BEARER, none),
+            SecurityRequirement::new(COOKIE, none),
+            SecurityRequirement::default(),
+        ],
+    }
+}
+
+/// What `needs` asks of a request about the lease: a word for programs, a sentence for people, and the headers that show it.
+fn shown(needs: NeedsLease) -> (&'static str, &'static str, Option<Parameter>) {
     let lease = |required| {
         ParameterBuilder::new()
             .name("Palpate-Lease")
@@ -267,11 +304,11 @@ fn shown(needs: Needs) -> (&'static str, &'static str, Option<Parameter>) {
     };
     debug_assert!(LEASE_HEADER.eq_ignore_ascii_case("Palpate-Lease"));
     match needs {
-        Needs::Nothing => ("nothing", "", None),
-        Needs::Operator => {
+        NeedsLease::No => ("nothing", "", None),
+        NeedsLease::Always => {
             ("operator", "Only whoever has control of the station may do this.", Some(lease(Required::False)))
         }
-        Needs::OperatorIfAny => (
+        NeedsLease::IfAny => (
             "operator-if-any",
             "While somebody has control of the station, or a session is being recorded, only whoever has control may do \
              this.",
@@ -281,10 +318,10 @@ fn shown(needs: Needs) -> (&'static str, &'static str, Option<Parameter>) {
 }
 
 /// What stands above the handler of `route`, with what is true of all routes.
-fn operation_of(route: &Route) -> Operation {
-    let mut operation = route.documented.operation.clone();
+fn operation_of(route: &Route, documented: &Documented) -> Operation {
+    let mut operation = documented.operation.clone();
     let mut parameters = parameters_in(route.path);
-    let (needs, sentence, header) = shown(route.needs);
+    let (needs, sentence, header) = shown(route.needs.lease);
     parameters.extend(header);
     let mut parameters: Vec<_> = parameters.into_iter().map(RefOr::T).collect();
     parameters.append(operation.parameters.get_or_insert_default());
@@ -293,12 +330,12 @@ fn operation_of(route: &Route) -> Operation {
         let text = description.map_or_else(|| sentence.to_owned(), |text| format!("{text}\n\n{sentence}"));
         operation.description = Some(text);
     }
-    let changes = route.method != Method::GET || route.documented.is_socket();
+    let changes = route.method != Method::GET || documented.is_socket();
     let answers = &mut operation.responses.responses;
     for &status in ANYWHERE.iter().chain(if changes { CHANGING } else { &[] }) {
         answers.entry(status.to_string()).or_insert_with(|| refusal(status));
     }
-    if !changes && !route.documented.sends_events() {
+    if !changes && !documented.sends_events() {
         let unchanged = ResponseBuilder::new()
             .description("The client has this already, as its `If-None-Match` says.")
             .build();
@@ -321,6 +358,14 @@ fn operation_of(route: &Route) -> Operation {
     let sample = |(step, &Example { curl, status, .. }): (usize, &Example)| json!({ "lang": "shell", "label": format!("curl, {status}"), "source": curl, "status": status, "step": step });
     let samples: Vec<_> = examples::of(&route.method, route.path).map(sample).collect();
     let mut extensions = ExtensionsBuilder::new().add("x-palpate-needs", needs);
+    if let Some(role) = route.needs.role {
+        extensions =
+            extensions.add("x-palpate-role", role.name()).add("x-palpate-scope", route.needs.scope.name());
+        for status in [401, 403] {
+            operation.responses.responses.entry(status.to_string()).or_insert_with(|| refusal(status));
+        }
+    }
+    operation.security = Some(security_of(route.needs));
     if !samples.is_empty() {
         extensions = extensions.add("x-codeSamples", samples);
     }
@@ -333,7 +378,10 @@ fn parameters_in(path: &str) -> Vec<Parameter> {
     let names = path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
     let parameter = |name: &str| {
         let description = match name {
-            "file" => "Name of a file in the folder of the job, e.g. `report.json`.".to_owned(),
+            "file" => "Name of the file, e.g. `report.json` of a job.".to_owned(),
+            "trial" => "Number of the trial, from 1.".to_owned(),
+            "person" => "Name of the person.".to_owned(),
+            "token" => "Number of the token.".to_owned(),
             "take" => "Id of a take, e.g. `take-03`.".to_owned(),
             "run" => "Id of the job, e.g. `run-1` or `diagnosis-1`.".to_owned(),
             "job" => "Id of the job, e.g. `emulation-1`.".to_owned(),
@@ -381,6 +429,7 @@ fn http_method(method: &Method) -> HttpMethod {
         Method::PUT => HttpMethod::Put,
         Method::POST => HttpMethod::Post,
         Method::DELETE => HttpMethod::Delete,
+        Method::PATCH => HttpMethod::Patch,
         _ => HttpMethod::Get,
     }
 }
@@ -403,7 +452,8 @@ mod tests {
     #[test]
     fn table_and_handlers_agree() {
         for route in all_routes(true) {
-            assert_eq!(route.documented.disagreement(&route.method, route.path), None);
+            let documented = route.documented.as_ref().unwrap();
+            assert_eq!(documented.disagreement(&route.method, route.path), None);
         }
     }
 
@@ -456,9 +506,10 @@ mod tests {
     fn every_operation_but_sockets_has_an_example_with_a_status_that_it_documents() {
         for route in all_routes(true) {
             let examples: Vec<_> = examples::of(&route.method, route.path).collect();
-            let is_socket = route.documented.is_socket();
+            let documented = route.documented.as_ref().unwrap();
+            let is_socket = documented.is_socket();
             assert_eq!(examples.is_empty(), is_socket, "{} {}", route.method, route.path);
-            let operation = operation_of(&route);
+            let operation = operation_of(&route, documented);
             for (_, example) in examples {
                 let status = example.status.to_string();
                 assert!(operation.responses.responses.contains_key(&status), "{example:?}");

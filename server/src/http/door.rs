@@ -2,7 +2,8 @@
 //!
 //! A page of another origin must not act in the name of whoever looks at it. So the server answers only under host names
 //! that it is known by, which defeats rebinding of other names to its address; and upgrades and requests that change
-//! something must come from a page of its own, if they come from a page at all.
+//! something must come from a page of its own, if they come from a page at all. The door also finds out who asks; whether
+//! they may is said by each route.
 
 use std::sync::Arc;
 
@@ -13,8 +14,13 @@ use axum::{
     response::Response,
 };
 
-use super::docs;
-use super::problem::{Detail, problem_response, respond};
+use palpate_people::{People, Principal};
+
+use super::{
+    docs,
+    identity::{self, Client, Shown},
+    problem::{Detail, problem_response, respond},
+};
 use crate::AppState;
 
 /// What the page may load and do. It is one WebAssembly program with its own files; nothing may frame it.
@@ -32,6 +38,10 @@ const DOCS_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'uns
 /// Who may come in.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Door {
+    /// Who the people are, where everybody has to log in.
+    pub(crate) people: Option<Arc<People>>,
+    /// A proxy on the way says where requests come from.
+    pub(crate) behind_proxy: bool,
     /// Names by which the server is known, besides `localhost` and addresses.
     pub(crate) hosts: Vec<String>,
     /// The path of the data folder, which messages to clients do not show.
@@ -40,7 +50,13 @@ pub(crate) struct Door {
 
 impl Door {
     pub(crate) fn new(state: &AppState) -> Self {
-        Self { hosts: state.access().hosts.clone(), data: state.data().to_string_lossy().into_owned() }
+        let access = state.access();
+        Self {
+            people: access.login.then(|| state.people().clone()),
+            behind_proxy: access.behind_proxy,
+            hosts: access.hosts.clone(),
+            data: state.data().to_string_lossy().into_owned(),
+        }
     }
 
     /// Why a request with these headers is refused, if it is.
@@ -114,7 +130,14 @@ fn is_cross_site(headers: &HeaderMap) -> bool {
 }
 
 /// Lets a request in, or refuses it; what goes out carries the policy for browsers and no path of this computer.
-pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) -> Response {
+pub(crate) async fn guard(State(door): State<Arc<Door>>, mut request: Request, next: Next) -> Response {
+    let client = Client::of(&request, door.behind_proxy);
+    let shown = match &door.people {
+        Some(people) => identity::identify(people, request.headers()),
+        None => Ok(Principal::local()),
+    };
+    request.extensions_mut().insert(client);
+    request.extensions_mut().insert(Shown(shown));
     let policy = match request.uri().path() {
         docs::PAGE_PATH => DOCS_POLICY,
         path if path.starts_with("/api/") => API_POLICY,
@@ -141,6 +164,7 @@ pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next:
         }
     }
     let headers = response.headers_mut();
+    let own_policy = headers.contains_key(header::CONTENT_SECURITY_POLICY);
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, policy),
         (header::X_FRAME_OPTIONS, "DENY"),
@@ -149,7 +173,10 @@ pub(crate) async fn guard(State(door): State<Arc<Door>>, request: Request, next:
         (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
         (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
     ] {
-        headers.insert(name, HeaderValue::from_static(value));
+        // Documents with a form have policies of their own.
+        if !(own_policy && matches!(name, header::CONTENT_SECURITY_POLICY | header::REFERRER_POLICY)) {
+            headers.insert(name, HeaderValue::from_static(value));
+        }
     }
     response
 }
@@ -159,7 +186,7 @@ mod tests {
     use super::*;
 
     fn objection(method: &Method, headers: &[(&'static str, &str)]) -> Option<StatusCode> {
-        let door = Door { hosts: vec!["palpate.lab.example".to_owned()], data: String::new() };
+        let door = Door { hosts: vec!["palpate.lab.example".to_owned()], ..Door::default() };
         let headers: HeaderMap = headers
             .iter()
             .map(|(name, value)| (header::HeaderName::from_static(name), value.parse().unwrap()))

@@ -1,19 +1,23 @@
 //! Extractors whose refusals are problem details like all others.
 
-use std::{convert::Infallible, net::SocketAddr, sync::Arc};
+use std::{convert::Infallible, sync::Arc};
 
 use axum::{
     Json,
-    extract::{ConnectInfo, FromRequest, FromRequestParts, Path, Query, Request, WebSocketUpgrade},
-    http::request::Parts,
+    extract::{FromRequest, FromRequestParts, Path, Query, Request, WebSocketUpgrade},
+    http::{Extensions, request::Parts},
     response::Response,
 };
 use palpate_control::Claim;
+use palpate_people::{Denied, Principal};
 use palpate_wire::api::{IDEMPOTENCY_HEADER, LEASE_HEADER, ProblemType};
 use serde::{Deserialize, de::DeserializeOwned};
 use utoipa::IntoParams;
 
-use super::problem::{problem, problem_response};
+use super::{
+    identity::{Client, Shown},
+    problem::{problem, problem_response},
+};
 
 /// Longest idempotency key, bytes.
 const MAX_KEY_BYTES: usize = 255;
@@ -22,7 +26,16 @@ const MAX_PAGE: u32 = 1000;
 /// Entries of a page that begins at a cursor, where the client does not say how many.
 pub(crate) const USUAL_PAGE: u32 = 100;
 
-/// Who is at the other end, as the audit log names them.
+/// What is said of a peer whose address is not known.
+const UNKNOWN: &str = "an unknown address";
+
+/// Whoever makes the request; the route has let them in.
+pub(crate) struct Asking(pub(crate) Principal);
+
+/// Whose a job is that the request makes: the person, or an address without a login.
+pub(crate) struct Owner(pub(crate) Arc<str>);
+
+/// Who is at the other end, as the audit log names them: the address, and the person where there is a login.
 pub(crate) struct Peer(pub(crate) Arc<str>);
 
 /// The claim of a request to come from the operator.
@@ -32,8 +45,38 @@ impl<S: Send + Sync> FromRequestParts<S> for Peer {
     type Rejection = Infallible;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
-        let info = parts.extensions.get::<ConnectInfo<SocketAddr>>();
-        Ok(Self(info.map_or_else(|| "an unknown address".into(), |info| info.0.to_string().into())))
+        let address =
+            parts.extensions.get::<Client>().map_or_else(|| UNKNOWN.to_owned(), |client| client.text.clone());
+        Ok(Self(match principal(&parts.extensions) {
+            Some(principal) if !principal.is_local() => format!("{address} ({})", principal.label()).into(),
+            _ => address.into(),
+        }))
+    }
+}
+
+/// Whoever makes the request, if that is known.
+fn principal(extensions: &Extensions) -> Option<&Principal> {
+    extensions.get::<Shown>().and_then(|Shown(shown)| shown.as_ref().ok())
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Asking {
+    type Rejection = Response;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Response> {
+        let known = principal(&parts.extensions).cloned().map(Self);
+        known.ok_or_else(|| problem(ProblemType::NotLoggedIn, &Denied::Missing.to_string()))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Owner {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Infallible> {
+        if let Some(principal) = principal(&parts.extensions).filter(|principal| !principal.is_local()) {
+            return Ok(Self(principal.name().clone()));
+        }
+        let Ok(Peer(peer)) = Peer::from_request_parts(parts, state).await;
+        Ok(Self(peer))
     }
 }
 

@@ -7,6 +7,7 @@
 use std::{
     collections::BTreeMap,
     convert::Infallible,
+    io,
     net::SocketAddr,
     sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant},
@@ -22,19 +23,30 @@ use axum::{
 use hyper::{body::Incoming, server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{
+    io::AsyncWriteExt as _,
     net::{TcpListener, TcpStream},
     sync::{Notify, watch},
     task::JoinSet,
     time::timeout,
 };
+use tokio_rustls::{TlsAcceptor, server::TlsStream};
 use tower::ServiceExt as _;
 
-use super::{bucket::Bucket, problem::problem_response};
+use super::{
+    bucket::Bucket,
+    connection::{Connection, Movable},
+    problem::problem_response,
+};
 
 /// A request's head comes in within this time, also the next one of a connection that is kept open.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(15);
 /// A peer that takes in nothing for this long is taken for gone.
 const UNSENT_TIMEOUT: Duration = Duration::from_secs(20);
+/// A TLS handshake is finished within this time.
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+/// The answer to plain HTTP where TLS is spoken.
+const SPEAK_TLS: &[u8] = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n\
+    This studio speaks HTTPS: open https:// instead of http://\n";
 /// Requests that are under way when the server ends get this long.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Requests of one connection: a page that scrubs through takes makes some tens a second.
@@ -79,7 +91,7 @@ enum Rank {
 
 /// One connection; it leaves the list when this is dropped.
 #[derive(Debug)]
-struct Connection {
+struct Entered {
     number: u64,
     connections: Arc<Connections>,
     give_way: Arc<Notify>,
@@ -88,7 +100,7 @@ struct Connection {
 impl Connections {
     /// Adds a connection, in the place of the one that has been idle for the longest time if there are too many. `None`
     /// where none can give way.
-    fn enter(self: &Arc<Self>, now: Instant) -> Option<Connection> {
+    fn enter(self: &Arc<Self>, now: Instant) -> Option<Entered> {
         let mut open = self.lock();
         if open.by_number.len() >= self.limit {
             let may_go = open.by_number.iter().filter(|(_, entry)| entry.rank < Rank::Command);
@@ -101,7 +113,7 @@ impl Connections {
         let give_way = Arc::new(Notify::new());
         let entry = Entry { asked: now, rank: Rank::Plain, give_way: give_way.clone() };
         open.by_number.insert(number, entry);
-        Some(Connection { number, connections: self.clone(), give_way })
+        Some(Entered { number, connections: self.clone(), give_way })
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Open> {
@@ -109,7 +121,7 @@ impl Connections {
     }
 }
 
-impl Connection {
+impl Entered {
     fn asks(&self, now: Instant, rank: Rank) {
         if let Some(entry) = self.connections.lock().by_number.get_mut(&self.number) {
             (entry.asked, entry.rank) = (now, rank);
@@ -117,7 +129,7 @@ impl Connection {
     }
 }
 
-impl Drop for Connection {
+impl Drop for Entered {
     fn drop(&mut self) {
         self.connections.lock().by_number.remove(&self.number);
     }
@@ -135,7 +147,12 @@ fn max_connections() -> usize {
 }
 
 /// Serves `app` on `listener` until `stop` completes; requests that are under way then have half a second to end.
-pub(crate) async fn listen(listener: TcpListener, app: Router, stop: impl Future<Output = ()>) {
+pub(crate) async fn listen(
+    listener: TcpListener,
+    tls: Option<TlsAcceptor>,
+    app: Router,
+    stop: impl Future<Output = ()>,
+) {
     let connections = Arc::new(Connections { limit: max_connections(), open: Mutex::default() });
     let (close, closing) = watch::channel(false);
     let mut tasks = JoinSet::new();
@@ -147,7 +164,7 @@ pub(crate) async fn listen(listener: TcpListener, app: Router, stop: impl Future
             accepted = listener.accept() => match accepted {
                 Ok((socket, peer)) => match connections.enter(Instant::now()) {
                     Some(connection) => {
-                        _ = tasks.spawn(serve_connection(socket, peer, app.clone(), connection, closing.clone()));
+                        _ = tasks.spawn(serve_connection(socket, tls.clone(), peer, app.clone(), connection, closing.clone()));
                     }
                     None => tracing::warn!(%peer, "too many command sockets are open; a connection was refused"),
                 },
@@ -166,9 +183,10 @@ pub(crate) async fn listen(listener: TcpListener, app: Router, stop: impl Future
 
 async fn serve_connection(
     socket: TcpStream,
+    tls: Option<TlsAcceptor>,
     peer: SocketAddr,
     app: Router,
-    connection: Connection,
+    connection: Entered,
     mut closing: watch::Receiver<bool>,
 ) {
     // Replies and frames are small, and late if they wait for more to be sent.
@@ -180,6 +198,21 @@ async fn serve_connection(
         tracing::debug!(%err, "a peer that takes in nothing is not noticed");
     }
     let give_way = connection.give_way.clone();
+    let io = match tls {
+        None => Connection::Plain(Movable::new(socket)),
+        Some(tls) => {
+            let secured = tokio::select! {
+                secured = timeout(HANDSHAKE_TIMEOUT, secure(socket, tls)) => secured,
+                () = give_way.notified() => return,
+                _ = closing.wait_for(|&closes| closes) => return,
+            };
+            match secured {
+                Ok(Ok(stream)) => Connection::Tls(Box::new(stream)),
+                Ok(Err(err)) => return tracing::debug!(%peer, %err, "a TLS handshake failed"),
+                Err(_) => return tracing::debug!(%peer, "a TLS handshake was not finished in time"),
+            }
+        }
+    };
     let connection = Arc::new(connection);
     let bucket = Arc::new(Mutex::new(Bucket::new(REQUESTS_PER_S, REQUESTS_BURST, Instant::now())));
     let service = service_fn(move |request: Request<Incoming>| {
@@ -196,7 +229,7 @@ async fn serve_connection(
     let serving = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIMEOUT)
-        .serve_connection(TokioIo::new(socket), service)
+        .serve_connection(TokioIo::new(io), service)
         .with_upgrades();
     tokio::pin!(serving);
     let closes = async {
@@ -220,11 +253,22 @@ async fn serve_connection(
     }
 }
 
+/// Answers the TLS handshake; whoever speaks plain HTTP is told to use HTTPS.
+async fn secure(mut socket: TcpStream, tls: TlsAcceptor) -> io::Result<TlsStream<Movable>> {
+    let mut first = [0];
+    if socket.peek(&mut first).await? == 1 && first[0].is_ascii_uppercase() {
+        socket.write_all(SPEAK_TLS).await?;
+        socket.shutdown().await?;
+        return Err(io::Error::other("plain HTTP"));
+    }
+    tls.accept(Movable::new(socket)).await
+}
+
 async fn answer(
     app: Router,
     mut request: Request,
     peer: SocketAddr,
-    connection: Arc<Connection>,
+    connection: Arc<Entered>,
     passes: bool,
 ) -> Result<Response, Infallible> {
     if !passes {
@@ -240,7 +284,7 @@ async fn answer(
 /// Travels with a request, so that an upgraded connection counts until its socket is closed.
 #[derive(Clone, Debug)]
 pub(crate) struct KeepOpen {
-    connection: Arc<Connection>,
+    connection: Arc<Entered>,
 }
 
 impl KeepOpen {

@@ -23,6 +23,13 @@ impl<E: Into<Error>> From<E> for Problem {
     }
 }
 
+impl Problem {
+    /// The status of the answer.
+    pub(crate) fn status(&self) -> StatusCode {
+        status_of(type_of(self.0.class()))
+    }
+}
+
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let detail = chain(&self.0);
@@ -31,6 +38,9 @@ impl IntoResponse for Problem {
             tracing::error!(err = detail, "a request failed");
         }
         let mut response = problem(kind, &detail);
+        if let Error::TooOften { after_s, .. } = &self.0 {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(*after_s));
+        }
         if kind == ProblemType::Busy {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));
         }
@@ -51,6 +61,9 @@ fn type_of(class: Class) -> ProblemType {
         Class::MediaType => ProblemType::UnsupportedMediaType,
         Class::TooLarge => ProblemType::TooLarge,
         Class::NotOperator => ProblemType::NotOperator,
+        Class::NotLoggedIn => ProblemType::NotLoggedIn,
+        Class::NotPermitted => ProblemType::NotPermitted,
+        Class::TooOften => ProblemType::TooManyAttempts,
         Class::Busy => ProblemType::Busy,
         Class::DiskFull => ProblemType::DiskFull,
         Class::Failed => ProblemType::Failed,
@@ -66,8 +79,11 @@ pub(crate) struct Detail {
 
 /// `detail` as problem details of a kind.
 pub(crate) fn problem(kind: ProblemType, detail: &str) -> Response {
-    let status = StatusCode::from_u16(kind.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    respond(status, Some(kind), detail)
+    respond(status_of(kind), Some(kind), detail)
+}
+
+fn status_of(kind: ProblemType) -> StatusCode {
+    StatusCode::from_u16(kind.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
 }
 
 /// `detail` as problem details where only the status is known: of the kind that has this status, or the usual one of

@@ -1,11 +1,14 @@
 //! The HTTP API, route by route.
 
 mod calibrations;
+mod campaigns;
 mod diagnoses;
+mod health;
 mod jobs;
 mod live;
 mod models;
 mod objects;
+pub(super) mod people;
 mod recording;
 mod sessions;
 mod takes;
@@ -17,15 +20,16 @@ use axum::{
     extract::State,
     http::{Method, StatusCode},
     response::Response,
-    routing::MethodRouter,
+    routing::{MethodRouter, get, post},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
-use palpate_wire::api::{Info, Source, StationDocument};
+use palpate_wire::api::{Info, Role, Scope, Source, StationDocument};
 
 use super::{
     control_socket,
     document::{self, Documented, Refusal},
+    login_page,
     problem::{Answer, Problem},
     stream,
 };
@@ -33,14 +37,52 @@ use crate::{AppState, Error, assets, work::Kind};
 
 /// What a request must show to be carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Needs {
-    /// Nothing beyond what the door asks.
-    Nothing,
-    /// The lease in force.
-    Operator,
-    /// The lease in force, while somebody has one or a session is being recorded.
-    OperatorIfAny,
+pub struct Needs {
+    /// What whoever asks must be at least; `None` where nobody has to log in.
+    pub role: Option<Role>,
+    /// The part of the API, to which a token may be limited.
+    pub scope: Scope,
+    /// Whether it needs the lease as well.
+    pub lease: NeedsLease,
 }
+
+/// Whether a request needs the lease.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NeedsLease {
+    /// No.
+    No,
+    /// The lease in force.
+    Always,
+    /// The lease in force, while somebody has one or a session is being recorded.
+    IfAny,
+}
+
+const fn needs(role: Role, scope: Scope, lease: NeedsLease) -> Needs {
+    Needs { role: Some(role), scope, lease }
+}
+
+/// Nobody has to log in.
+pub(super) const OPEN: Needs = Needs { role: None, scope: Scope::Read, lease: NeedsLease::No };
+/// Reads.
+pub(super) const VIEW: Needs = needs(Role::Viewer, Scope::Read, NeedsLease::No);
+/// Starts, stops and deletes jobs.
+const JOBS: Needs = needs(Role::Operator, Scope::Jobs, NeedsLease::No);
+/// Changes or deletes sessions and models.
+const DATA: Needs = needs(Role::Operator, Scope::Data, NeedsLease::No);
+/// Runs the trials of a campaign; the lease of whoever moves the hand is the rollout's.
+const TRIALS: Needs = needs(Role::Operator, Scope::Control, NeedsLease::No);
+/// Scores trials.
+const SCORE: Needs = needs(Role::Scorer, Scope::Score, NeedsLease::No);
+/// Changes what the station shows.
+const STATION: Needs = needs(Role::Operator, Scope::Control, NeedsLease::No);
+/// Moves the robot, or decides what it does next.
+const MOVE: Needs = needs(Role::Operator, Scope::Control, NeedsLease::Always);
+/// Would surprise whoever has control.
+const SETUP: Needs = needs(Role::Operator, Scope::Control, NeedsLease::IfAny);
+/// Says who the people are.
+const PEOPLE: Needs = needs(Role::Admin, Scope::People, NeedsLease::No);
+/// Changes one's own password and tokens.
+const OWN: Needs = needs(Role::Viewer, Scope::People, NeedsLease::No);
 
 /// A route of the API.
 #[derive(Clone, Debug)]
@@ -52,13 +94,18 @@ pub struct Route {
     /// What a request must show.
     pub needs: Needs,
     pub(super) handler: MethodRouter<Arc<AppState>>,
-    /// What the OpenAPI document says of it.
-    pub(super) documented: Documented,
+    /// What the OpenAPI document says of it; `None` outside `/api/v1`.
+    pub(super) documented: Option<Documented>,
 }
 
 fn route(method: Method, path: &'static str, needs: Needs, (handler, documented): Row) -> Route {
     debug_assert_eq!(documented.disagreement(&method, path), None);
-    Route { method, path, needs, handler, documented }
+    Route { method, path, needs, handler, documented: Some(documented) }
+}
+
+/// A route outside `/api/v1`.
+fn root(method: Method, path: &'static str, needs: Needs, handler: MethodRouter<Arc<AppState>>) -> Route {
+    Route { method, path, needs, handler, documented: None }
 }
 
 /// A handler and what the OpenAPI document says of it.
@@ -86,72 +133,103 @@ pub fn routes(state: &AppState) -> Vec<Route> {
 /// The same without a studio.
 pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
     let mut routes = table![
-        route(Method::GET, "/info", Needs::Nothing, get(info)),
-        route(Method::GET, "/station", Needs::Nothing, get(station)),
-        route(Method::GET, "/stations", Needs::Nothing, get(stations)),
-        route(Method::GET, "/sessions", Needs::Nothing, get(sessions::list)),
-        route(Method::POST, "/sessions", Needs::Nothing, post(sessions::upload)),
-        route(Method::GET, "/sessions/{session}", Needs::Nothing, get(sessions::detail)),
-        route(Method::DELETE, "/sessions/{session}", Needs::Nothing, delete(sessions::discard)),
-        route(Method::POST, "/sessions/{session}/restore", Needs::Nothing, post(sessions::restore)),
-        route(Method::GET, "/sessions/{session}/check", Needs::Nothing, get(sessions::check)),
-        route(Method::GET, "/sessions/{session}/station", Needs::Nothing, get(sessions::station)),
-        route(Method::GET, "/sessions/{session}/takes/{take}/trace", Needs::Nothing, get(takes::trace)),
-        route(Method::GET, "/sessions/{session}/takes/{take}/replay", Needs::Nothing, get(takes::replay)),
-        route(Method::GET, "/models", Needs::Nothing, get(models::list)),
-        route(Method::GET, "/models/{model}", Needs::Nothing, get(models::text)),
-        route(Method::DELETE, "/models/{model}", Needs::Nothing, delete(models::discard)),
-        route(Method::POST, "/models/{model}/restore", Needs::Nothing, post(models::restore)),
-        route(Method::GET, "/objects", Needs::Nothing, get(objects::list)),
-        route(Method::GET, "/calibrations", Needs::Nothing, get(calibrations::list)),
-        route(Method::POST, "/calibrations", Needs::Nothing, post(calibrations::start)),
-        route(Method::GET, "/calibrations/{run}", Needs::Nothing, get(calibrations::detail)),
-        route(Method::POST, "/calibrations/{run}/cancel", Needs::Nothing, post(calibrations::cancel)),
-        route(Method::POST, "/calibrations/{run}/save", Needs::Nothing, post(calibrations::save)),
-        route(Method::GET, "/calibrations/{run}/report.html", Needs::Nothing, get(calibrations::report)),
-        route(Method::POST, "/models/{model}/undo", Needs::Nothing, post(models::undo)),
-        route(Method::GET, "/diagnoses", Needs::Nothing, get(diagnoses::list)),
-        route(Method::POST, "/diagnoses", Needs::Nothing, post(diagnoses::start)),
-        route(Method::GET, "/diagnoses/{run}", Needs::Nothing, get(diagnoses::detail)),
-        route(Method::POST, "/diagnoses/{run}/cancel", Needs::Nothing, post(diagnoses::cancel)),
-        route(Method::POST, "/diagnoses/{run}/save", Needs::Nothing, post(diagnoses::save)),
-        route(Method::GET, "/diagnoses/{run}/report.html", Needs::Nothing, get(diagnoses::report)),
-        route(Method::GET, "/jobs", Needs::Nothing, get(jobs::list)),
-        route(Method::POST, "/jobs", Needs::Nothing, post(jobs::submit)),
-        route(Method::GET, "/jobs/{job}", Needs::Nothing, get(jobs::detail)),
-        route(Method::DELETE, "/jobs/{job}", Needs::Nothing, delete(jobs::discard)),
-        route(Method::POST, "/jobs/{job}/cancel", Needs::Nothing, post(jobs::cancel)),
-        route(Method::POST, "/jobs/{job}/retry", Needs::Nothing, post(jobs::retry)),
-        route(Method::POST, "/jobs/{job}/clone", Needs::Nothing, post(jobs::clone)),
-        route(Method::GET, "/jobs/{job}/log", Needs::Nothing, get(jobs::log)),
-        route(Method::GET, "/jobs/{job}/metrics", Needs::Nothing, get(jobs::metrics)),
-        route(Method::GET, "/jobs/{job}/events", Needs::Nothing, get(jobs::events)),
-        route(Method::GET, "/jobs/{job}/files/{file}", Needs::Nothing, get(jobs::file)),
-        route(Method::GET, "/stream", Needs::Nothing, get(stream::upgrade)),
-        route(Method::GET, "/live", Needs::Nothing, get(live::document)),
-        route(Method::PUT, "/live/model", Needs::Nothing, put(live::set_model)),
-        route(Method::GET, "/control", Needs::Nothing, get(control_socket::upgrade)),
-        route(Method::GET, "/recording", Needs::Nothing, get(recording::document)),
-        route(Method::POST, "/recording", Needs::Operator, post(recording::start)),
-        route(Method::POST, "/recording/act", Needs::Operator, post(recording::act)),
-        route(Method::POST, "/recording/wanted", Needs::OperatorIfAny, post(recording::want)),
-        route(
-            Method::DELETE,
-            "/recording/wanted/{object}/{primitive}",
-            Needs::OperatorIfAny,
-            delete(recording::unwant),
-        ),
-        route(Method::GET, "/audit", Needs::Nothing, get(live::audit)),
-        route(Method::GET, "/openapi.json", Needs::Nothing, get(openapi)),
+        route(Method::GET, "/info", VIEW, get(info)),
+        route(Method::GET, "/station", VIEW, get(station)),
+        route(Method::GET, "/stations", VIEW, get(stations)),
+        route(Method::GET, "/sessions", VIEW, get(sessions::list)),
+        route(Method::POST, "/sessions", DATA, post(sessions::upload)),
+        route(Method::GET, "/sessions/{session}", VIEW, get(sessions::detail)),
+        route(Method::DELETE, "/sessions/{session}", DATA, delete(sessions::discard)),
+        route(Method::POST, "/sessions/{session}/restore", DATA, post(sessions::restore)),
+        route(Method::GET, "/sessions/{session}/check", VIEW, get(sessions::check)),
+        route(Method::GET, "/sessions/{session}/station", VIEW, get(sessions::station)),
+        route(Method::GET, "/sessions/{session}/takes/{take}/trace", VIEW, get(takes::trace)),
+        route(Method::GET, "/sessions/{session}/takes/{take}/replay", VIEW, get(takes::replay)),
+        route(Method::GET, "/models", VIEW, get(models::list)),
+        route(Method::GET, "/models/{model}", VIEW, get(models::text)),
+        route(Method::DELETE, "/models/{model}", DATA, delete(models::discard)),
+        route(Method::POST, "/models/{model}/restore", DATA, post(models::restore)),
+        route(Method::GET, "/objects", VIEW, get(objects::list)),
+        route(Method::GET, "/calibrations", VIEW, get(calibrations::list)),
+        route(Method::POST, "/calibrations", JOBS, post(calibrations::start)),
+        route(Method::GET, "/calibrations/{run}", VIEW, get(calibrations::detail)),
+        route(Method::POST, "/calibrations/{run}/cancel", JOBS, post(calibrations::cancel)),
+        route(Method::POST, "/calibrations/{run}/save", DATA, post(calibrations::save)),
+        route(Method::GET, "/calibrations/{run}/report.html", VIEW, get(calibrations::report)),
+        route(Method::POST, "/models/{model}/undo", DATA, post(models::undo)),
+        route(Method::GET, "/diagnoses", VIEW, get(diagnoses::list)),
+        route(Method::POST, "/diagnoses", JOBS, post(diagnoses::start)),
+        route(Method::GET, "/diagnoses/{run}", VIEW, get(diagnoses::detail)),
+        route(Method::POST, "/diagnoses/{run}/cancel", JOBS, post(diagnoses::cancel)),
+        route(Method::POST, "/diagnoses/{run}/save", DATA, post(diagnoses::save)),
+        route(Method::GET, "/diagnoses/{run}/report.html", VIEW, get(diagnoses::report)),
+        route(Method::GET, "/jobs", VIEW, get(jobs::list)),
+        route(Method::POST, "/jobs", JOBS, post(jobs::submit)),
+        route(Method::GET, "/jobs/{job}", VIEW, get(jobs::detail)),
+        route(Method::DELETE, "/jobs/{job}", JOBS, delete(jobs::discard)),
+        route(Method::POST, "/jobs/{job}/cancel", JOBS, post(jobs::cancel)),
+        route(Method::POST, "/jobs/{job}/retry", JOBS, post(jobs::retry)),
+        route(Method::POST, "/jobs/{job}/clone", JOBS, post(jobs::clone)),
+        route(Method::GET, "/jobs/{job}/log", VIEW, get(jobs::log)),
+        route(Method::GET, "/jobs/{job}/metrics", VIEW, get(jobs::metrics)),
+        route(Method::GET, "/jobs/{job}/events", VIEW, get(jobs::events)),
+        route(Method::GET, "/jobs/{job}/files/{file}", VIEW, get(jobs::file)),
+        route(Method::GET, "/campaigns", VIEW, get(campaigns::list)),
+        route(Method::POST, "/campaigns", DATA, post(campaigns::create)),
+        route(Method::GET, "/campaigns/{campaign}", VIEW, get(campaigns::detail)),
+        route(Method::GET, "/campaigns/{campaign}/results", VIEW, get(campaigns::results)),
+        route(Method::GET, "/campaigns/{campaign}/tables/{file}", VIEW, get(campaigns::table)),
+        route(Method::POST, "/campaigns/{campaign}/close", DATA, post(campaigns::close)),
+        route(Method::POST, "/campaigns/{campaign}/reopen", DATA, post(campaigns::reopen)),
+        route(Method::POST, "/campaigns/{campaign}/trials/{trial}/begin", TRIALS, post(campaigns::begin)),
+        route(Method::POST, "/campaigns/{campaign}/trials/{trial}/outcome", TRIALS, post(campaigns::outcome)),
+        route(Method::POST, "/campaigns/{campaign}/trials/{trial}/score", SCORE, post(campaigns::score)),
+        route(Method::POST, "/campaigns/{campaign}/trials/{trial}/unscore", SCORE, post(campaigns::unscore)),
+        route(Method::POST, "/campaigns/{campaign}/trials/{trial}/settle", DATA, post(campaigns::settle)),
+        route(Method::GET, "/stream", VIEW, get(stream::upgrade)),
+        route(Method::GET, "/live", VIEW, get(live::document)),
+        route(Method::PUT, "/live/model", STATION, put(live::set_model)),
+        route(Method::GET, "/control", VIEW, get(control_socket::upgrade)),
+        route(Method::GET, "/recording", VIEW, get(recording::document)),
+        route(Method::POST, "/recording", MOVE, post(recording::start)),
+        route(Method::POST, "/recording/act", MOVE, post(recording::act)),
+        route(Method::POST, "/recording/wanted", SETUP, post(recording::want)),
+        route(Method::DELETE, "/recording/wanted/{object}/{primitive}", SETUP, delete(recording::unwant),),
+        route(Method::GET, "/audit", VIEW, get(live::audit)),
+        route(Method::POST, "/login", OPEN, post(people::log_in)),
+        route(Method::POST, "/logout", OPEN, post(people::log_out)),
+        route(Method::GET, "/me", VIEW, get(people::me)),
+        route(Method::POST, "/me/password", OWN, post(people::change_own_password)),
+        route(Method::GET, "/people", PEOPLE, get(people::list)),
+        route(Method::POST, "/people", PEOPLE, post(people::add)),
+        route(Method::PATCH, "/people/{person}", PEOPLE, patch(people::change)),
+        route(Method::DELETE, "/people/{person}", PEOPLE, delete(people::remove)),
+        route(Method::GET, "/tokens", OWN, get(people::tokens)),
+        route(Method::POST, "/tokens", OWN, post(people::create_token)),
+        route(Method::DELETE, "/tokens/{token}", OWN, delete(people::revoke_token)),
+        route(Method::GET, "/openapi.json", VIEW, get(openapi)),
     ];
     if with_emulator {
         routes.extend(table![
-            route(Method::GET, "/emulator/faults", Needs::Nothing, get(live::faults)),
-            route(Method::PUT, "/emulator/faults", Needs::OperatorIfAny, put(live::set_faults)),
-            route(Method::POST, "/emulator/object", Needs::OperatorIfAny, post(live::place_object)),
+            route(Method::GET, "/emulator/faults", VIEW, get(live::faults)),
+            route(Method::PUT, "/emulator/faults", SETUP, put(live::set_faults)),
+            route(Method::POST, "/emulator/object", SETUP, post(live::place_object)),
         ]);
     }
     routes
+}
+
+/// Routes outside `/api/v1`, but for the page's files.
+pub fn root_routes(_state: &AppState) -> Vec<Route> {
+    vec![
+        root(Method::GET, "/healthz", OPEN, get(health::alive)),
+        root(Method::GET, "/readyz", OPEN, get(health::ready)),
+        root(Method::GET, "/metrics", VIEW, get(health::metrics)),
+        root(Method::GET, "/login", OPEN, get(login_page::show)),
+        root(Method::POST, "/login", OPEN, post(login_page::log_in)),
+        root(Method::GET, "/logout", OPEN, get(login_page::ask_to_log_out)),
+        root(Method::POST, "/logout", OPEN, post(login_page::log_out)),
+    ]
 }
 
 impl AppState {

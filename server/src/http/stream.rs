@@ -16,7 +16,13 @@ use axum::{
 use futures_util::SinkExt as _;
 use prost::Message as _;
 
-use super::{document::Refusal, extract::Upgrade, listener::KeepOpen, pacing::Pacing};
+use super::{
+    document::Refusal,
+    extract::{Asking, Upgrade},
+    identity::no_longer_valid,
+    listener::KeepOpen,
+    pacing::Pacing,
+};
 use crate::{AppState, hub::Client, work::Kind};
 
 /// Clients answer pings and otherwise send nothing, bytes.
@@ -39,6 +45,7 @@ pub(crate) const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 )]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,
+    Asking(principal): Asking,
     open: Option<Extension<KeepOpen>>,
     Upgrade(upgrade): Upgrade,
 ) -> Response {
@@ -57,13 +64,16 @@ pub(crate) async fn upgrade(
         }
         let mut shutdown = state.shutdown();
         let mut socket = socket;
-        let ends = tokio::select! {
-            () = converse(&mut socket, &client) => false,
-            () = gives_way => false,
-            _ = shutdown.wait_for(|&ends| ends) => true,
+        let closes = tokio::select! {
+            () = converse(&mut socket, &client) => None,
+            () = gives_way => None,
+            () = no_longer_valid(state.people().clone(), principal) => {
+                Some((close_code::POLICY, "the login or token has ended"))
+            }
+            _ = shutdown.wait_for(|&ends| ends) => Some((close_code::AWAY, "the studio is shutting down")),
         };
-        if ends {
-            let close = CloseFrame { code: close_code::AWAY, reason: "the studio is shutting down".into() };
+        if let Some((code, reason)) = closes {
+            let close = CloseFrame { code, reason: reason.into() };
             // The client may be gone already, or never read it.
             let _ = tokio::time::timeout(CLOSE_TIMEOUT, socket.send(Message::Close(Some(close)))).await;
         }

@@ -2,27 +2,30 @@
 
 use std::{collections::VecDeque, sync::Arc};
 
-use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage, stream_message::Message};
+use palpate_wire::proto::{Changed, JobUpdate, LiveFrame, StreamMessage, stream_message::Message};
 
 /// Live frames that may wait: a quarter of a second, after which a picture is no longer live.
 pub(crate) const MAX_LIVE_FRAMES: usize = 8;
 
-/// Messages for one client. Job updates go first and are never dropped; the oldest live frames are.
+/// Messages for one client. What has changed and job updates go first and are never dropped; the oldest live frames are.
 #[derive(Debug, Default)]
 pub(crate) struct ClientQueue {
+    changed: VecDeque<Changed>,
     jobs: VecDeque<JobUpdate>,
     live: VecDeque<Arc<LiveFrame>>,
     dropped: u64,
 }
 
 impl ClientQueue {
-    /// Adds the newest state of the station.
-    pub(crate) fn push_live(&mut self, frame: Arc<LiveFrame>) {
-        if self.live.len() == MAX_LIVE_FRAMES {
+    /// Adds the newest state of the station; says whether an older one was dropped for it.
+    pub(crate) fn push_live(&mut self, frame: Arc<LiveFrame>) -> bool {
+        let is_full = self.live.len() == MAX_LIVE_FRAMES;
+        if is_full {
             self.live.pop_front();
             self.dropped += 1;
         }
         self.live.push_back(frame);
+        is_full
     }
 
     /// Adds a job's newest state in place of an older one of the same job that still waits, so that there are never more
@@ -34,12 +37,19 @@ impl ClientQueue {
         }
     }
 
+    /// Adds that something has changed, unless that still waits to be said.
+    pub(crate) fn push_changed(&mut self, changed: Changed) {
+        if !self.changed.contains(&changed) {
+            self.changed.push_back(changed);
+        }
+    }
+
     /// The next message to send.
     pub(crate) fn pop(&mut self) -> Option<StreamMessage> {
-        let message = match self.jobs.pop_front() {
-            Some(update) => Message::Job(update),
-            None => Message::Live((*self.live.pop_front()?).clone()),
-        };
+        let changed = self.changed.pop_front().map(Message::Changed);
+        let job = || self.jobs.pop_front().map(Message::Job);
+        let live = || self.live.pop_front().map(|frame| Message::Live((*frame).clone()));
+        let message = changed.or_else(job).or_else(live)?;
         Some(StreamMessage { message: Some(message), dropped: self.dropped })
     }
 }
@@ -81,6 +91,20 @@ mod tests {
             prop_assert!(times.is_sorted());
             prop_assert_eq!(times.len() + last_dropped as usize, num_frames);
         }
+    }
+
+    #[test]
+    fn what_has_changed_is_said_once_and_first() {
+        let mut queue = ClientQueue::default();
+        queue.push_live(frame(0));
+        queue.push_job(update("a", 0.1));
+        let changed = |id: &str| Changed { list: "campaigns".into(), id: id.into() };
+        for id in ["first", "second", "first"] {
+            queue.push_changed(changed(id));
+        }
+        let said: Vec<_> = std::iter::from_fn(|| queue.pop()).filter_map(|message| message.message).collect();
+        assert_eq!(said[..2], [Message::Changed(changed("first")), Message::Changed(changed("second"))]);
+        assert_eq!(said.len(), 4);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
-use palpate_control::{Control, ControlConfig, Ending, Handle};
+use palpate_control::{AuditFile, Control, ControlConfig, Ending, Handle};
 use palpate_drivers::Ports;
 use palpate_emulator::devices::StationControl;
 use palpate_robot_model::Station;
@@ -45,6 +45,7 @@ impl Live {
         which: &LiveStation,
         seed: u64,
         store: &Store,
+        audit: AuditFile,
         hub: Arc<Hub>,
     ) -> Result<(Self, RunningStation), Error> {
         let (station, ports, emulated) = match which {
@@ -61,7 +62,7 @@ impl Live {
             ports,
             source,
             sessions_dir: store.sessions_dir(),
-            audit_path: store.audit_path(),
+            audit,
             wanted_path: store.wanted_path(),
             latch_path: store.latch_path(),
             place_object,

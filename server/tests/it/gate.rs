@@ -9,7 +9,7 @@ use axum::{
 };
 use futures_util::{SinkExt as _, StreamExt as _};
 use http_body_util::BodyExt as _;
-use palpate_server::{AppState, LiveStation, Needs, Studio, app, assets, routes, serve_on};
+use palpate_server::{AppState, LiveStation, NeedsLease, Studio, app, assets, routes, serve_on};
 use palpate_wire::{
     api::{LEASE_HEADER, LiveDocument, ProblemDetails, RecordingDocument},
     proto::{
@@ -209,7 +209,7 @@ async fn a_second_client_moves_nothing_and_changes_no_session_by_any_route_with_
     for route in &table {
         for (path, body) in attempts(route.path) {
             let try_it = |lease| scene.send(route.method.clone(), &path, lease, body.clone());
-            if route.needs == Needs::Nothing {
+            if route.needs.lease == NeedsLease::No {
                 if route.method != Method::GET {
                     // Whatever it does, it does nothing to the robot and its session.
                     try_it(Some(1)).await;

@@ -4,6 +4,7 @@
 mod api;
 mod bad_input;
 mod calibrations;
+mod campaigns;
 mod cli;
 mod client_paths;
 mod data_folder;
@@ -11,6 +12,9 @@ mod diagnoses;
 mod document;
 mod gate;
 mod jobs;
+mod operations;
+mod people;
+mod serving;
 mod stream;
 mod support;
 mod uploads;

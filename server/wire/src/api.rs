@@ -1,18 +1,22 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
+mod campaigns;
 mod diagnosis;
 mod jobs;
 mod live;
 mod objects;
+mod people;
 mod problem;
 mod recording;
 
 use std::collections::BTreeMap;
 
+pub use campaigns::*;
 pub use diagnosis::*;
 pub use jobs::*;
 pub use live::*;
 pub use objects::*;
+pub use people::*;
 pub use problem::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};

@@ -10,7 +10,7 @@ use palpate_sim::tactile::Readings;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::scene::{links_of_hand, mjcf};
+use crate::scene::{links_of_hand, mjcf, mjcf_driven};
 use crate::touch::{Sense, Touch, TouchScene};
 use crate::{GraspConfig, GraspError, Randomisation, Sensed, World};
 
@@ -86,6 +86,29 @@ impl GraspScene {
         Ok(world)
     }
 
+    /// A world whose object begins where it rests in [`Self::world`] at the same start, and whose hand is driven by torques
+    /// ([`scene::mjcf_driven`](crate::scene::mjcf_driven)) in physics steps of `timestep_s`. [`World::set_targets`] takes N m
+    /// for the hand's joints; a step of it is a physics step.
+    pub fn driven_world(&self, start: &Start, timestep_s: f64) -> Result<World, GraspError> {
+        let settled = self.world(start)?;
+        let robot = &self.station.robot;
+        let text =
+            mjcf_driven(robot, &self.config, &self.object, &self.mass, &start.randomisation, timestep_s)?;
+        let mut config = self.config.clone();
+        (config.physics.timestep_s, config.control_rate_hz) = (timestep_s, 1.0 / timestep_s);
+        let mut world = World::new(&text, robot, &config)?;
+        world.reset(&start.positions, &settled.base_from_object());
+        // Targets are torques now.
+        let targets: Vec<f64> = start
+            .positions
+            .iter()
+            .zip(&self.in_hand)
+            .map(|(&at, &hand)| if hand { 0.0 } else { at })
+            .collect();
+        world.set_targets(&targets);
+        Ok(world)
+    }
+
     /// Begins an episode in `world`, which has the randomisation of `start`.
     fn place(&self, world: &mut World, start: &Start) -> Result<(), GraspError> {
         world.reset(&start.positions, &start.base_from_object);
@@ -127,6 +150,18 @@ impl Start {
             positions: scene.start.clone(),
             base_from_object: on_table(scene, 0.0, [0.0, 0.0], 0.0),
         }
+    }
+
+    /// The nominal world with the object on the stable side that `side` (0 to 1, by how likely the sides are) falls on,
+    /// `offset_m` from the middle of the region and turned by `yaw_rad`.
+    pub fn placed(scene: &GraspScene, side: f64, offset_m: [f64; 2], yaw_rad: f64) -> Self {
+        Self { base_from_object: on_table(scene, side, offset_m, yaw_rad), ..Self::nominal(scene) }
+    }
+
+    /// The start of trial number `trial` of those with `seed`, as [`crate::trial`] has it where the region of starts has this
+    /// half width.
+    pub fn of_trial(scene: &GraspScene, half_width_m: f64, seed: u64, trial: u64) -> Self {
+        Self::draw_within(scene, half_width_m, false, &mut stream(seed, trial))
     }
 
     /// As the task has it (paper, appendix "Evaluation Protocol" and table "Domain Randomization Parameters"): the object

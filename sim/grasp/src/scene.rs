@@ -38,7 +38,32 @@ pub fn mjcf(
     mass: &MassProperties,
     randomisation: &Randomisation,
 ) -> Result<String, GraspError> {
-    let scene = Scene { robot, config, object, mass, randomisation, in_hand: links_of_hand(robot, config) };
+    text(robot, config, object, mass, randomisation, None)
+}
+
+/// The same scene for devices that control the hand's joints themselves: actuators of the hand are torques, and the physics
+/// takes steps of `timestep_s`. Actuators of the joints before the hand stay servos.
+pub fn mjcf_driven(
+    robot: &Robot,
+    config: &GraspConfig,
+    object: &ObjectModel,
+    mass: &MassProperties,
+    randomisation: &Randomisation,
+    timestep_s: f64,
+) -> Result<String, GraspError> {
+    text(robot, config, object, mass, randomisation, Some(timestep_s))
+}
+
+fn text(
+    robot: &Robot,
+    config: &GraspConfig,
+    object: &ObjectModel,
+    mass: &MassProperties,
+    randomisation: &Randomisation,
+    driven_s: Option<f64>,
+) -> Result<String, GraspError> {
+    let in_hand = links_of_hand(robot, config);
+    let scene = Scene { robot, config, object, mass, randomisation, in_hand, driven_s };
     let mut xml = String::new();
     scene.write(&mut xml).map_err(|failure| match failure {
         Failure::Problem(problem) => GraspError::Scene(problem),
@@ -81,6 +106,8 @@ struct Scene<'a> {
     mass: &'a MassProperties,
     randomisation: &'a Randomisation,
     in_hand: Vec<bool>,
+    /// Physics step where the hand is driven by torques, s.
+    driven_s: Option<f64>,
 }
 
 enum Failure {
@@ -103,7 +130,10 @@ impl Scene<'_> {
         writeln!(
             xml,
             r#"<option timestep="{}" integrator="implicitfast" solver="Newton" cone="elliptic" impratio="{}" iterations="{}" ls_iterations="{}"><flag autoreset="disable"/></option>"#,
-            physics.timestep_s, physics.impratio, physics.iterations, physics.line_search_iterations
+            self.driven_s.unwrap_or(physics.timestep_s),
+            physics.impratio,
+            physics.iterations,
+            physics.line_search_iterations
         )?;
         writeln!(
             xml,
@@ -134,6 +164,14 @@ impl Scene<'_> {
         xml.push_str(&object.body);
         writeln!(xml, "</worldbody>\n<actuator>")?;
         for (joint, servo) in self.robot.dofs().zip(self.config.servos_by_dof(self.robot)) {
+            if self.driven_s.is_some() && self.in_hand[joint.child_link] {
+                writeln!(
+                    xml,
+                    r#"<motor name="{0}" joint="{0}" ctrlrange="-{1} {1}"/>"#,
+                    joint.name, servo.max_torque_n_m
+                )?;
+                continue;
+            }
             let varied =
                 if self.in_hand[joint.child_link] { self.randomisation.stiffness_factor } else { 1.0 };
             let range = joint.limits.map_or_else(String::new, |limits| {

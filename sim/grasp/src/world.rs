@@ -211,6 +211,15 @@ impl World {
         (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
     }
 
+    /// Puts the robot's joints elsewhere, in motion, and leaves everything else as it is: rad or m, and per s.
+    pub fn set_joints(&mut self, positions: &[f64], velocities: &[f64]) {
+        let (dof_qpos, dof_qvel) = (&self.dof_qpos, &self.dof_qvel);
+        let qpos = self.data.qpos_mut();
+        dof_qpos.iter().zip(positions).for_each(|(&at, &position)| qpos[at] = position);
+        let qvel = self.data.qvel_mut();
+        dof_qvel.iter().zip(velocities).for_each(|(&at, &velocity)| qvel[at] = velocity);
+    }
+
     /// Sets both, as [`Self::object_velocity`] gives them.
     pub fn set_object_velocity(&mut self, linear: &Vector3<f64>, angular: &Vector3<f64>) {
         let v = &mut self.data.qvel_mut()[self.object_qvel..];

@@ -313,6 +313,8 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
         Screen::Objects => "\u{1f4e6}",
+        Screen::Trials => "\u{1f3af}",
+        Screen::Jobs => "\u{231b}",
     }
 }
 

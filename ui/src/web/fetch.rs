@@ -10,6 +10,9 @@ use palpate_wire::{api::LEASE_HEADER, proto::control_request};
 use super::control::ControlSocket;
 use crate::api_client::{Api, ApiEvent, HttpRequest, Request, problem_text};
 
+/// Status of an answer to a request of whoever is not logged in.
+const UNAUTHORIZED: u16 = 401;
+
 type Inbox = Rc<RefCell<Vec<ApiEvent>>>;
 
 /// The server that the page came from.
@@ -134,6 +137,13 @@ async fn fetch(request: HttpRequest) -> Result<Vec<u8>, String> {
         "the server did not answer; check that `palpate serve` is running and that the network is up"
             .to_owned()
     })?;
+    if status == UNAUTHORIZED {
+        // The login has ended; the page comes back after another one.
+        if let Some(window) = web_sys::window() {
+            // A browser that does not go there shows the error.
+            let _ = window.location().set_href("/login");
+        }
+    }
     if (200..300).contains(&status) { Ok(body) } else { Err(problem_text(status, &body)) }
 }
 

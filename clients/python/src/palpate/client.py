@@ -48,15 +48,27 @@ class Palpate:
             print(report.held_out.calibrated.f1)
 
     `url` is by default what the environment variable PALPATE_URL says, else http://127.0.0.1:8080; `token` is what
-    PALPATE_TOKEN says, if anything. `jobs` are the studio's jobs of every kind.
+    PALPATE_TOKEN says, if anything, and goes along with every request and WebSocket. `ca_file` holds certificates to
+    trust besides the system's, such as a studio's own `tls/cert.pem`; by default what PALPATE_CA_FILE says. `jobs` are
+    the studio's jobs of every kind.
     """
 
     def __init__(
-        self, url: str | None = None, token: str | None = None, *, transport: httpx.BaseTransport | None = None
+        self,
+        url: str | None = None,
+        token: str | None = None,
+        *,
+        ca_file: str | Path | None = None,
+        transport: httpx.BaseTransport | None = None,
     ) -> None:
         url = url or os.environ.get("PALPATE_URL") or DEFAULT_URL
         self.jobs = Jobs(self)
-        self.connection = Connection(url, token or os.environ.get("PALPATE_TOKEN"), transport=transport)
+        self.connection = Connection(
+            url,
+            token or os.environ.get("PALPATE_TOKEN"),
+            ca_file=ca_file or os.environ.get("PALPATE_CA_FILE"),
+            transport=transport,
+        )
 
     def __enter__(self) -> Palpate:
         try:

@@ -6,8 +6,10 @@ import atexit
 import contextlib
 import json
 import re
+import ssl
 import time
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote, urlsplit
 
@@ -45,6 +47,7 @@ class Connection:
         url: str,
         token: str | None = None,
         *,
+        ca_file: str | Path | None = None,
         timeout_s: float = 60.0,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
@@ -59,11 +62,13 @@ class Connection:
         self._timeout_s = timeout_s
         # A studio on this computer is never reached through a proxy, whatever the environment says.
         self._is_local = parts.hostname in ("localhost", "::1") or parts.hostname.startswith("127.")
+        self._ssl = _trust(ca_file) if parts.scheme == "https" else None
         self._client = httpx.Client(
             base_url=f"{self.url}/api/v1",
             headers=self._headers,
             timeout=httpx.Timeout(timeout_s, connect=10.0),
             transport=transport,
+            verify=self._ssl or True,
             trust_env=not self._is_local,
         )
 
@@ -146,6 +151,7 @@ class Connection:
             connection = connect(
                 url,
                 additional_headers=self._headers,
+                ssl=self._ssl,
                 compression=None,
                 max_size=None,
                 max_queue=max_queue,
@@ -165,6 +171,12 @@ class Connection:
             _OPEN.discard(connection)
 
     def _unreachable(self, error: Exception) -> PalpateError:
+        if "CERTIFICATE_VERIFY_FAILED" in str(error):
+            return PalpateError(
+                "Unknown certificate",
+                f"{self.url} shows a certificate that is not trusted ({error}); if it is the studio's own, say where "
+                "a copy of its tls/cert.pem is: Palpate(url, ca_file=...), or the environment variable PALPATE_CA_FILE",
+            )
         if isinstance(error, httpx.TimeoutException) and not isinstance(error, httpx.ConnectTimeout):
             return PalpateError("Timeout", f"{self.url} did not answer within {self._timeout_s:g} s")
         return PalpateError(
@@ -172,6 +184,19 @@ class Connection:
             f"nothing answers at {self.url} ({error}); start a studio with `palpate serve`, or `cargo xtask studio` in "
             "the checkout, or say where it is: Palpate(url), or the environment variable PALPATE_URL",
         )
+
+
+def _trust(ca_file: str | Path | None) -> ssl.SSLContext:
+    """What is trusted: certificates of the system, and those in `ca_file`, e.g. a studio's own."""
+    context = ssl.create_default_context()
+    if ca_file is not None:
+        try:
+            context.load_verify_locations(cafile=ca_file)
+        except (OSError, ssl.SSLError) as error:
+            raise PalpateError(
+                "No certificate", f"failed to read certificates in PEM from {str(ca_file)!r}: {error}"
+            ) from error
+    return context
 
 
 def fill(path: str, ids: Mapping[str, str]) -> str:

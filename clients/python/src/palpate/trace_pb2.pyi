@@ -58,14 +58,16 @@ class ReplayTrace(_message.Message):
     def __init__(self, model: _Optional[str] = ..., active: _Optional[bytes] = ..., raw: _Optional[_Iterable[float]] = ..., thresholds: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class StreamMessage(_message.Message):
-    __slots__ = ("live", "job", "dropped")
+    __slots__ = ("live", "job", "changed", "dropped")
     LIVE_FIELD_NUMBER: _ClassVar[int]
     JOB_FIELD_NUMBER: _ClassVar[int]
+    CHANGED_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
     live: LiveFrame
     job: JobUpdate
+    changed: Changed
     dropped: int
-    def __init__(self, live: _Optional[_Union[LiveFrame, _Mapping]] = ..., job: _Optional[_Union[JobUpdate, _Mapping]] = ..., dropped: _Optional[int] = ...) -> None: ...
+    def __init__(self, live: _Optional[_Union[LiveFrame, _Mapping]] = ..., job: _Optional[_Union[JobUpdate, _Mapping]] = ..., changed: _Optional[_Union[Changed, _Mapping]] = ..., dropped: _Optional[int] = ...) -> None: ...
 
 class LiveFrame(_message.Message):
     __slots__ = ("time_s", "joint_positions", "active", "raw", "activity", "object", "object_pose", "rates_hz", "control")
@@ -104,3 +106,11 @@ class JobUpdate(_message.Message):
     seconds_left: float
     error: str
     def __init__(self, job: _Optional[str] = ..., state: _Optional[str] = ..., fraction: _Optional[float] = ..., stage: _Optional[str] = ..., seconds_left: _Optional[float] = ..., error: _Optional[str] = ...) -> None: ...
+
+class Changed(_message.Message):
+    __slots__ = ("list", "id")
+    LIST_FIELD_NUMBER: _ClassVar[int]
+    ID_FIELD_NUMBER: _ClassVar[int]
+    list: str
+    id: str
+    def __init__(self, list: _Optional[str] = ..., id: _Optional[str] = ...) -> None: ...

@@ -404,6 +404,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="palpate-viser", description="Show a Palpate studio's hand in viser")
     parser.add_argument("--url", help="address of the studio [default: PALPATE_URL, else http://127.0.0.1:8080]")
     parser.add_argument("--token", help="token of the studio [default: PALPATE_TOKEN]")
+    parser.add_argument("--ca-file", help="certificates to trust, e.g. the studio's own [default: PALPATE_CA_FILE]")
     parser.add_argument("--host", default="127.0.0.1", help="address of the viewer's page [default: 127.0.0.1]")
     parser.add_argument("--port", type=int, default=8090, help="port of the viewer's page [default: 8090]")
     parser.add_argument("--session", help="show this session instead of the live station")
@@ -412,7 +413,7 @@ def main() -> None:
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="where in the take to begin")
     args = parser.parse_args()
     try:
-        with Palpate(args.url, args.token) as palpate:
+        with Palpate(args.url, args.token, ca_file=args.ca_file) as palpate:
             viewer = show(palpate, host=args.host, port=args.port)
             if args.session:
                 viewer.show_take(args.session, args.take, model=args.model, time_s=args.at)

@@ -5,6 +5,8 @@ mod comparisons;
 mod demonstrations;
 mod encoders;
 mod policies;
+mod rollouts;
+mod station;
 
 use std::path::Path;
 use std::process::{Command, Output};

@@ -70,7 +70,7 @@ impl Scene {
             &mut self.supervisor,
             &mut self.commands,
             self.busy,
-            &Caller { connection, peer: "test".into() },
+            &Caller { connection, peer: "test".into(), may_operate: true },
             &request,
         );
         let effect = handled.clone().unwrap_or(Effect::Nothing);
@@ -193,7 +193,7 @@ fn wrong_targets_are_refused_by_name() {
     let empty = ControlRequest { sequence: 1000, lease, request: None };
     let Scene { desk, supervisor, now_ns, commands, busy, .. } = &mut scene;
     let times = Times { now_ns: *now_ns, received_ns: *now_ns };
-    let caller = Caller { connection: 1, peer: "test".into() };
+    let caller = Caller { connection: 1, peer: "test".into(), may_operate: true };
     assert!(desk.handle(times, supervisor, commands, *busy, &caller, &empty).is_err());
 }
 
@@ -272,4 +272,34 @@ fn only_the_secret_number_of_an_open_connection_proves_who_is_the_operator() {
     let (mut scene, lease) = Scene::armed();
     scene.desk.lost(scene.now_ns, &mut scene.supervisor, 1);
     assert!(operator(&scene, lease).is_err(), "its connection is gone");
+}
+
+#[test]
+fn whoever_may_not_operate_can_do_nothing_but_stop() {
+    let (mut scene, lease) = Scene::armed();
+    let viewer = Caller { connection: 7, peer: "10.0.0.7:4000 (eve)".into(), may_operate: false };
+    let Scene { desk, supervisor, now_ns, commands, busy, .. } = &mut scene;
+    let times = Times { now_ns: *now_ns, received_ns: *now_ns };
+    let mut ask = |sequence, request| {
+        // Even with the number of the lease in force.
+        let request = ControlRequest { sequence, lease, request: Some(request) };
+        desk.handle(times, supervisor, commands, *busy, &viewer, &request)
+    };
+    for (sequence, request) in [
+        acquire("Eve", true),
+        Request::Release(palpate_wire::proto::Release {}),
+        Request::Heartbeat(Heartbeat {}),
+        Request::Disarm(palpate_wire::proto::Disarm {}),
+        targets(&[7], &[0.1]),
+        Request::Tare(Tare {}),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let refused = ask(sequence as u64 + 1, request).unwrap_err().into_text();
+        assert!(refused.contains("role of operator"), "{refused}");
+    }
+    assert_eq!(ask(1, Request::Stop(Stop {})), Ok(Effect::Nothing));
+    assert_eq!(scene.phase(), Phase::Stopped);
+    assert!(scene.supervisor.status(scene.now_ns).reason.contains("eve"));
 }

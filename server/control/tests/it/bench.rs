@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use palpate_control::{AuditLine, Claim, Control, ControlConfig, Ending, Handle};
+use palpate_control::{AuditFile, AuditLine, AuditRotation, Claim, Control, ControlConfig, Ending, Handle};
 use palpate_drivers::{PortOverride, Ports};
 use palpate_emulator::devices::{
     ArmPorts, DevicePorts, EmulatedStation, Faults, LoggedStep, PortsConfig, StationControl, serve_devices,
@@ -247,7 +247,8 @@ fn start_control(
         station,
         source: Source::Emulated,
         sessions_dir: dir.path().join("sessions"),
-        audit_path: dir.path().join("audit.jsonl"),
+        audit: AuditFile::open(&dir.path().join("audit.jsonl"), AuditRotation::default())
+            .expect("there is room for an audit log"),
         wanted_path: dir.path().join("wanted.json"),
         latch_path: dir.path().join("stop.txt"),
         place_object: Some(Box::new(move |object| {

@@ -186,7 +186,7 @@ fn a_control_loop_that_panics_lets_go_of_every_motor_and_never_says_that_it_was_
     set_in_motion(&bench, &operator);
     let panicked_ns = bench.emulated.snapshot().device_ns;
     // Whoever waits for an answer is told on the loop's own thread.
-    let caller = Caller { connection: 7, peer: "a test".into() };
+    let caller = Caller { connection: 7, peer: "a test".into(), may_operate: true };
     let request = ControlRequest { sequence: 1, lease: 0, request: Some(Request::Heartbeat(Heartbeat {})) };
     bench.handle.submit(
         &caller,

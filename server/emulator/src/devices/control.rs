@@ -72,6 +72,10 @@ pub struct StationSnapshot {
     pub object: Option<String>,
     /// What has passed each serial line, in the order of [`EmulatedStation::lines`](super::EmulatedStation::lines).
     pub traffic: Vec<LineTraffic>,
+    /// How far the station's time was behind the clock at most since the start, ns. Time that was left out counts.
+    pub most_behind_ns: u64,
+    /// Time that was left out because the computer was too slow or stood still, ns.
+    pub left_out_ns: u64,
 }
 
 /// What the arm's box says of itself.
@@ -325,6 +329,12 @@ impl Shared {
 
     pub(super) fn tell_faults(&self, faults: &Faults) {
         self.lock().faults.clone_from(faults);
+    }
+
+    pub(super) fn note_clock(&self, behind_ns: u64, left_out_ns: u64) {
+        let snapshot = &mut self.lock().snapshot;
+        snapshot.most_behind_ns = snapshot.most_behind_ns.max(behind_ns);
+        snapshot.left_out_ns = left_out_ns;
     }
 
     /// Brings the snapshot up to date by `update`, and the log.

@@ -24,6 +24,14 @@ const FAULTS_EVERY: Duration = Duration::from_millis(100);
 const LISTEN_EVERY: Duration = Duration::from_millis(200);
 /// Time that may be made up for after a pause of the process; what is missing beyond it has not happened.
 const MOST_BEHIND: Duration = Duration::from_millis(500);
+/// The same where bodies are simulated, which costs more: a computer that is too slow for them leaves time out instead of
+/// making up for it for ever, and makes up for as much as this at a time.
+const MOST_BEHIND_WITH_BODIES: Duration = Duration::from_millis(100);
+const MOST_A_TURN_WITH_BODIES: Duration = Duration::from_millis(10);
+/// After a turn that left the station behind, others have the processor for this share of the time that it took.
+const GIVES_WAY_SHARE: u32 = 8;
+/// That time was left out is said this often.
+const TELL_EVERY: Duration = Duration::from_secs(1);
 /// The file of faults in the folder of the links.
 const FAULTS_FILE: &str = "faults.toml";
 
@@ -177,16 +185,22 @@ pub fn serve_devices(
         faults: FaultsFile { path: config.dir.join(FAULTS_FILE), modified: None, looked: None },
         epoch: Instant::now(),
         now_ns: 0,
+        left_out: LeftOut::default(),
     };
     ports.read_faults(station, notice);
     ports.plug(station, notice)?;
     ready(&DevicePorts { links, arm_ip: config.arm_ip, arm_ports });
     while !stop.load(Ordering::Relaxed) {
         ports.wait(station)?;
-        ports.read_clock(notice);
+        let turn = Instant::now();
+        ports.read_clock(station, notice);
         ports.read_faults(station, notice);
         ports.plug(station, notice)?;
         ports.exchange(station);
+        if ports.behind() > LONGEST_WAIT && station.has_bodies() {
+            // The caller may run at real-time priority.
+            std::thread::sleep(turn.elapsed() / GIVES_WAY_SHARE);
+        }
     }
     Ok(())
 }
@@ -204,6 +218,15 @@ struct Ports<'a> {
     /// When the station's time began.
     epoch: Instant,
     now_ns: u64,
+    left_out: LeftOut,
+}
+
+/// Time that has not happened, because the computer was too slow or stood still.
+#[derive(Default)]
+struct LeftOut {
+    total: Duration,
+    untold: Duration,
+    told: Option<Instant>,
 }
 
 struct FaultsFile {
@@ -232,15 +255,33 @@ impl Ports<'_> {
         }
     }
 
-    fn read_clock(&mut self, notice: &mut dyn FnMut(String)) {
-        let elapsed = self.epoch.elapsed();
-        let behind = elapsed.saturating_sub(Duration::from_nanos(self.now_ns));
-        if behind > MOST_BEHIND {
+    /// How far the station's time is behind the clock.
+    fn behind(&self) -> Duration {
+        self.epoch.elapsed().saturating_sub(Duration::from_nanos(self.now_ns))
+    }
+
+    fn read_clock(&mut self, station: &EmulatedStation, notice: &mut dyn FnMut(String)) {
+        let (most_behind, most_a_turn) = match station.has_bodies() {
+            true => (MOST_BEHIND_WITH_BODIES, MOST_A_TURN_WITH_BODIES),
+            false => (MOST_BEHIND, MOST_BEHIND),
+        };
+        let behind = self.behind();
+        if behind > most_behind {
             let skipped = behind - LONGEST_WAIT;
             self.epoch += skipped;
-            notice(format!("the emulation fell behind and left out {:.1} s", skipped.as_secs_f64()));
+            self.left_out.total += skipped;
+            self.left_out.untold += skipped;
         }
-        self.now_ns = self.now_ns.max(self.epoch.elapsed().as_nanos() as u64);
+        station.note_clock(behind, self.left_out.total);
+        if !self.left_out.untold.is_zero()
+            && self.left_out.told.is_none_or(|told| told.elapsed() >= TELL_EVERY)
+        {
+            let untold_s = std::mem::take(&mut self.left_out.untold).as_secs_f64();
+            self.left_out.told = Some(Instant::now());
+            notice(format!("the emulation fell behind and left out {untold_s:.1} s"));
+        }
+        let most_ns = self.now_ns + most_a_turn.as_nanos() as u64;
+        self.now_ns = self.now_ns.max((self.epoch.elapsed().as_nanos() as u64).min(most_ns));
     }
 
     /// Takes what clients sent and gives them what is due.

@@ -269,6 +269,13 @@ impl Servo {
 
     /// One step of [`STEP_S`] at `supply_v`.
     pub(crate) fn step(&mut self, supply_v: f64) {
+        self.drive(supply_v);
+        self.motor.turn(STEP_S, self.faults.stuck);
+        self.finish(supply_v);
+    }
+
+    /// The first half of a step, in which the servo decides what its motor does.
+    pub(crate) fn drive(&mut self, supply_v: f64) {
         self.rebooting = if self.faults.unpowered { REBOOT_STEPS } else { self.rebooting.saturating_sub(1) };
         self.watch_the_bus();
         let demand = if self.table.torque_is_on() && self.rebooting == 0 {
@@ -277,7 +284,22 @@ impl Servo {
         } else {
             Demand::Off
         };
-        self.motor.step(STEP_S, demand, supply_v, self.faults.stuck);
+        self.motor.drive(demand, supply_v);
+    }
+
+    /// What the motor and whoever pushes do to the joint, N m, and whether its gear is jammed.
+    pub(crate) fn outside_drive(&self) -> (f64, bool) {
+        (self.motor.torque_nm() + self.motor.outside_nm, self.faults.stuck)
+    }
+
+    /// The second half of a step after something else has moved the joint to `joint_rad` by its encoder.
+    pub(crate) fn follow(&mut self, supply_v: f64, joint_rad: f64, rad_per_sec: f64) {
+        (self.motor.angle_rad, self.motor.velocity_rad_per_sec) = (joint_rad + PI, rad_per_sec);
+        self.finish(supply_v);
+    }
+
+    fn finish(&mut self, supply_v: f64) {
+        self.motor.warm(STEP_S);
         self.protect(supply_v);
         self.tick_ms = (self.tick_ms + 1) & 0x7FFF;
         self.publish(supply_v);

@@ -105,14 +105,38 @@ impl ServoBus {
 
     /// One step of motors and control loops.
     pub(crate) fn step(&mut self) {
-        let current_a: f64 = self.servos.iter().map(|servo| servo.current_a().abs()).sum();
-        let supply_v = (self.supply_v - CABLE_OHM * current_a).max(0.0);
+        let supply_v = self.supply_v();
         for ((servo, push), contact) in self.servos.iter_mut().zip(&self.pushes).zip(&self.contacts) {
             let pushed_nm = push.torque_nm(servo.rad_per_sec(), &SERVO_HAND);
             let pressed_nm = contact.torque_nm(servo.joint_rad(), servo.rad_per_sec());
             servo.set_outside(pushed_nm + pressed_nm, contact.inertia_kg_m2());
             servo.step(supply_v);
         }
+    }
+
+    /// What the servos do to their joints in a step, where something else moves these: torque in N m, and whether the gear is
+    /// jammed. [`Self::follow`] ends the step.
+    pub(crate) fn drive(&mut self) -> impl Iterator<Item = (f64, bool)> + '_ {
+        let supply_v = self.supply_v();
+        for (servo, push) in self.servos.iter_mut().zip(&self.pushes) {
+            servo.set_outside(push.torque_nm(servo.rad_per_sec(), &SERVO_HAND), 0.0);
+            servo.drive(supply_v);
+        }
+        self.servos.iter().map(Servo::outside_drive)
+    }
+
+    /// Ends a step: the joints' angles by their encoders and their velocities, rad and rad/s.
+    pub(crate) fn follow(&mut self, joints: impl Iterator<Item = (f64, f64)>) {
+        let supply_v = self.supply_v();
+        for (servo, (joint_rad, rad_per_sec)) in self.servos.iter_mut().zip(joints) {
+            servo.follow(supply_v, joint_rad, rad_per_sec);
+        }
+    }
+
+    /// What is left of the supply behind its cable.
+    fn supply_v(&self) -> f64 {
+        let current_a: f64 = self.servos.iter().map(|servo| servo.current_a().abs()).sum();
+        (self.supply_v - CABLE_OHM * current_a).max(0.0)
     }
 
     /// Takes bytes that arrived at `now_ns`, split in any way, and gives the answers.

@@ -505,3 +505,160 @@ fn fingers_that_close_on_the_object_feel_it_where_that_is_asked_for() {
     let (loaded_again, held_again, _) = grip(1.0);
     assert_eq!((loaded, held), (loaded_again, held_again), "the same again");
 }
+
+mod bodies {
+    //! Devices on bodies that something else simulates: here a hand without friction, one joint of which meets a wall.
+
+    use std::sync::{Mutex, MutexGuard, PoisonError};
+
+    use nalgebra::{Isometry3, Translation3};
+
+    use super::*;
+
+    /// Place of `index_pip` among the hand's joints, which is its servo's id.
+    const PIP: u8 = 2;
+    const WALL_RAD: f64 = 0.6;
+
+    #[derive(Default)]
+    struct Outside {
+        base_from_object: Option<Isometry3<f64>>,
+        arm_has_hit: bool,
+    }
+
+    struct Toy {
+        wall_dof: usize,
+        felt: FeltObject,
+        outside: Arc<Mutex<Outside>>,
+    }
+
+    fn lock(outside: &Mutex<Outside>) -> MutexGuard<'_, Outside> {
+        outside.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    impl Mechanics for Toy {
+        fn step(&mut self, drives: &[Drive], positions: &mut [f64], velocities: &mut [f64]) {
+            for (dof, drive) in drives.iter().enumerate() {
+                match *drive {
+                    Drive::Torque { is_jammed: true, .. } => velocities[dof] = 0.0,
+                    Drive::Torque { torque_nm, .. } => {
+                        velocities[dof] += (torque_nm - 0.03 * velocities[dof]) / 0.005 * 1e-3;
+                        positions[dof] += velocities[dof] * 1e-3;
+                        if dof == self.wall_dof && positions[dof] > WALL_RAD {
+                            (positions[dof], velocities[dof]) = (WALL_RAD, 0.0);
+                        }
+                    }
+                    Drive::Motion { position, velocity } => {
+                        (positions[dof], velocities[dof]) = (position, velocity);
+                    }
+                }
+            }
+        }
+
+        fn object(&self) -> Option<(&FeltObject, Isometry3<f64>)> {
+            Some((&self.felt, lock(&self.outside).base_from_object?))
+        }
+
+        fn arm_has_hit(&self) -> bool {
+            lock(&self.outside).arm_has_hit
+        }
+    }
+
+    fn on_toy() -> (EmulatedStation, Arc<Mutex<Outside>>) {
+        let truth = shipped("demo.toml");
+        let sense = crate::TruthSense::read(&truth).expect("a truth");
+        let station = sense.station();
+        let felt = FeltObject::new(&sense, &station.objects["sphere_50mm"]).expect("a sphere");
+        let wall_dof = station.robot.dofs().position(|joint| joint.name == "index_pip").expect("a joint");
+        let outside = Arc::<Mutex<Outside>>::default();
+        let positions = EmulatedStation::new(&truth, 4).expect("a station").positions().to_vec();
+        let mechanics = Box::new(Toy { wall_dof, felt, outside: Arc::clone(&outside) });
+        let bodies = Bodies { mechanics, positions, fixed: Vec::new() };
+        (EmulatedStation::with_bodies(&truth, 4, bodies).expect("a station"), outside)
+    }
+
+    fn write(station: &mut EmulatedStation, id: u8, address: u16, data: &[u8], now_ns: u64) {
+        let bytes = request(id, Instruction::Write { address, data: data.to_vec() });
+        station.line_input(0, &bytes, now_ns);
+    }
+
+    /// Ticks of a joint angle on a servo that is at half a turn at zero.
+    fn ticks(rad: f64) -> [u8; 4] {
+        let ticks = 2048.0 + rad / std::f64::consts::TAU * 4096.0;
+        (ticks.round() as u32).to_le_bytes()
+    }
+
+    #[test]
+    fn a_servo_that_is_stopped_draws_current_and_one_that_is_free_arrives() {
+        let (mut station, _) = on_toy();
+        for (id, goal) in [(PIP, 1.0), (PIP + 4, 1.0)] {
+            // Current-based position control within 0.3 A, as the drivers set it up.
+            for (address, data) in [(11, &[5][..]), (102, &300_u16.to_le_bytes()), (64, &[1])] {
+                write(&mut station, id, address, data, 0);
+            }
+            write(&mut station, id, 116, &ticks(goal), MS_NS);
+        }
+        station.advance(3 * S_NS);
+        let dof = |id: u8| station.hand_dofs[usize::from(id)];
+        let servo = |id: u8| &station.bus.servos()[usize::from(id)];
+        assert_eq!(station.positions()[dof(PIP)], WALL_RAD);
+        assert!((servo(PIP).current_a() - 0.3).abs() < 0.02, "{} A", servo(PIP).current_a());
+        let free = station.positions()[dof(PIP + 4)];
+        assert!((free - 1.0).abs() < 0.02 && servo(PIP + 4).current_a().abs() < 0.05, "{free} rad");
+        // Servos without torque push nothing, and what is jammed stays.
+        assert!(!servo(0).torque_is_on());
+        let faults = faults(&station, "[[fault]]\nkind = \"stuck\"\njoint = \"middle_pip\"");
+        station.set_faults(faults, 3 * S_NS);
+        write(&mut station, PIP + 4, 116, &ticks(0.2), 3 * S_NS);
+        station.advance(4 * S_NS);
+        assert_eq!(station.positions()[station.hand_dofs[6]], free);
+    }
+
+    #[test]
+    fn skin_feels_the_object_where_the_bodies_have_it() {
+        let (mut station, outside) = on_toy();
+        let line = line_idx(&station, "twintac0");
+        let mut now_ns = S_NS;
+        let alone = feel(&mut station, line, 8, &mut now_ns);
+        assert_eq!(station.control().snapshot().object, None);
+        let patch = &station.station().layout.patches[0];
+        let mut frames = Vec::new();
+        station.station().robot.forward_kinematics(station.positions(), &mut frames);
+        let on_skin = frames[patch.link] * patch.nodes[patch.nodes.len() / 2].pos_in_link;
+        // The middle of the sphere 47 mm outside of a node: 3 mm of it are in the skin.
+        let outward =
+            frames[patch.link].rotation * patch.nodes[patch.nodes.len() / 2].normal_in_link.into_inner();
+        let at = on_skin.coords + 0.047 * outward;
+        lock(&outside).base_from_object = Some(Translation3::from(at).into());
+        now_ns += S_NS / 2;
+        let pressed = feel(&mut station, line, 8, &mut now_ns);
+        assert!(pressed > alone + 150.0, "{pressed} after {alone}");
+        assert_eq!(station.control().snapshot().object.as_deref(), Some("sphere_50mm"));
+        lock(&outside).base_from_object = None;
+        now_ns += 2 * S_NS;
+        let after = feel(&mut station, line, 8, &mut now_ns);
+        assert!(after < alone + 60.0, "{after} after {alone}");
+    }
+
+    #[test]
+    fn the_box_stops_once_when_the_arm_hits_something() {
+        let (mut station, outside) = on_toy();
+        station.advance(S_NS);
+        assert_eq!(station.control().snapshot().arm.error, 0);
+        lock(&outside).arm_has_hit = true;
+        station.advance(2 * S_NS);
+        let arm = station.control().snapshot().arm;
+        assert_eq!((arm.error, arm.state), (31, 4), "a collision stops the arm");
+    }
+
+    #[test]
+    fn bodies_of_another_robot_are_refused() {
+        let truth = shipped("demo.toml");
+        let sense = crate::TruthSense::read(&truth).expect("a truth");
+        let felt = FeltObject::new(&sense, &sense.station().objects["sphere_50mm"]).expect("a sphere");
+        let mechanics = Box::new(Toy { wall_dof: 0, felt, outside: Arc::default() });
+        let bodies = Bodies { mechanics, positions: vec![0.0; 3], fixed: Vec::new() };
+        let refused = EmulatedStation::with_bodies(&truth, 4, bodies);
+        let problem = refused.err().expect("three joints are too few").to_string();
+        assert!(problem.contains("the bodies have 3"), "{problem}");
+    }
+}

@@ -32,6 +32,11 @@ impl TruthSense {
         &self.emulation.station
     }
 
+    /// `object` at the base frame's origin.
+    pub(crate) fn placed(&self, object: &ObjectModel) -> Result<Placed, EmulationError> {
+        Placed::new(&self.emulation, object, &Isometry3::identity())
+    }
+
     /// Prepares `object` and `fixed`, which stand still (base_from_body and shape), to be felt.
     ///
     /// # Errors
@@ -41,13 +46,8 @@ impl TruthSense {
         object: &ObjectModel,
         fixed: &[(Isometry3<f64>, ObjectShape)],
     ) -> Result<TruthTouch, EmulationError> {
-        let fixed = fixed.iter().map(|(base_from_body, shape)| {
-            let surface =
-                SignedDistance::new(shape).map_err(|err| self.emulation.error("what stands still", err))?;
-            Ok(Placed { surface: Arc::new(surface), object_from_base: base_from_body.inverse() })
-        });
-        let fixed: Vec<Placed> = fixed.collect::<Result<_, EmulationError>>()?;
-        let object = Placed::new(&self.emulation, object, &Isometry3::identity())?;
+        let fixed = standing(&self.emulation, fixed)?;
+        let object = self.placed(object)?;
         let num_channels = self.emulation.station.layout.num_channels();
         let mut touch = TruthTouch {
             emulation: Arc::clone(&self.emulation),
@@ -60,6 +60,31 @@ impl TruthSense {
         };
         touch.restart(0)?;
         Ok(touch)
+    }
+}
+
+/// What stands still.
+fn standing(
+    emulation: &Emulation,
+    fixed: &[(Isometry3<f64>, ObjectShape)],
+) -> Result<Vec<Placed>, EmulationError> {
+    let placed = |(base_from_body, shape): &(Isometry3<f64>, ObjectShape)| {
+        let surface = SignedDistance::new(shape).map_err(|err| emulation.error("what stands still", err))?;
+        Ok(Placed { surface: Arc::new(surface), object_from_base: base_from_body.inverse() })
+    };
+    fixed.iter().map(placed).collect()
+}
+
+impl TruthWorld {
+    /// A world without an object in which `fixed` stands.
+    pub(crate) fn among(
+        emulation: &Emulation,
+        fixed: &[(Isometry3<f64>, ObjectShape)],
+        seed: u64,
+    ) -> Result<Self, EmulationError> {
+        let mut world = Self::empty(emulation, seed, 0)?;
+        world.fixed = standing(emulation, fixed)?;
+        Ok(world)
     }
 }
 

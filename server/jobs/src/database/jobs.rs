@@ -72,6 +72,19 @@ pub(crate) struct Ending<'a> {
     pub(crate) fraction: f64,
 }
 
+/// All jobs of a kind in a state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobTotals {
+    /// The kind.
+    pub kind: String,
+    /// The state.
+    pub state: JobState,
+    /// How many there are.
+    pub jobs: u64,
+    /// Time for which they have run, all together, s; of those that run, until now.
+    pub seconds: f64,
+}
+
 /// Which jobs to list.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ListFilter {
@@ -181,6 +194,28 @@ impl Database {
     /// The job called `id`, as far as the database knows.
     pub fn job(&self, id: &str) -> Result<Option<Job>, JobsError> {
         Ok(self.row(id)?.map(|row| row.job))
+    }
+
+    /// How many jobs there are of each kind in each state, and how long they have run.
+    pub fn totals(&self) -> Result<Vec<JobTotals>, JobsError> {
+        let sql = || JobsError::sql("count jobs");
+        let reader = self.reader();
+        let mut statement = reader
+            .prepare_cached(
+                "SELECT kind, state, count(*),
+                    total(max(0.0, (julianday(coalesce(ended, ?1)) - julianday(coalesce(started, ended, ?1))) * 86400.0))
+                 FROM jobs GROUP BY kind, state ORDER BY kind, state",
+            )
+            .map_err(sql())?;
+        let rows = statement
+            .query_map([rfc3339_now()], |row| {
+                let state: String = row.get(1)?;
+                let state = JobState::from_name(&state).ok_or(rusqlite::Error::InvalidQuery)?;
+                let jobs: i64 = row.get(2)?;
+                Ok(JobTotals { kind: row.get(0)?, state, jobs: jobs.unsigned_abs(), seconds: row.get(3)? })
+            })
+            .map_err(sql())?;
+        rows.collect::<Result<_, _>>().map_err(sql())
     }
 
     /// Jobs, newest first.

@@ -15,10 +15,11 @@ use crate::{
     AppState,
     http::{
         document::{CalibrationRunSchema, Refusal},
-        extract::{Body, Ids, Key, Page, Params, Peer, check_limit},
+        extract::{Body, Ids, Key, Owner, Page, Params, check_limit},
         pages::page_of,
         problem::Answer,
     },
+    hub::List,
     work::Kind,
 };
 
@@ -41,11 +42,11 @@ use crate::{
 )]
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     Key { key }: Key,
     Body(request): Body<CalibrationRequest>,
 ) -> Answer<Response> {
-    let start = move |state: &AppState| state.calibrations().start(&request, &peer, key.as_deref());
+    let start = move |state: &AppState| state.calibrations().start(&request, &owner, key.as_deref());
     let (run, is_new) = state.run(Kind::Read, start).await?;
     let location = [(header::LOCATION, format!("/api/v1/calibrations/{}", run.id))];
     Ok((accepted(is_new), location, Json(run)).into_response())
@@ -128,6 +129,7 @@ pub(super) async fn save(
 ) -> Answer<Response> {
     let saved =
         state.run(Kind::Read, move |state| state.calibrations().save_model(&id, &request.name)).await?;
+    state.hub().publish_changed(List::Models, &saved.id);
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((StatusCode::CREATED, location, Json(saved)).into_response())
 }

@@ -15,10 +15,11 @@ use crate::{
     AppState,
     http::{
         document::{DiagnosisRunSchema, Refusal},
-        extract::{Body, Ids, Key, Page, Params, Peer, check_limit},
+        extract::{Body, Ids, Key, Owner, Page, Params, check_limit},
         pages::page_of,
         problem::Answer,
     },
+    hub::List,
     work::Kind,
 };
 
@@ -41,11 +42,11 @@ use crate::{
 )]
 pub(super) async fn start(
     State(state): State<Arc<AppState>>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     Key { key }: Key,
     Body(request): Body<DiagnosisRequest>,
 ) -> Answer<Response> {
-    let start = move |state: &AppState| state.diagnoses().start(&request, &peer, key.as_deref());
+    let start = move |state: &AppState| state.diagnoses().start(&request, &owner, key.as_deref());
     let (run, is_new) = state.run(Kind::Read, start).await?;
     let location = [(header::LOCATION, format!("/api/v1/diagnoses/{}", run.id))];
     Ok((accepted(is_new), location, Json(run)).into_response())
@@ -129,6 +130,7 @@ pub(super) async fn save(
 ) -> Answer<Response> {
     let status = if request.to.is_some() { StatusCode::OK } else { StatusCode::CREATED };
     let saved = state.run(Kind::Read, move |state| state.diagnoses().save(&id, &request)).await?;
+    state.hub().publish_changed(List::Models, &saved.id);
     let location = [(header::LOCATION, format!("/api/v1/models/{}", saved.id))];
     Ok((status, location, Json(saved)).into_response())
 }

@@ -27,7 +27,7 @@ use crate::{
     http::{
         document::{Binary, JobEvent, Refusal},
         etag,
-        extract::{Body, Ids, Key, Params, Peer, check_limit},
+        extract::{Body, Ids, Key, Owner, Params, check_limit},
         pages::page_of,
         problem::{Answer, problem},
     },
@@ -62,11 +62,11 @@ const MAX_FILE_BYTES: u64 = 256 << 20;
 )]
 pub(super) async fn submit(
     State(state): State<Arc<AppState>>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     Key { key }: Key,
     Body(request): Body<JobRequest>,
 ) -> Answer<Response> {
-    let submit = move |state: &AppState| state.jobs().submit(&request, &peer, key.as_deref());
+    let submit = move |state: &AppState| state.jobs().submit(&request, &owner, key.as_deref());
     Ok(submitted(state.run(Kind::Read, submit).await?))
 }
 
@@ -90,11 +90,11 @@ pub(super) async fn submit(
 pub(super) async fn clone(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Peer(peer): Peer,
+    Owner(owner): Owner,
     Key { key }: Key,
     Body(changes): Body<JobChanges>,
 ) -> Answer<Response> {
-    let clone = move |state: &AppState| state.jobs().clone_job(&id, changes, &peer, key.as_deref());
+    let clone = move |state: &AppState| state.jobs().clone_job(&id, changes, &owner, key.as_deref());
     Ok(submitted(state.run(Kind::Read, clone).await?))
 }
 

@@ -1,14 +1,14 @@
 //! The live station: what it is up to, what it hears, and what is wrong with an emulated one.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use axum::{
     Json,
     extract::State,
-    http::header,
+    http::{HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
-use palpate_control::Claim;
+use palpate_control::{Claim, read_audit};
 use palpate_emulator::devices::{Faults, StationControl};
 use palpate_robot_model::Station;
 use palpate_wire::{
@@ -16,16 +16,20 @@ use palpate_wire::{
     bits,
     proto::{ControlState, LiveFrame, control_state::Phase, device_status::Link},
 };
+use serde::Deserialize;
 
 use crate::{
     AppState, Error, chain,
     http::{
         document::Refusal,
-        extract::{Body, Lease, Text},
+        extract::{Body, Lease, Params, Text},
         problem::{Answer, Problem},
     },
     work::Kind,
 };
+
+/// What was noted until now is waited for this long.
+const AUDIT_PATIENCE: Duration = Duration::from_millis(500);
 
 /// Answers with the newest state of the live station.
 #[utoipa::path(
@@ -43,24 +47,46 @@ pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<
     Ok(Json(live_document(live.station(), &frame)))
 }
 
-/// Of the audit log, which only grows, this much is sent, bytes: days of work.
-const AUDIT_TAIL_BYTES: u64 = 1 << 20;
+/// Of the audit log this much is sent at a time, bytes: days of work.
+const AUDIT_PAGE_BYTES: u64 = 1 << 20;
 
-/// Answers with who moved or stopped the station lately, a JSON document a line, 1 MiB at most.
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AuditParams {
+    /// Where the page that was read before begins, as its header `Link` says.
+    before: Option<String>,
+}
+
+/// Answers with who moved or stopped the station and changed data, a JSON document a line: the newest of them, or those before
+/// a place. The header `Link` names what is older, if anything is.
 #[utoipa::path(
     get,
     path = "/audit",
     tag = "station",
+    params(AuditParams),
     responses(
         (status = 200, description = "Done.", body = String, content_type = "application/jsonl"),
     ),
 )]
-pub(super) async fn audit(State(state): State<Arc<AppState>>) -> Answer<Response> {
-    let tail = |state: &AppState| {
-        let text = state.store().audit_tail(AUDIT_TAIL_BYTES)?;
-        Ok(([(header::CONTENT_TYPE, "application/jsonl")], text).into_response())
+pub(super) async fn audit(
+    State(state): State<Arc<AppState>>,
+    Params(AuditParams { before }): Params<AuditParams>,
+) -> Answer<Response> {
+    let before = before.map(|before| before.parse()).transpose().map_err(Error::Argument)?;
+    let read = move |state: &AppState| {
+        let path = state.store().audit_path();
+        // What has just been done is among it; a disk that stands still is not waited for.
+        state.audit().flush(AUDIT_PATIENCE);
+        let page = read_audit(&path, before, AUDIT_PAGE_BYTES).map_err(Error::io("read", &path))?;
+        let mut response = ([(header::CONTENT_TYPE, "application/jsonl")], page.lines).into_response();
+        let link = page.older.map(|older| format!("</api/v1/audit?before={older}>; rel=\"next\""));
+        if let Some(link) = link.and_then(|link| HeaderValue::from_str(&link).ok()) {
+            response.headers_mut().insert(header::LINK, link);
+        }
+        Ok(response)
     };
-    state.run(Kind::Read, tail).await
+    state.run(Kind::Read, read).await
 }
 
 /// Answers with what is wrong with the emulated devices, as a file of faults (`docs/emulated_devices.md`).

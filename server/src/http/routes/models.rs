@@ -14,6 +14,7 @@ use crate::{
     AppState,
     data::store,
     http::{document::Refusal, extract::Ids, problem::Answer},
+    hub::List,
     work::Kind,
 };
 
@@ -65,6 +66,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     state
         .run(Kind::Read, move |state| {
             state.store().discard(store::Kind::Model, &id)?;
+            state.hub().publish_changed(List::Models, &id);
             state.jobs().scheduler().forget_saved(&id, None)?;
             Ok(StatusCode::NO_CONTENT)
         })
@@ -90,6 +92,7 @@ pub(super) async fn undo(
     state
         .run(Kind::Read, move |state| {
             let (summary, by) = state.store().undo_model(&id)?;
+            state.hub().publish_changed(List::Models, &id);
             state.jobs().scheduler().forget_saved(&id, Some(&by))?;
             Ok(Json(summary))
         })
@@ -115,6 +118,7 @@ pub(super) async fn restore(
     state
         .run(Kind::Read, move |state| {
             state.store().restore(store::Kind::Model, &id)?;
+            state.hub().publish_changed(List::Models, &id);
             Ok(Json(state.store().model_summary(&id)?))
         })
         .await

@@ -29,6 +29,7 @@ use crate::{
         pages::{encode, page_of},
         problem::{Answer, Problem},
     },
+    hub::List,
     work::Kind,
 };
 
@@ -146,7 +147,9 @@ pub(super) async fn station(
 )]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     with_store(&state, Kind::Read, move |state| {
-        state.store().discard(store::Kind::Session, &id).map(|()| StatusCode::NO_CONTENT)
+        state.store().discard(store::Kind::Session, &id)?;
+        state.hub().publish_changed(List::Sessions, &id);
+        Ok(StatusCode::NO_CONTENT)
     })
     .await
 }
@@ -169,6 +172,7 @@ pub(super) async fn restore(
 ) -> Answer<Json<SessionDetail>> {
     with_store(&state, Kind::Read, move |state| {
         state.store().restore(store::Kind::Session, &id)?;
+        state.hub().publish_changed(List::Sessions, &id);
         Ok(Json(state.library().detail(&state.store().session(&id)?)?))
     })
     .await
@@ -235,6 +239,7 @@ pub(super) async fn upload(
         let UploadParams { name, station } = params;
         let session = upload::add_session(state.store(), &incoming, &archive, &name, station.as_deref())?;
         let detail = state.library().detail(&session)?;
+        state.hub().publish_changed(List::Sessions, &name);
         let location = [(header::LOCATION, format!("/api/v1/sessions/{}", encode(&name)))];
         Ok((StatusCode::CREATED, location, Json(detail)).into_response())
     })

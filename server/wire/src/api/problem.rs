@@ -53,8 +53,10 @@ macro_rules! problem_types {
 problem_types! {
     BadRequest, "bad-request", 400, "A header, the path, the query or the JSON of the body cannot be read.";
     BadArgument, "bad-argument", 400, "A value makes no sense, whatever the data: an unknown method, kind, runner or cursor.";
+    NotLoggedIn, "not-logged-in", 401, "The studio wants a login or an API token, and the request has none that counts.";
     ForeignOrigin, "foreign-origin", 403, "A page of another origin asks.";
     NotOperator, "not-operator", 403, "Only whoever has control of the station may do that, and the request does not carry the lease.";
+    NotPermitted, "not-permitted", 403, "Whoever asks is known and may not: their role, or the scopes of their token, do not go so far.";
     NotFound, "not-found", 404, "There is nothing of that name.";
     NoStation, "no-station", 404, "The studio runs no live station.";
     NoRoute, "no-route", 404, "The API has no such path.";
@@ -69,6 +71,7 @@ problem_types! {
     ForeignHost, "foreign-host", 421, "The studio is not known under the host name of the request.";
     BadContent, "bad-content", 422, "The data cannot be used: the body has another form than the route takes, or a file is damaged.";
     TooManyRequests, "too-many-requests", 429, "This connection asks too often.";
+    TooManyAttempts, "too-many-attempts", 429, "Too many attempts to log in. `Retry-After` says when the next one counts.";
     Failed, "failed", 500, "The studio failed; its log says more.";
     Busy, "busy", 503, "Too much work of that kind waits. `Retry-After` says when to try again.";
     DiskFull, "disk-full", 507, "The disk has no room for it.";

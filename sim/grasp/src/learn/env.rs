@@ -6,11 +6,10 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Facts, LearnTask, REWARD_TERMS};
+use super::{ActorState, Facts, LearnTask, REWARD_TERMS};
 use crate::env::stream;
-use crate::hand::{HandMove, bring};
 use crate::trial::{Judge, Outcome};
-use crate::{Contacts, GraspEnv, GraspError, ScriptRun, Start};
+use crate::{Contacts, GraspEnv, GraspError, Start};
 
 /// An environment in which actions, each within -1 to 1, move the hand's joints and the hand as a whole.
 ///
@@ -22,19 +21,11 @@ pub struct LearnEnv {
     env: GraspEnv,
     rng: ChaCha8Rng,
     judge: Judge,
-    script: Option<ScriptRun>,
-    /// Of each hand joint, rad.
-    offsets: Vec<f64>,
-    hand: HandMove,
-    /// Targets before the last step.
-    targets_before: Vec<f64>,
-    action: Vec<f64>,
+    actor: ActorState,
     /// Joint positions as the actor reads them.
     read_positions: Vec<f64>,
     /// Whether they are where the joints were sent instead.
     tracking_hidden: bool,
-    /// What is left of touches before the current one, 0 to 1.
-    past_touch: Vec<f64>,
     push: Push,
     /// Whether pushes begin.
     is_pushed: bool,
@@ -80,14 +71,9 @@ impl LearnEnv {
         let mut this = Self {
             judge,
             rng,
-            script: task.begin_script(),
-            offsets: vec![0.0; task.hand_dofs.len()],
-            hand: HandMove::default(),
-            targets_before: vec![0.0; num_dofs],
-            action: vec![0.0; task.layout.action_dim()],
+            actor: ActorState::begin(&task.actor, env.targets()),
             read_positions: vec![0.0; num_dofs],
             tracking_hidden: false,
-            past_touch: vec![0.0; task.scene.station().layout.num_channels()],
             push: Push::default(),
             is_pushed: true,
             privileged: Privileged { velocities: vec![0.0; num_dofs], ..Privileged::default() },
@@ -111,7 +97,7 @@ impl LearnEnv {
         let half_width_m = task.scene.config().task.half_width_m;
         self.rng = stream(seed, trial);
         self.is_pushed = conditions == Conditions::Training;
-        let any_orientation = self.is_pushed && task.config.start.any_orientation;
+        let any_orientation = self.is_pushed && task.config().start.any_orientation;
         let start = Start::draw_within(&task.scene, half_width_m, any_orientation, &mut self.rng);
         self.begin(&start)
     }
@@ -128,7 +114,7 @@ impl LearnEnv {
 
     /// Begins a new episode with a drawn start, within `half_width_m` of the middle of the region.
     pub fn reset(&mut self, half_width_m: f64) -> Result<(), GraspError> {
-        let any_orientation = self.task.config.start.any_orientation;
+        let any_orientation = self.task.config().start.any_orientation;
         let start = Start::draw_within(&self.task.scene, half_width_m, any_orientation, &mut self.rng);
         self.begin(&start)
     }
@@ -143,12 +129,7 @@ impl LearnEnv {
     /// An episode begins where the environment is.
     fn forget(&mut self) {
         self.judge = Judge::new(self.env.world(), self.task.scene.config().task.episode_s);
-        self.script = self.task.begin_script();
-        self.offsets.fill(0.0);
-        self.hand = HandMove::default();
-        self.targets_before.copy_from_slice(self.env.targets());
-        self.action.fill(0.0);
-        self.past_touch.fill(0.0);
+        self.actor = ActorState::begin(&self.task.actor, self.env.targets());
         self.push = Push::default();
         self.terms = [0.0; REWARD_TERMS.len()];
         self.look();
@@ -160,16 +141,9 @@ impl LearnEnv {
     /// # Panics
     /// If `action` has the wrong length: a caller's bug.
     pub fn step(&mut self, action: &[f32]) -> Result<Option<Outcome>, GraspError> {
-        assert_eq!(action.len(), self.action.len(), "one number per action");
-        let touched = self.env.readings().active.iter();
-        for (past, &on) in self.past_touch.iter_mut().zip(touched) {
-            *past = self.task.config.observation.touch_memory * past.max(f64::from(u8::from(on)));
-        }
-        self.action.iter_mut().zip(action).for_each(|(own, given)| *own = f64::from(*given).clamp(-1.0, 1.0));
-        let targets = self.act();
+        self.actor.act(&self.task.actor, action, self.env.sensed());
         self.disturb();
-        self.targets_before.copy_from_slice(self.env.targets());
-        let outcome = match self.env.step(&targets) {
+        let outcome = match self.env.step(self.actor.targets()) {
             Err(GraspError::Diverged { .. }) => Some(Outcome::EmergencyStop),
             other => {
                 other?;
@@ -178,11 +152,11 @@ impl LearnEnv {
             }
         };
         let seen = &self.privileged;
-        self.terms = self.task.config.reward.terms(&Facts {
+        self.terms = self.task.config().reward.terms(&Facts {
             tip_distances_m: &seen.tip_distances_m,
             grasped: self.task.grasps(seen.contacts.digits),
             lift_m: seen.lift_m,
-            action: &self.action,
+            action: self.actor.action(),
             on_table: seen.contacts.robot_table_n > 0.0,
             success: outcome == Some(Outcome::Success),
             stopped: outcome == Some(Outcome::EmergencyStop),
@@ -190,55 +164,12 @@ impl LearnEnv {
         Ok(outcome)
     }
 
-    /// Offsets after the action, and the targets that they give.
-    fn act(&mut self) -> Vec<f64> {
-        let task = Arc::clone(&self.task);
-        let bounds = task.bounds();
-        let (of_hand, of_root) = self.action.split_at(task.hand_dofs.len());
-        let mut targets = task.base_targets(&mut self.script, self.env.sensed());
-        for ((offset, &dof), action) in self.offsets.iter_mut().zip(&task.hand_dofs).zip(of_hand) {
-            let moved = *offset + bounds.hand_step_rad * action;
-            *offset = moved.clamp(-bounds.hand_reach_rad, bounds.hand_reach_rad);
-            let (lower, upper) = task.limits[dof];
-            targets[dof] = (targets[dof] + *offset).clamp(lower, upper);
-        }
-        let mut hand = self.hand.clone();
-        for (axis, action) in of_root.iter().take(3).enumerate() {
-            let reach_m = bounds.arm_reach_m[axis];
-            hand.offset_m[axis] = (hand.offset_m[axis] + bounds.arm_step_m * action).clamp(-reach_m, reach_m);
-        }
-        let turned = hand.yaw_rad + bounds.yaw_step_rad * of_root.last().copied().unwrap_or_default();
-        hand.yaw_rad = turned.clamp(-bounds.yaw_reach_rad, bounds.yaw_reach_rad);
-        if hand == HandMove::default() {
-            self.hand = hand;
-            return targets;
-        }
-        let robot = &task.scene.station().robot;
-        let mut frames = Vec::new();
-        robot.forward_kinematics(&targets, &mut frames);
-        let base_from_hand = hand.pose(task.scene.config(), &frames[task.hand_root]);
-        // From where the carriers were sent last, so that they stay in the same posture.
-        let mut reached = targets.clone();
-        for &dof in &task.carrier_dofs {
-            reached[dof] = self.env.targets()[dof];
-        }
-        if bring(robot, task.hand_root, &base_from_hand, &mut reached, &mut frames) {
-            self.hand = hand;
-            return reached;
-        }
-        // Out of reach: the carriers stay, and the offset does not run away.
-        for &dof in &task.carrier_dofs {
-            targets[dof] = self.env.targets()[dof];
-        }
-        targets
-    }
-
     /// Begins and ends pushes.
     fn disturb(&mut self) {
         if !self.is_pushed {
             return;
         }
-        let config = &self.task.config.push;
+        let config = &self.task.config().push;
         if self.push.left_s > 0.0 {
             self.push.left_s -= 1.0 / self.task.scene.config().control_rate_hz;
         } else {
@@ -252,7 +183,7 @@ impl LearnEnv {
     /// Reads everything that observations and rewards are made of.
     fn look(&mut self) {
         let task = Arc::clone(&self.task);
-        let noise = task.config.observation.position_noise;
+        let noise = task.config().observation.position_noise;
         for (read, &position) in self.read_positions.iter_mut().zip(self.env.positions()) {
             *read = position + noise * (2.0 * self.rng.random::<f64>() - 1.0);
         }
@@ -266,12 +197,12 @@ impl LearnEnv {
         seen.contacts = world.contacts();
         world.velocities_into(&mut seen.velocities);
         seen.base_from_object = world.base_from_object();
-        seen.hand_pos_in_base = frames[task.hand_root].translation.vector.into();
+        seen.hand_pos_in_base = frames[task.actor.hand_root].translation.vector.into();
         seen.object_velocity = world.object_velocity().into();
         seen.lift_m = self.judge.lift_m(world);
         let object_from_base = seen.base_from_object.inverse();
         let in_object = |&link: &usize| object_from_base * Point3::from(frames[link].translation.vector);
-        seen.tips_in_object = task.tips.iter().map(in_object).collect();
+        seen.tips_in_object = task.actor.tips.iter().map(in_object).collect();
         seen.tip_distances_m = seen.tips_in_object.iter().map(|tip| task.object.distance_m(tip)).collect();
     }
 
@@ -280,23 +211,11 @@ impl LearnEnv {
     /// # Panics
     /// If either has the wrong length: a caller's bug.
     pub fn observe(&self, actor: &mut [f32], critic: &mut [f32]) {
-        let layout = &self.task.layout;
-        assert_eq!(actor.len(), layout.actor_dim(), "room for the actor");
+        let layout = self.task.layout();
         assert_eq!(critic.len(), layout.critic_dim(), "room for the critic");
-        let commands = self.env.targets();
-        let errors = commands.iter().zip(&self.read_positions).map(|(command, read)| command - read);
         let on = |on: bool| f64::from(u8::from(on));
-        let of_actor = self
-            .read_positions
-            .iter()
-            .copied()
-            .chain(commands.iter().copied())
-            .chain(errors)
-            .chain(self.env.readings().active.iter().map(|&active| on(active)))
-            .chain(self.past_touch.iter().copied())
-            .chain(self.action.iter().copied())
-            .chain([(self.env.time_s() / self.task.scene.config().task.episode_s).clamp(0.0, 1.0)]);
-        actor.iter_mut().zip(of_actor).for_each(|(into, value)| *into = value as f32);
+        let active = &self.env.readings().active;
+        self.actor.observe(&self.task.actor, &self.read_positions, active, self.env.time_s(), actor);
 
         let (shared, privileged) = critic.split_at_mut(actor.len());
         shared.copy_from_slice(actor);
@@ -316,7 +235,7 @@ impl LearnEnv {
             .chain([seen.lift_m])
             .chain(seen.tips_in_object.iter().flat_map(|tip| [tip.x, tip.y, tip.z]))
             .chain(seen.tip_distances_m.iter().copied())
-            .chain((0..self.task.tips.len()).map(|digit| on(contacts.digits >> digit & 1 == 1)))
+            .chain((0..self.task.actor.tips.len()).map(|digit| on(contacts.digits >> digit & 1 == 1)))
             .chain([contacts.robot_object_n, contacts.robot_table_n, contacts.object_table_n])
             .chain(self.push.force_n.iter().copied());
         privileged.iter_mut().zip(of_critic).for_each(|(into, value)| *into = value as f32);
@@ -329,12 +248,17 @@ impl LearnEnv {
 
     /// How far each target moved in the last step, rad or m: what demonstrations record as the action.
     pub fn target_increments(&self) -> Vec<f64> {
-        self.env.targets().iter().zip(&self.targets_before).map(|(now, before)| now - before).collect()
+        self.actor.target_increments()
     }
 
     /// The last action, each number within -1 to 1; zeros before the first.
     pub fn action(&self) -> &[f64] {
-        &self.action
+        self.actor.action()
+    }
+
+    /// Joint positions as the actor reads them, with noise, rad or m.
+    pub fn read_positions(&self) -> &[f64] {
+        &self.read_positions
     }
 
     /// The grasp environment inside.

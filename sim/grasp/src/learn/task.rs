@@ -4,25 +4,15 @@ use std::sync::Arc;
 
 use palpate_sim::geometry::SignedDistance;
 
-use super::{Bounds, LearnConfig, ObservationLayout};
-use crate::hand::carrier_dofs;
+use super::{ActorTask, Bounds, LearnConfig, ObservationLayout};
 use crate::scene::digits;
-use crate::{GraspError, GraspScene, Script, ScriptRun, Sensed};
+use crate::{GraspError, GraspScene, Script};
 
 /// A scene, what is learned in it, and the script that actions are added to.
 #[derive(Debug)]
 pub struct LearnTask {
     pub(super) scene: Arc<GraspScene>,
-    pub(super) script: Option<Script>,
-    pub(super) config: LearnConfig,
-    pub(super) layout: ObservationLayout,
-    pub(super) hand_root: usize,
-    pub(super) hand_dofs: Vec<usize>,
-    pub(super) carrier_dofs: Vec<usize>,
-    /// Of every degree of freedom, unbounded without limits.
-    pub(super) limits: Vec<(f64, f64)>,
-    /// The last link of each digit.
-    pub(super) tips: Vec<usize>,
+    pub(super) actor: ActorTask,
     /// The opposing digit in [`crate::Contacts::digits`].
     pub(super) opposing: u64,
     pub(super) object: SignedDistance,
@@ -51,25 +41,10 @@ impl LearnTask {
                 config.opposing_link
             )));
         };
-        let tips: Vec<usize> = (0..num_digits)
-            .filter_map(|digit| of_links.iter().rposition(|of_link| *of_link == Some(digit)))
-            .collect();
-        let names: Vec<String> = tips.iter().map(|&link| robot.links[link].name.clone()).collect();
-        let hand_dofs: Vec<usize> = (0..robot.num_dofs()).filter(|&dof| scene.dofs_in_hand()[dof]).collect();
-        let limits = robot.dofs().map(|joint| {
-            joint.limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |limits| (limits.lower, limits.upper))
-        });
         Ok(Self {
-            layout: ObservationLayout::new(station, &hand_dofs, &names),
-            hand_root: robot.link_index(&scene.config().hand_root).unwrap_or(0),
-            carrier_dofs: carrier_dofs(robot, scene.config()),
-            limits: limits.collect(),
+            actor: ActorTask::new(Arc::clone(station), scene.config().clone(), script, config),
             opposing: 1 << opposing,
             object: SignedDistance::new(&scene.object().shape).map_err(GraspError::Scene)?,
-            tips,
-            hand_dofs,
-            config,
-            script,
             scene,
         })
     }
@@ -81,34 +56,22 @@ impl LearnTask {
 
     /// Its file.
     pub fn config(&self) -> &LearnConfig {
-        &self.config
+        &self.actor.config
+    }
+
+    /// The part of it that an actor needs, which hardware has too.
+    pub fn actor(&self) -> &ActorTask {
+        &self.actor
     }
 
     /// Which number of an observation or action is what.
     pub fn layout(&self) -> &ObservationLayout {
-        &self.layout
+        &self.actor.layout
     }
 
     /// How far actions reach.
     pub fn bounds(&self) -> &Bounds {
-        match self.script {
-            Some(_) => &self.config.action.residual,
-            None => &self.config.action.free,
-        }
-    }
-
-    /// The script at its beginning.
-    pub(super) fn begin_script(&self) -> Option<ScriptRun> {
-        self.script.as_ref().map(ScriptRun::new)
-    }
-
-    /// Targets that actions are added to, as `run` of [`Self::begin_script`] has them now.
-    pub(super) fn base_targets(&self, run: &mut Option<ScriptRun>, now: Sensed<'_>) -> Vec<f64> {
-        let (station, config) = (self.scene.station(), self.scene.config());
-        match (&self.script, run) {
-            (Some(script), Some(run)) => run.targets(script, station, config, now),
-            _ => config.start_positions(&station.robot),
-        }
+        self.actor.bounds()
     }
 
     /// Whether these digits, as [`crate::Contacts::digits`] has them, make a grasp: the opposing one and two others.

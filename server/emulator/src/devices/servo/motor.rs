@@ -71,7 +71,15 @@ impl Motor {
     }
 
     /// One step of `dt_s`. `blocked` holds the joint whatever the motor does.
+    #[cfg(test)]
     pub(crate) fn step(&mut self, dt_s: f64, demand: Demand, supply_v: f64, blocked: bool) {
+        self.drive(demand, supply_v);
+        self.turn(dt_s, blocked);
+        self.warm(dt_s);
+    }
+
+    /// The electrical side: the current that flows as the joint is.
+    pub(crate) fn drive(&mut self, demand: Demand, supply_v: f64) {
         let back_emf_v = BACK_EMF_V_S * self.velocity_rad_per_sec;
         let current_at = |pwm: f64| (pwm * supply_v - back_emf_v) / WINDING_OHM;
         (self.current_a, self.pwm) = match demand {
@@ -85,8 +93,16 @@ impl Motor {
                 (current_a, if supply_v > 0.0 { volts / supply_v } else { 0.0 })
             }
         };
-        let torque_nm =
-            TORQUE_NM_PER_A * self.current_a - VISCOUS_NM_S * self.velocity_rad_per_sec + self.outside_nm;
+    }
+
+    /// Torque of the present current at the horn, N m, friction not taken off.
+    pub(crate) fn torque_nm(&self) -> f64 {
+        TORQUE_NM_PER_A * self.current_a
+    }
+
+    /// The mechanical side: where the joint goes in `dt_s`.
+    pub(crate) fn turn(&mut self, dt_s: f64, blocked: bool) {
+        let torque_nm = self.torque_nm() - VISCOUS_NM_S * self.velocity_rad_per_sec + self.outside_nm;
         let inertia_kg_m2 = INERTIA_KG_M2 + self.outside_kg_m2;
         let pushed = self.velocity_rad_per_sec + torque_nm / inertia_kg_m2 * dt_s;
         // Dry friction takes speed away and never gives any.
@@ -98,6 +114,10 @@ impl Motor {
             self.angle_rad = self.angle_rad.clamp(lower, upper);
             self.velocity_rad_per_sec = 0.0;
         }
+    }
+
+    /// What the losses of `dt_s` do.
+    pub(crate) fn warm(&mut self, dt_s: f64) {
         let heat_w = self.current_a * self.current_a * WINDING_OHM + IDLE_W;
         let rise_k = self.temperature_c - AMBIENT_C;
         self.temperature_c += dt_s * (heat_w * WARMING_K_PER_W - rise_k) / WARMING_S;

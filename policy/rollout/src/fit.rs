@@ -1,0 +1,300 @@
+//! Whether station, world, script and policy belong together, before anything moves.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use base64::Engine as _;
+use palpate_grasp::{GraspConfig, Script};
+use palpate_robot_model::{ObjectModel, Station};
+use palpate_wire::proto::LiveFrame;
+use palpate_wire::proto::device_status::Link as DeviceLink;
+use serde_json::Value;
+
+use crate::link;
+use crate::policy::{Policy, ScriptPolicy};
+use crate::task::{Source, sha256};
+
+/// Where objects are, by name.
+const OBJECTS: &str = "assets/objects";
+/// Where scripts are, by the name of their object.
+const SCRIPTS: &str = "assets/grasp/scripts";
+/// How much faster than the safety layer lets a joint a script may be before that is said; rounding is no reason.
+const FASTER: f64 = 1.01;
+
+/// What is rolled out, and in what.
+#[derive(Clone, Debug, clap::Args)]
+pub struct FitArgs {
+    /// A learned policy: a training's folder, a checkpoint or an exported file; without one the script alone runs
+    #[arg(long)]
+    pub policy: Option<PathBuf>,
+    /// Script: a file, or a name in `assets/grasp/scripts` [default: that of the object]
+    #[arg(long)]
+    pub script: Option<String>,
+    /// The policy was learned without a script
+    #[arg(long, requires = "policy", conflicts_with = "script")]
+    pub without_script: bool,
+    /// Object: a file, or a name in `assets/objects`
+    #[arg(long, default_value = "cube")]
+    pub object: String,
+    /// Grasp world of the station's robot: control rate, start positions, task
+    #[arg(long, default_value = "assets/grasp/xarm6_leap.toml")]
+    pub world: PathBuf,
+    /// Actions and observations of a learned policy
+    #[arg(long, default_value = "assets/grasp/xarm6_leap_learning.toml")]
+    pub learning: PathBuf,
+}
+
+/// What belongs together.
+pub struct Fitted {
+    /// The station of the studio.
+    pub station: Arc<Station>,
+    /// Its robot's world file.
+    pub world: GraspConfig,
+    /// What moves it.
+    pub policy: Box<dyn Policy>,
+    /// What the policy is called in outcomes.
+    pub policy_name: String,
+    /// Id of the object.
+    pub object: String,
+    /// Files that were read, the station's included.
+    pub sources: Vec<Source>,
+    /// What an operator should know, though it keeps nobody from trying.
+    pub warnings: Vec<String>,
+}
+
+/// Files in the order in which they were read.
+#[derive(Default)]
+struct Sources(RefCell<Vec<Source>>);
+
+impl Sources {
+    fn add(&self, role: &str, path: &Path, bytes: &[u8]) {
+        let path = path.display().to_string();
+        self.0.borrow_mut().push(Source { role: role.to_owned(), path, sha256: sha256(bytes) });
+    }
+
+    fn text(&self, role: &str, path: &Path) -> anyhow::Result<String> {
+        let text = std::fs::read_to_string(path).with_context(|| {
+            format!("failed to read {path:?}; paths are relative to the folder that the command runs in")
+        })?;
+        self.add(role, path, text.as_bytes());
+        Ok(text)
+    }
+}
+
+/// Reads everything, and refuses what does not belong together by the name of what differs.
+///
+/// # Errors
+/// A studio without a station, files that cannot be read or do not fit the station's robot, a policy of another task.
+pub fn fit(url: &str, args: &FitArgs) -> anyhow::Result<Fitted> {
+    let sources = Sources::default();
+    let station = Arc::new(station(&link::get(url, "/station")?, &sources)?);
+    let world =
+        GraspConfig::from_toml(&shown(&args.world), &sources.text("world", &args.world)?, &station.robot)
+            .with_context(|| {
+                format!("the world file does not fit the station {:?} of the studio", station.id)
+            })?;
+    let object_path = named(&args.object, OBJECTS, "--object")?;
+    let object = object(&object_path, &sources)?;
+    let script = match args.without_script {
+        true => None,
+        false => {
+            let name = args.script.as_ref().unwrap_or(&args.object);
+            let path = named(name, SCRIPTS, "--script")?;
+            let text = sources.text("script", &path)?;
+            let script =
+                Script::from_toml(&shown(&path), &text, &station.robot, &world).with_context(|| {
+                    format!("the script does not fit the station {:?} of the studio", station.id)
+                })?;
+            Some((path, script))
+        }
+    };
+    let mut warnings = Vec::new();
+    if let Some((path, script)) = &script {
+        reaches(path, script, &station)?;
+        warnings.extend(too_fast(path, script, &station, &world));
+    }
+    let (policy, policy_name): (Box<dyn Policy>, String) = match (&args.policy, script) {
+        (None, Some((path, script))) => {
+            let policy = ScriptPolicy::new(Arc::clone(&station), world.clone(), script);
+            (Box::new(policy), format!("script {}", shown(&path)))
+        }
+        (Some(path), script) => {
+            let script = script.map(|(_, script)| script);
+            let learned = learned(args, path, &station, &world, script, &object.id, &sources)?;
+            warnings.push(
+                "the policy does not say which sensor model it was trained with; touch is the station's own"
+                    .to_owned(),
+            );
+            (learned, shown(path))
+        }
+        (None, None) => bail!("there is nothing to run: give --policy or --script"),
+    };
+    let sources = sources.0.into_inner();
+    Ok(Fitted { station, world, policy, policy_name, object: object.id, sources, warnings })
+}
+
+#[cfg(not(feature = "learned"))]
+fn learned(
+    _args: &FitArgs,
+    path: &Path,
+    _station: &Arc<Station>,
+    _world: &GraspConfig,
+    _script: Option<Script>,
+    _object: &str,
+    _sources: &Sources,
+) -> anyhow::Result<Box<dyn Policy>> {
+    bail!(
+        "{path:?} cannot be run: this program was built without learned policies; `palpate-train rollout` has them"
+    )
+}
+
+/// The policy at `path`, if it was trained for what it is given here.
+#[cfg(feature = "learned")]
+fn learned(
+    args: &FitArgs,
+    path: &Path,
+    station: &Arc<Station>,
+    world: &GraspConfig,
+    script: Option<Script>,
+    object: &str,
+    sources: &Sources,
+) -> anyhow::Result<Box<dyn Policy>> {
+    use palpate_grasp::learn::{ActorTask, LearnConfig};
+    use palpate_ppo::{Actor, CHECKPOINT_FILE};
+
+    use crate::policy::LearnedPolicy;
+    use crate::task::{Memory, TaskRecord};
+
+    let text = sources.text("learning", &args.learning)?;
+    let learning = LearnConfig::from_toml(&shown(&args.learning), &text, &station.robot)
+        .with_context(|| format!("the learning file does not fit the station {:?}", station.id))?;
+    let task = ActorTask::new(Arc::clone(station), world.clone(), script, learning);
+    let given = TaskRecord::of(object, task.layout(), &sources.0.borrow())?;
+    let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!(
+            "failed to read {file:?}; --policy is a training's folder, a checkpoint or an exported policy"
+        )
+    })?;
+    sources.add("policy", &file, &bytes);
+    let actor = Actor::from_bytes(&file, &bytes)?;
+    let wrong = |problem: String| {
+        let station = &station.id;
+        anyhow::anyhow!("policy {file:?} does not fit: {problem} (the studio's station is {station:?})")
+    };
+    Memory::from_toml(actor.memory()).map_err(wrong)?.task.check(&given).map_err(wrong)?;
+    Ok(Box::new(LearnedPolicy::new(task, actor)?))
+}
+
+/// The station as the studio hands it out.
+fn station(document: &Value, sources: &Sources) -> anyhow::Result<Station> {
+    const NAME: &str = "station.toml";
+    let toml = document["station_toml"].as_str().context("the studio's station has no text")?;
+    let files: BTreeMap<String, String> = serde_json::from_value(document["files_base64"].clone())
+        .context("the studio's station has no files")?;
+    sources.add("station", Path::new(NAME), toml.as_bytes());
+    let read = |path: &str| {
+        if path == NAME {
+            return Ok(toml.as_bytes().to_vec());
+        }
+        let text = files.get(path).ok_or_else(|| "the studio did not send it".to_owned())?;
+        base64::engine::general_purpose::STANDARD.decode(text).map_err(|err| err.to_string())
+    };
+    let station = Station::read(NAME, read)?;
+    sources.add("model", Path::new("nominal model of the station"), station.nominal_model_toml.as_bytes());
+    Ok(station)
+}
+
+/// A file, or one of a folder by its name.
+fn named(name: &str, folder: &str, flag: &str) -> anyhow::Result<PathBuf> {
+    let given = PathBuf::from(name);
+    let path = if given.is_file() { given } else { Path::new(folder).join(format!("{name}.toml")) };
+    if !path.is_file() {
+        bail!(
+            "{flag} is {name:?}, which is no file and nothing in {folder} below the folder that the command runs in"
+        );
+    }
+    Ok(path)
+}
+
+fn object(path: &Path, sources: &Sources) -> anyhow::Result<ObjectModel> {
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let read_mesh = |mesh: &str| {
+        let path = folder.join(mesh);
+        let bytes = std::fs::read(&path).map_err(|err| err.to_string())?;
+        sources.add("object", &path, &bytes);
+        Ok(bytes)
+    };
+    Ok(ObjectModel::from_toml(&shown(path), &sources.text("object", path)?, read_mesh)?)
+}
+
+/// Refuses a script that leaves the limits of the station's safety layer, which may be tighter than the robot's.
+fn reaches(path: &Path, script: &Script, station: &Station) -> anyhow::Result<()> {
+    for (idx, key) in script.keys().iter().enumerate() {
+        for (name, &target) in &key.joints {
+            let mut joints = station.robot.dofs().zip(&station.safety.joints);
+            let Some((_, limits)) = joints.find(|(joint, _)| joint.name == *name) else { continue };
+            if !(limits.lower..=limits.upper).contains(&target) {
+                bail!(
+                    "{}: key {} sends joint {name:?} to {target}, beyond the {} to {} of the station's safety layer",
+                    shown(path),
+                    idx + 1,
+                    limits.lower,
+                    limits.upper
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Joints that the safety layer does not let move as fast as the script has them.
+fn too_fast(path: &Path, script: &Script, station: &Station, world: &GraspConfig) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let mut before = (0.0, world.start_positions(&station.robot));
+    for (idx, key) in script.keys().iter().enumerate() {
+        let targets = script.targets_at_key(idx).to_vec();
+        let within_s = key.at_s - before.0;
+        let joints = station.robot.dofs().zip(&station.safety.joints).zip(before.1.iter().zip(&targets));
+        for ((joint, limits), (from, to)) in joints {
+            let speed = (to - from).abs() / within_s;
+            if speed > FASTER * limits.velocity {
+                warnings.push(format!(
+                    "{}: key {} wants {speed:.2} rad/s of joint {:?}, the safety layer lets it {:.2}: it will be late",
+                    shown(path),
+                    idx + 1,
+                    joint.name,
+                    limits.velocity
+                ));
+            }
+        }
+        before = (key.at_s, targets);
+    }
+    warnings
+}
+
+/// Why the station cannot be moved as it is, by the name of what is missing.
+pub fn not_ready(live: &LiveFrame) -> Option<String> {
+    let Some(control) = &live.control else { return Some("the studio says nothing of control".to_owned()) };
+    if control.devices.is_empty() {
+        return Some("the station has no devices".to_owned());
+    }
+    let missing = control.devices.iter().find(|device| device.link() != DeviceLink::Ready);
+    if let Some(device) = missing {
+        let word = match device.link() {
+            DeviceLink::Unspecified | DeviceLink::Connecting => "is being connected",
+            DeviceLink::Ready => "is ready",
+            DeviceLink::Fault => "has a fault",
+            DeviceLink::Lost => "is lost",
+        };
+        return Some(format!("{} {word}: {}", device.id, device.problem));
+    }
+    live.joint_positions.is_empty().then(|| "not every joint was read yet".to_owned())
+}
+
+fn shown(path: &Path) -> String {
+    path.display().to_string()
+}

@@ -1,0 +1,141 @@
+//! The physical emulated station: a studio drives it as any other, and an object that a rollout closes the hand on is lifted.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use serde_json::{Value, json};
+
+use super::rollouts::replay;
+
+/// A process that prints a line when it is ready, and ends with its owner.
+struct Ready {
+    process: Child,
+    line: String,
+    _stdout: BufReader<ChildStdout>,
+}
+
+impl Ready {
+    fn start(command: &mut Command) -> Self {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut process = command
+            .current_dir(root)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the command starts");
+        let mut stdout = BufReader::new(process.stdout.take().expect("its output"));
+        let mut line = String::new();
+        stdout.read_line(&mut line).expect("a line");
+        Self { process, line, _stdout: stdout }
+    }
+}
+
+impl Drop for Ready {
+    fn drop(&mut self) {
+        // SIGTERM lets it remove its links and end all motion.
+        let _ = Command::new("kill").arg(self.process.id().to_string()).status();
+        let _ = self.process.wait();
+    }
+}
+
+fn palpate() -> Option<PathBuf> {
+    let palpate = std::env::var_os("PALPATE_BIN").map(PathBuf::from);
+    if palpate.is_none() {
+        eprintln!("skipped: the station's studio is set up by `cargo xtask test`");
+    }
+    palpate
+}
+
+/// Asks the operator of the station.
+fn ask(socket: &str, request: &Value) -> Value {
+    let mut stream = UnixStream::connect(socket).expect("the operator's socket");
+    writeln!(stream, "{request}").expect("a request");
+    let mut line = String::new();
+    BufReader::new(stream).read_line(&mut line).expect("an answer");
+    serde_json::from_str(&line).expect("JSON")
+}
+
+/// How far any channel rose in the mean of half a second above that of the first half second, counts: noise is a hundredth of a
+/// threshold in such a mean.
+fn most_pressed(frames: &[&Value]) -> f64 {
+    const HALF_A_SECOND: usize = 15;
+    let mean = |frames: &[&Value], channel: usize| -> f64 {
+        let raw = frames.iter().filter_map(|frame| frame["raw"][channel].as_f64());
+        raw.sum::<f64>() / frames.len() as f64
+    };
+    let num_channels = frames[0]["raw"].as_array().map_or(0, Vec::len);
+    let rises = (0..num_channels).map(|channel| {
+        let before = mean(&frames[..HALF_A_SECOND], channel);
+        let later = frames.chunks(HALF_A_SECOND).map(|chunk| mean(chunk, channel));
+        later.fold(0.0, f64::max) - before
+    });
+    rises.fold(0.0, f64::max)
+}
+
+#[test]
+fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
+    let Some(palpate) = palpate() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path().join("devices");
+    let station = Ready::start(
+        Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
+            .arg(&dir),
+    );
+    let found: Value = serde_json::from_str(&station.line).expect("where everything is");
+    let operator = found["operator"].as_str().expect("a socket").to_owned();
+    let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
+    let studio = Ready::start(
+        Command::new(palpate)
+            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .arg(folder.path().join("data"))
+            .args(serve),
+    );
+    let url: Value = serde_json::from_str(&studio.line).expect("an address");
+
+    // What makes no sense is refused with its reason, and changes nothing.
+    let before = ask(&operator, &json!({ "act": "state" }));
+    for (request, expected) in [
+        (json!({ "act": "place", "object": "no such thing" }), "no object in"),
+        (json!({ "act": "place", "side": 2.0 }), "side is 2"),
+        (json!({ "act": "dance" }), "not a request"),
+        (json!({ "act": "start", "seed": 1, "trial": 0, "start_cm": -1.0 }), "start_cm is -1"),
+    ] {
+        let reply = ask(&operator, &request);
+        let problem = reply["problem"].as_str().unwrap_or_default();
+        assert!(reply["ok"] == false && problem.contains(expected), "{request}: {reply}");
+    }
+    assert_eq!(ask(&operator, &json!({ "act": "state" }))["placements"], before["placements"]);
+
+    let out = folder.path().join("rollout");
+    let output = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        .args(["rollout", "--json", "--policy", "assets/policies/cube.safetensors", "--seed", "5", "--url"])
+        .arg(url["url"].as_str().expect("an address"))
+        .args(["--operator", &operator, "--out"])
+        .arg(&out)
+        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
+        .output()
+        .expect("the command starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let outcome: Value = serde_json::from_slice(&output.stdout).expect("an outcome");
+    eprintln!("{outcome:#}");
+    let truth = &outcome["truth"];
+    assert!(truth["lift_m"].as_f64().expect("a height") > 0.015, "it is up: {truth}");
+    assert_eq!((&truth["verdict"], &truth["touched"]), (&json!("success"), &json!(true)));
+    assert_eq!(outcome["suggested"], "success");
+
+    let text = std::fs::read_to_string(out.join("trial-0000.jsonl")).expect("a record");
+    let record: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let frames: Vec<&Value> = record.iter().filter(|line| line["kind"] == "frame").collect();
+    let drawn = |frame: &Value| -> f64 {
+        frame["currents_a"].as_array().into_iter().flatten().filter_map(Value::as_f64).map(f64::abs).sum()
+    };
+    let (first, last) = (frames.first().expect("frames"), frames.last().expect("frames"));
+    assert!(drawn(last) > drawn(first) + 0.3, "fingers that press draw current: {first} {last}");
+    // Fingers that are as weak as the shipped station's press too softly for most thresholds; the skin gives way all the same.
+    let felt = most_pressed(&frames);
+    assert!(felt > 25.0, "the channel that is pressed most rose by {felt} counts");
+    assert!(replay(&record) > 40);
+}

@@ -1,0 +1,402 @@
+//! Jobs: long work of every kind, what waits, what runs, how it ended.
+
+use egui::RichText;
+use palpate_wire::api::{Job, JobState};
+
+use super::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    duration_text, empty_ui, failed_ui, loading_ui,
+};
+use crate::{
+    api_client::JobAct,
+    route::{Route, Screen},
+    store::Loadable,
+};
+
+/// The log of a running job is asked for again after this, s.
+const LOG_EVERY_S: f64 = 2.0;
+/// Narrower than this, the list goes when a job is open.
+const NARROW: f32 = 700.0;
+
+/// What the operator chose on this screen.
+#[derive(Debug, Default)]
+pub struct JobsState {
+    state: Option<JobState>,
+    kind: Option<String>,
+    /// Deleting was asked for and waits for a second press.
+    deleting: Option<String>,
+    log_asked_s: f64,
+}
+
+/// The screen.
+pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState) {
+    let jobs = match cx.store.jobs.list() {
+        Loadable::Ready(jobs) => jobs,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of jobs did not arrive", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for jobs"),
+    };
+    if let Loadable::Ready(id) = &cx.store.jobs.cloned {
+        *cx.go_to = Some(Route { job: Some(id.clone()), ..Route::to(Screen::Jobs) });
+        cx.store.jobs.cloned = Loadable::Idle;
+    }
+    if jobs.is_empty() {
+        let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
+            this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind.";
+        if empty_ui(ui, "No job yet", text, "Calibrate a session") {
+            cx.go_to_screen(Screen::Calibrate);
+        }
+        return;
+    }
+    let asked = cx.route.job.clone();
+    let shown = asked.as_ref().and_then(|id| jobs.iter().find(|job| job.id == *id));
+    let is_narrow = ui.available_width() < NARROW;
+    if is_narrow {
+        match (shown, asked) {
+            (Some(job), _) => {
+                if ui.button("Back to all jobs").clicked() {
+                    *cx.go_to = Some(Route::to(Screen::Jobs));
+                }
+                job_ui(ui, cx, state, job);
+            }
+            (None, _) => list_ui(ui, cx, state, &jobs, None),
+        }
+        return;
+    }
+    egui::Panel::left("jobs_list").resizable(false).exact_size(380.0).show(ui, |ui| {
+        list_ui(ui, cx, state, &jobs, shown.or(jobs.first()));
+    });
+    egui::CentralPanel::default().show(ui, |ui| match (shown, asked) {
+        (None, Some(id)) => {
+            ui.label(format!(
+                "Job {id} is not among those that are listed. Older jobs are at the list's end."
+            ));
+        }
+        (job, _) => {
+            if let Some(job) = job.or(jobs.first()) {
+                job_ui(ui, cx, state, job);
+            }
+        }
+    });
+}
+
+fn list_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut JobsState,
+    jobs: &[Job],
+    shown: Option<&Job>,
+) {
+    ui.add_space(4.0);
+    ui.heading("Jobs");
+    filter_ui(ui, state, jobs);
+    ui.separator();
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        let is_wanted = |job: &&Job| {
+            state.state.is_none_or(|wanted| job.state == wanted)
+                && state.kind.as_ref().is_none_or(|wanted| job.kind == *wanted)
+        };
+        let mut num_listed = 0;
+        for job in jobs.iter().filter(is_wanted) {
+            num_listed += 1;
+            entry_ui(ui, cx, job, shown.is_some_and(|shown| shown.id == job.id));
+        }
+        if num_listed == 0 {
+            ui.label("No job is like that.");
+        }
+        if cx.store.jobs.has_more() && ui.button("Older jobs").clicked() {
+            cx.store.jobs.ask_for_more();
+        }
+    });
+}
+
+fn filter_ui(ui: &mut egui::Ui, state: &mut JobsState, jobs: &[Job]) {
+    let mut kinds: Vec<&str> = jobs.iter().map(|job| job.kind.as_str()).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    ui.horizontal_wrapped(|ui| {
+        let chosen = state.state.map_or("any state", JobState::name);
+        combo_ui(ui, "State of jobs", chosen, 110.0, |ui| {
+            option_ui(ui, &mut state.state, None, "any state");
+            for job_state in
+                [JobState::Queued, JobState::Running, JobState::Done, JobState::Failed, JobState::Cancelled]
+            {
+                option_ui(ui, &mut state.state, Some(job_state), job_state.name());
+            }
+        });
+        let chosen = state.kind.clone().unwrap_or_else(|| "any kind".to_owned());
+        combo_ui(ui, "Kind of jobs", &chosen, 120.0, |ui| {
+            option_ui(ui, &mut state.kind, None, "any kind");
+            for kind in kinds {
+                option_ui(ui, &mut state.kind, Some(kind.to_owned()), kind);
+            }
+        });
+    });
+}
+
+fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, job: &Job, is_chosen: bool) {
+    let fact = match job.state {
+        JobState::Running => format!("{:.0} %", 100.0 * job.fraction),
+        other => other.name().to_owned(),
+    };
+    let text = format!("{} {}", mark(job.state), job.id);
+    let button = egui::Button::selectable(is_chosen, RichText::new(text).color(colour(cx, job.state)))
+        .right_text(RichText::new(fact.clone()).color(cx.palette.text_weak))
+        .min_size(egui::vec2(ui.available_width() - 8.0, 34.0));
+    let response = ui.add(button);
+    response.widget_info(|| {
+        let name = format!("Job {}: {} {fact}", job.id, job.kind);
+        egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, is_chosen, name)
+    });
+    if response.clicked() {
+        *cx.go_to = Some(Route { job: Some(job.id.clone()), ..Route::to(Screen::Jobs) });
+    }
+}
+
+/// State is never colour alone.
+fn mark(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "\u{2026}",
+        JobState::Running => "\u{25b6}",
+        JobState::Done => "\u{2714}",
+        JobState::Failed => "\u{26a0}",
+        JobState::Cancelled => "\u{2716}",
+    }
+}
+
+fn colour(cx: &ScreenContext<'_>, state: JobState) -> egui::Color32 {
+    match state {
+        JobState::Failed => cx.palette.mismatch,
+        JobState::Done => cx.palette.diagnosed,
+        JobState::Running => cx.palette.calibrated,
+        JobState::Queued | JobState::Cancelled => cx.palette.text_weak,
+    }
+}
+
+fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        ui.heading(&job.id);
+        if let Some(problem) = cx.store.jobs.problem.clone() {
+            ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
+        }
+        progress_ui(ui, cx, job);
+        actions_ui(ui, cx, state, job);
+        ui.add_space(8.0);
+        facts_ui(ui, cx, job);
+        ui.add_space(8.0);
+        again_ui(ui, job);
+        ui.add_space(8.0);
+        log_ui(ui, cx, state, job);
+        ui.add_space(12.0);
+    });
+}
+
+fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
+    match job.state {
+        JobState::Running => {
+            let left = job
+                .seconds_left
+                .map_or_else(String::new, |seconds| format!(", about {} left", duration_text(seconds)));
+            let text = format!("{:.0} %{left}", 100.0 * job.fraction);
+            ui.add(egui::ProgressBar::new(job.fraction as f32).desired_width(420.0).text(text));
+            let asked = if job.cancel_requested { "It has been asked to stop. " } else { "" };
+            ui.label(format!("{asked}{}", job.stage));
+        }
+        JobState::Queued => {
+            ui.label("It waits for its turn.");
+        }
+        JobState::Failed => {
+            let problem = job.problem.as_deref().unwrap_or("it failed without saying why; its log may tell");
+            ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
+        }
+        JobState::Done | JobState::Cancelled => {
+            ui.colored_label(colour(cx, job.state), format!("{} {}", mark(job.state), job.state.name()));
+        }
+    }
+}
+
+fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
+    ui.horizontal_wrapped(|ui| {
+        if let Some((screen, name)) = outcome_of(job)
+            && job.state == JobState::Done
+            && ui.button(name).clicked()
+        {
+            *cx.go_to = Some(Route {
+                run: Some(job.id.clone()),
+                session: job.spec.request["session"].as_str().map(str::to_owned),
+                ..Route::to(screen)
+            });
+        }
+        if job.is_unfinished() {
+            let can = !job.cancel_requested;
+            if ui.add_enabled(can, egui::Button::new("Cancel")).clicked() {
+                cx.store.jobs.act(&job.id, JobAct::Cancel);
+            }
+            return;
+        }
+        if matches!(job.state, JobState::Failed | JobState::Cancelled) && ui.button("Try again").clicked() {
+            cx.store.jobs.act(&job.id, JobAct::Retry);
+        }
+        let clone = ui
+            .button("Run the same anew")
+            .on_hover_text("A new job that is asked the same, on the data as it is now");
+        if clone.clicked() {
+            cx.store.jobs.act(&job.id, JobAct::Clone);
+        }
+        if state.deleting.as_deref() == Some(job.id.as_str()) {
+            if ui.button("Yes, to the trash").clicked() {
+                cx.store.jobs.act(&job.id, JobAct::Delete);
+                state.deleting = None;
+                *cx.go_to = Some(Route::to(Screen::Jobs));
+            }
+            if ui.button("Keep it").clicked() {
+                state.deleting = None;
+            }
+        } else if ui
+            .button("Delete")
+            .on_hover_text("Its folder moves to the trash of the data folder")
+            .clicked()
+        {
+            state.deleting = Some(job.id.clone());
+        }
+    });
+}
+
+/// Where the outcome of a job is shown best.
+fn outcome_of(job: &Job) -> Option<(Screen, &'static str)> {
+    match job.kind.as_str() {
+        "calibrate" => Some((Screen::Calibrate, "Open the result")),
+        "diagnose" => Some((Screen::Diagnose, "Open the result")),
+        "emulate" => Some((Screen::Sessions, "Open the session")),
+        _ => None,
+    }
+}
+
+fn facts_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
+    let time = |text: &Option<String>| {
+        text.as_deref()
+            .map_or_else(|| "-".to_owned(), |text| (cx.local_time)(text).unwrap_or_else(|| text.to_owned()))
+    };
+    let request = serde_json::to_string(&job.spec.request).unwrap_or_default();
+    egui::Grid::new("job_facts").num_columns(2).spacing([14.0, 4.0]).show(ui, |ui| {
+        for (name, value) in [
+            ("Kind", job.kind.clone()),
+            ("Asked for", time(&Some(job.created.clone()))),
+            ("By", job.owner.clone()),
+            ("Began", time(&job.started)),
+            ("Ended", time(&job.ended)),
+            ("Attempts", job.attempts.to_string()),
+            ("Runs on", job.runner.clone()),
+            ("Seed", job.spec.seed.to_string()),
+            ("Software", job.spec.software.clone()),
+            ("Input files", job.spec.inputs.len().to_string()),
+            ("Saved as", job.saved_as.clone().unwrap_or_else(|| "-".to_owned())),
+        ] {
+            ui.label(RichText::new(name).color(cx.palette.text_weak));
+            ui.add(egui::Label::new(value).wrap().selectable(true));
+            ui.end_row();
+        }
+    });
+    ui.label(RichText::new("Request").color(cx.palette.text_weak));
+    ui.add(egui::Label::new(RichText::new(request).monospace()).wrap().selectable(true));
+}
+
+/// How a script asks for the same.
+fn again_ui(ui: &mut egui::Ui, job: &Job) {
+    ui.horizontal_wrapped(|ui| {
+        for (name, text) in [("Copy as curl", as_curl(job)), ("Copy as Python", as_python(job))] {
+            if ui.button(name).clicked() {
+                ui.ctx().copy_text(text);
+            }
+        }
+    });
+}
+
+fn body(job: &Job) -> String {
+    serde_json::json!({ "kind": job.kind, "request": job.spec.request, "seed": job.spec.seed }).to_string()
+}
+
+/// A line for a shell. The address is that of a studio on this computer.
+fn as_curl(job: &Job) -> String {
+    format!(
+        "curl -sS -X POST \"${{PALPATE_URL:-http://127.0.0.1:8080}}/api/v1/jobs\" -H 'Content-Type: application/json' -d '{}'",
+        body(job).replace('\'', "'\\''")
+    )
+}
+
+fn as_python(job: &Job) -> String {
+    // JSON is Python where it holds neither true, false nor null; json.loads reads all of it.
+    let request = serde_json::to_string(&job.spec.request.to_string()).unwrap_or_default();
+    format!(
+        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({:?}, json.loads({request}), seed={})\n    print(job.wait())\n",
+        job.kind, job.spec.seed
+    )
+}
+
+fn log_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
+    ui.strong("Log");
+    if job.state == JobState::Running && cx.now_s - state.log_asked_s > LOG_EVERY_S {
+        state.log_asked_s = cx.now_s;
+        cx.store.jobs.ask_log_again(&job.id);
+        ui.ctx().request_repaint_after_secs(LOG_EVERY_S as f32);
+    }
+    match cx.store.jobs.log(&job.id) {
+        Loadable::Ready(log) if log.trim().is_empty() => {
+            ui.label("It has printed nothing.");
+        }
+        Loadable::Ready(log) => {
+            ui.add(egui::Label::new(RichText::new(log.trim_end()).monospace()).wrap().selectable(true));
+        }
+        Loadable::Failed(error) => {
+            ui.label(format!("There is no log: {error}"));
+        }
+        Loadable::Idle | Loadable::Loading => {
+            ui.spinner();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_wire::api::JobSpec;
+
+    use super::*;
+
+    #[test]
+    fn what_is_copied_quotes_what_a_shell_would_read() {
+        let job = Job {
+            id: "diagnosis-1".into(),
+            kind: "diagnose".into(),
+            state: JobState::Done,
+            created: String::new(),
+            started: None,
+            ended: None,
+            attempts: 1,
+            owner: String::new(),
+            runner: "process".into(),
+            fraction: 1.0,
+            stage: String::new(),
+            seconds_left: None,
+            problem: None,
+            cancel_requested: false,
+            saved_as: None,
+            spec: JobSpec {
+                kind: "diagnose".into(),
+                request: serde_json::json!({ "session": "Ada's" }),
+                inputs: [].into(),
+                seed: 3,
+                software: String::new(),
+                priority: 0,
+                resources: Default::default(),
+            },
+        };
+        let curl = as_curl(&job);
+        assert!(curl.contains(r"Ada'\''s"), "{curl}");
+        let python = as_python(&job);
+        assert!(
+            python.contains(r#"p.jobs.submit("diagnose", json.loads("{\"session\":\"Ada's\"}"), seed=3)"#),
+            "{python}"
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! Trials: campaigns of policies on the hand, run, scored and counted.
+
+mod form;
+mod place;
+mod results;
+mod run;
+mod score;
+
+use egui::RichText;
+use palpate_wire::api::{Campaign, CampaignSummary, TrialState};
+
+use super::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    empty_ui, failed_ui, loading_ui,
+};
+use crate::{
+    route::{Route, Screen},
+    store::Loadable,
+};
+
+/// Narrower than this, the list of campaigns is a box on top.
+const NARROW: f32 = 700.0;
+
+/// What the operator chose on this screen.
+#[derive(Debug, Default)]
+pub struct TrialsState {
+    /// The plan that is being written.
+    form: Option<form::FormState>,
+    score: score::ScoreState,
+}
+
+/// The parts of a campaign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Run,
+    Score,
+    Results,
+}
+
+impl Part {
+    const ALL: [(Self, &'static str, &'static str); 3] =
+        [(Self::Run, "run", "Run"), (Self::Score, "score", "Score"), (Self::Results, "results", "Results")];
+
+    fn of(route: &Route) -> Self {
+        let slug = route.part.as_deref().unwrap_or("run");
+        Self::ALL.iter().find(|(_, known, _)| *known == slug).map_or(Self::Run, |(part, ..)| *part)
+    }
+}
+
+/// The screen.
+pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TrialsState) {
+    let campaigns = match cx.store.campaigns.list() {
+        Loadable::Ready(campaigns) => campaigns,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of campaigns did not arrive", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for campaigns"),
+    };
+    if let Loadable::Ready(id) = cx.store.campaigns.made.clone() {
+        cx.store.campaigns.made = Loadable::Idle;
+        state.form = None;
+        *cx.go_to = Some(to(&id, Part::Run));
+    }
+    if let Some(form) = &mut state.form {
+        if form::form_ui(ui, cx, form) {
+            state.form = None;
+        }
+        return;
+    }
+    let asked = cx.route.campaign.clone();
+    let Some(shown) = asked.or_else(|| campaigns.first().map(|campaign| campaign.id.clone())) else {
+        let text = "A campaign tries policies on the hand, object by object, from the same starts for each. People score \
+            every trial, also from another room; success rates with intervals and comparisons come out.";
+        if empty_ui(ui, "No campaign yet", text, "Plan a campaign") {
+            state.form = Some(form::FormState::default());
+        }
+        return;
+    };
+    if ui.available_width() < NARROW {
+        narrow_list_ui(ui, cx, &campaigns, &shown);
+        campaign_ui(ui, cx, state, &shown);
+        return;
+    }
+    egui::Panel::left("campaigns_list").resizable(false).exact_size(260.0).show(ui, |ui| {
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            ui.add_space(4.0);
+            ui.heading("Campaigns");
+            for campaign in campaigns.iter() {
+                entry_ui(ui, cx, campaign, campaign.id == shown);
+            }
+            ui.add_space(8.0);
+            if ui.button("Plan a campaign").clicked() {
+                state.form = Some(form::FormState::default());
+            }
+        });
+    });
+    egui::CentralPanel::default().show(ui, |ui| campaign_ui(ui, cx, state, &shown));
+}
+
+fn to(id: &str, part: Part) -> Route {
+    let slug = Part::ALL.iter().find(|(known, ..)| *known == part).map(|(_, slug, _)| (*slug).to_owned());
+    Route { campaign: Some(id.to_owned()), part: slug, ..Route::to(Screen::Trials) }
+}
+
+fn narrow_list_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaigns: &[CampaignSummary], shown: &str) {
+    let mut chosen = shown.to_owned();
+    let name = |id: &str| {
+        campaigns
+            .iter()
+            .find(|campaign| campaign.id == id)
+            .map_or(id.to_owned(), |campaign| campaign.name.clone())
+    };
+    combo_ui(ui, "Campaign", &name(shown), ui.available_width() - 16.0, |ui| {
+        for campaign in campaigns {
+            option_ui(ui, &mut chosen, campaign.id.clone(), &campaign.name);
+        }
+    });
+    if chosen != shown {
+        *cx.go_to = Some(to(&chosen, Part::of(cx.route)));
+    }
+}
+
+fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSummary, is_chosen: bool) {
+    let fact = match (&campaign.error, &campaign.closed) {
+        (Some(_), _) => "cannot be read".to_owned(),
+        (None, Some(_)) => format!("closed, {}/{}", campaign.scored, campaign.planned),
+        (None, None) => format!("{}/{}", campaign.scored, campaign.planned),
+    };
+    let button = egui::Button::selectable(is_chosen, RichText::new(&campaign.name).strong())
+        .right_text(RichText::new(fact).color(cx.palette.text_weak))
+        .min_size(egui::vec2(ui.available_width() - 8.0, 36.0))
+        .truncate();
+    let response = ui.add(button);
+    response.widget_info(|| {
+        let name = format!("Campaign {}", campaign.name);
+        egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, is_chosen, name)
+    });
+    if response.clicked() {
+        *cx.go_to = Some(to(&campaign.id, Part::of(cx.route)));
+    }
+}
+
+fn campaign_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TrialsState, id: &str) {
+    let part = Part::of(cx.route);
+    let as_scorer = part == Part::Score;
+    let name = cx.store.control.operator.clone();
+    let campaign = match cx.store.campaigns.campaign(id, &name, as_scorer) {
+        Loadable::Ready(campaign) => campaign,
+        Loadable::Failed(error) => return failed_ui(ui, cx, "The campaign cannot be opened", &error),
+        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Opening the campaign"),
+    };
+    ui.add_space(4.0);
+    ui.add(egui::Label::new(RichText::new(&campaign.summary.name).heading()).truncate());
+    progress_ui(ui, &campaign);
+    ui.horizontal_wrapped(|ui| {
+        for (known, _, label) in Part::ALL {
+            let text = match known {
+                Part::Score if campaign.summary.to_score > 0 => {
+                    format!("{label} ({})", campaign.summary.to_score)
+                }
+                _ => label.to_owned(),
+            };
+            let response =
+                ui.add(egui::Button::selectable(known == part, text).min_size(egui::vec2(72.0, 34.0)));
+            response.widget_info(|| {
+                egui::WidgetInfo::selected(egui::accesskit::Role::Tab, true, known == part, label)
+            });
+            if response.clicked() {
+                *cx.go_to = Some(to(id, known));
+            }
+        }
+    });
+    ui.separator();
+    if let Some(problem) = cx.store.campaigns.problem.clone() {
+        ui.horizontal_wrapped(|ui| {
+            ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
+            if ui.button("Dismiss").clicked() {
+                cx.store.campaigns.problem = None;
+            }
+        });
+    }
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| match part {
+        Part::Run => run::run_ui(ui, cx, &campaign),
+        Part::Score => score::score_ui(ui, cx, &mut state.score, &campaign),
+        Part::Results => results::results_ui(ui, cx, &campaign),
+    });
+}
+
+fn progress_ui(ui: &mut egui::Ui, campaign: &Campaign) {
+    let summary = &campaign.summary;
+    let share = f64::from(summary.scored) / f64::from(summary.planned.max(1));
+    let width = ui.available_width().min(420.0);
+    let text = match &summary.closed {
+        Some(_) => format!("closed: {} of {} trials have a verdict", summary.scored, summary.planned),
+        None => format!("{} of {} trials have a verdict", summary.scored, summary.planned),
+    };
+    ui.add(egui::ProgressBar::new(share as f32).desired_width(width).text(text));
+}
+
+/// What a state is called.
+fn state_label(state: TrialState) -> &'static str {
+    match state {
+        TrialState::Waiting => "waits",
+        TrialState::Running => "runs",
+        TrialState::Unscored => "to score",
+        TrialState::Unsettled => "scorers differ",
+        TrialState::Scored => "scored",
+    }
+}

@@ -1,0 +1,179 @@
+//! Campaigns on the page: planned, run, scored from the keyboard, counted.
+
+use egui::{Key, accesskit::Role};
+use egui_kittest::kittest::Queryable as _;
+use palpate_ui::api_client::{ApiEvent, CampaignAct, Request};
+use palpate_wire::{
+    api::{
+        Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignSummary, RolloutOutcome,
+        Trial, TrialOrder, TrialStart, TrialState, TrialVerdict,
+    },
+    proto::{Changed, StreamMessage, stream_message},
+};
+use prost::Message as _;
+
+use crate::fixture::{FakeWindow, SharedApi, full_api, page};
+
+fn campaign(state: TrialState) -> Campaign {
+    let plan = CampaignPlan {
+        name: "First trials".into(),
+        policies: vec![CampaignPolicy {
+            id: "dp".into(),
+            source: "policy.safetensors".into(),
+            is_silenced: false,
+        }],
+        objects: vec![CampaignObject { id: "cube".into(), group: Some("seen".into()) }],
+        starts: 2,
+        half_width_m: 0.02,
+        seed: 1,
+        order: TrialOrder::Interleaved,
+        is_blind: false,
+        scorers: 1,
+        alpha: 0.05,
+        criterion: "3 cm for 1 s".into(),
+    };
+    let start = TrialStart { x_m: 0.012, y_m: -0.004, yaw_rad: 0.5, side: 0.1, seed: 3 };
+    let outcome = RolloutOutcome {
+        suggested: Some(TrialVerdict::Slip),
+        reasons: vec!["lost at 12 mm".into()],
+        time_to_grasp_s: None,
+        held_s: None,
+        take: None,
+    };
+    let has_ended = state == TrialState::Unscored;
+    let attempt = Attempt {
+        began: "2026-11-25T10:00:00Z".into(),
+        by: "Olga".into(),
+        outcome: has_ended.then_some(outcome),
+        take: None,
+        has_ended,
+        scores: Vec::new(),
+        settled: None,
+        verdict: None,
+    };
+    let first = Trial {
+        number: 1,
+        policy: Some("dp".into()),
+        object: "cube".into(),
+        start_number: 2,
+        start,
+        state,
+        attempts: if state == TrialState::Waiting { Vec::new() } else { vec![attempt] },
+    };
+    let second = Trial {
+        number: 2,
+        start_number: 1,
+        state: TrialState::Waiting,
+        attempts: Vec::new(),
+        ..first.clone()
+    };
+    Campaign {
+        summary: CampaignSummary {
+            id: "first-trials".into(),
+            name: plan.name.clone(),
+            created: "2026-11-25T09:00:00Z".into(),
+            planned: 2,
+            scored: 0,
+            to_score: u32::from(has_ended),
+            closed: None,
+            error: None,
+        },
+        plan,
+        trials: vec![first, second],
+        next: Some(if has_ended { 2 } else { 1 }),
+        next_to_score: has_ended.then_some(1),
+    }
+}
+
+fn seen(scorer: &str, as_scorer: bool) -> Request {
+    Request::Campaign { campaign: "first-trials".into(), scorer: scorer.into(), as_scorer }
+}
+
+fn with(campaign: &Campaign) -> SharedApi {
+    let api = full_api();
+    let json = |value: &Campaign| serde_json::to_vec(value).expect("it is plain data");
+    {
+        let mut fake = api.0.borrow_mut();
+        let list = serde_json::to_vec(&[&campaign.summary]).expect("it is plain data");
+        fake.answer(&Request::Campaigns, list);
+        for scorer in ["", "Ada"] {
+            fake.answer(&seen(scorer, false), json(campaign));
+            fake.answer(&seen(scorer, true), json(campaign));
+        }
+    }
+    api
+}
+
+fn acts(api: &SharedApi) -> Vec<CampaignAct> {
+    let sent = &api.0.borrow().sent;
+    sent.iter()
+        .filter_map(|request| match request {
+            Request::ActOnCampaign { act, .. } => Some(act.clone()),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn the_next_trial_says_where_the_object_goes_and_begins() {
+    let api = with(&campaign(TrialState::Waiting));
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Image, "x +12 mm, y -4 mm from the middle, turned by 29\u{b0}");
+    harness.get_by_label_contains("Trial 1 of 2: cube with dp");
+    harness.get_by_role_and_label(Role::Button, "It is placed: begin").click();
+    harness.run_steps(3);
+    assert_eq!(acts(&api), [CampaignAct::Begin(1)]);
+    // The made-up server refuses, and its words are on the page.
+    harness.get_by_label_contains("nothing at POST /api/v1/campaigns/first%2Dtrials/trials/1/begin");
+}
+
+#[test]
+fn a_trial_is_scored_by_one_key() {
+    let api = with(&campaign(TrialState::Unscored));
+    let mut harness = page(&api, &FakeWindow::of("Ada", "#/trials?campaign=first-trials&part=score"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("The rollout suggests: slip.");
+    harness.get_by_label_contains("lost at 12 mm");
+    harness.key_press(Key::E);
+    harness.run_steps(3);
+    let acts = acts(&api);
+    let [CampaignAct::Score(1, score)] = acts.as_slice() else { panic!("{acts:?}") };
+    assert_eq!((score.scorer.as_str(), score.verdict), ("Ada", TrialVerdict::EmptyGrasp));
+}
+
+#[test]
+fn nobody_scores_without_a_name() {
+    let api = with(&campaign(TrialState::Unscored));
+    let mut harness = page(&api, &FakeWindow::at("#/trials?campaign=first-trials&part=score"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("Write your name to score");
+    harness.key_press(Key::S);
+    harness.run_steps(3);
+    assert!(acts(&api).is_empty());
+}
+
+#[test]
+fn what_others_do_is_seen_without_reloading() {
+    let api = with(&campaign(TrialState::Waiting));
+    let mut harness = page(&api, &FakeWindow::at("#/trials?campaign=first-trials"));
+    harness.run_steps(3);
+    let running = campaign(TrialState::Running);
+    api.0.borrow_mut().answer(&seen("", false), serde_json::to_vec(&running).expect("it is plain data"));
+    let changed = Changed { list: "campaigns".into(), id: "first-trials".into() };
+    let message = StreamMessage { message: Some(stream_message::Message::Changed(changed)), dropped: 0 };
+    api.0.borrow_mut().events.push_back(ApiEvent::SocketMessage(message.encode_to_vec()));
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::Button, "It has ended");
+}
+
+#[test]
+fn a_campaign_is_planned_and_what_is_missing_is_said() {
+    let api = full_api();
+    api.0.borrow_mut().answer(&Request::Campaigns, b"[]".to_vec());
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Plan a campaign").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("Give the campaign a name.");
+}
