@@ -13,8 +13,8 @@
 //! Every path below `/api` that is not in the table is a problem of type `no-route`; everything else is the page.
 //!
 //! Every request passes the door, which checks Host and Origin and finds out who asks. Where there is a login, each route
-//! needs the role that the table states; without one everybody is the local operator. Only an operator's requests carry the lease of an open
-//! control connection, in the header `Palpate-Lease`. Errors are RFC 9457 `application/problem+json`
+//! needs the role that the table states; without one everybody is the local operator. Only an operator's requests carry the
+//! lease of an open control connection, in the header `Palpate-Lease`. Errors are RFC 9457 `application/problem+json`
 //! (`palpate_wire::api::ProblemDetails`), and `palpate_wire::api::ProblemType` names their kinds.
 //!
 //! # The stream

@@ -6,7 +6,8 @@
 //! last two are NaN where a take is binary only.
 //!
 //! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a latch
-//! know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a time. Every stream lags behind by up to some milliseconds, which is fitted along.
+//! know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a time. Every stream
+//! lags behind by up to some milliseconds, which is fitted along.
 //!
 //! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
 //! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.

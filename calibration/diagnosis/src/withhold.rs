@@ -163,11 +163,12 @@ fn withhold_at_one_place(
     Ok(())
 }
 
-/// How many of the names stand, the weightiest first, of effects that reach these `patches`; `limbs` says of every patch on which
-/// finger it is. All, unless they all act at one patch or on one finger. If they are about how that patch is moved and loaded, the
-/// weightiest stands if it is of the patch itself: the others are what the rough model of that patch leaves. A joint, or
-/// channels, that explain what is felt at one patch only with the help of others there stand in for something else, and so do
-/// faults of many kinds, and pads of one finger that feel more or less than they should, each to its own degree.
+/// How many of the names stand, the weightiest first, of effects that reach these `patches`; `limbs` says of every patch on
+/// which finger it is. All, unless they all act at one patch or on one finger. If they are about how that patch is moved and
+/// loaded, the weightiest stands if it is of the patch itself: the others are what the rough model of that patch leaves. A
+/// joint, or channels, that explain what is felt at one patch only with the help of others there stand in for something
+/// else, and so do faults of many kinds, and pads of one finger that feel more or less than they should, each to its own
+/// degree.
 fn num_standing(named: &[Effect], patches: &[BTreeSet<usize>], limbs: &[usize]) -> usize {
     let is_of_skin =
         |effect: &Effect| effects::tactile(&effect.id).is_some_and(|kind| kind.stage() <= Stage::Contact);

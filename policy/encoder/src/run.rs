@@ -60,7 +60,8 @@ struct MetricsLine {
 /// the bits that it would have had.
 ///
 /// # Errors
-/// Whatever [`Trainer`] refuses, nothing held out, folders that cannot be written, that another run uses, or that hold another run.
+/// Whatever [`Trainer`] refuses, nothing held out, folders that cannot be written, that another run uses, or that hold
+/// another run.
 pub fn train(
     folder: &Path,
     start: Start,

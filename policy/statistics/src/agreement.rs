@@ -2,10 +2,10 @@
 
 use crate::StatisticsError;
 
-/// Cohen's kappa of two scorers: by how much more they agree than scorers would who score by chance with the same shares of verdicts
-/// (J. Cohen, 1960). `counts[i][j]` is the number of trials to which the first gave verdict `i` and the second `j`. 1 is full
-/// agreement, 0 that of chance, less than 0 is worse than chance; `None` where both always give the same single verdict, so that
-/// chance explains everything.
+/// Cohen's kappa of two scorers: by how much more they agree than scorers would who score by chance with the same shares of
+/// verdicts (J. Cohen, 1960). `counts[i][j]` is the number of trials to which the first gave verdict `i` and the second `j`.
+/// 1 is full agreement, 0 that of chance, less than 0 is worse than chance; `None` where both always give the same single
+/// verdict, so that chance explains everything.
 ///
 /// # Errors
 /// No trials.

@@ -11,9 +11,9 @@ const NUISANCE_RATES: usize = 1_000;
 /// Tables whose statistic differs by less than this are equally extreme.
 const TIE: f64 = 1e-9;
 
-/// McNemar's exact test for pairs of trials on the same starts: `only_a` pairs in which policy A alone succeeded, `only_b` in which
-/// B alone did. The two-sided p-value of a fair coin that fell so (Q. McNemar, 1947): pairs in which both did the same say nothing.
-/// 1 without such pairs.
+/// McNemar's exact test for pairs of trials on the same starts: `only_a` pairs in which policy A alone succeeded, `only_b`
+/// in which B alone did. The two-sided p-value of a fair coin that fell so (Q. McNemar, 1947): pairs in which both did the
+/// same say nothing. 1 without such pairs.
 pub fn mcnemar_exact(only_a: u64, only_b: u64) -> f64 {
     let n = only_a + only_b;
     let fewer = only_a.min(only_b);
@@ -22,8 +22,8 @@ pub fn mcnemar_exact(only_a: u64, only_b: u64) -> f64 {
     (2.0 * tail).min(1.0)
 }
 
-/// Barnard's exact test for trials on starts of their own: the two-sided p-value of two equal rates, by the pooled z statistic, at the
-/// common rate for which it is greatest (G. A. Barnard, 1947). `a` and `b` are successes and trials.
+/// Barnard's exact test for trials on starts of their own: the two-sided p-value of two equal rates, by the pooled z
+/// statistic, at the common rate for which it is greatest (G. A. Barnard, 1947). `a` and `b` are successes and trials.
 ///
 /// # Errors
 /// More successes than trials; no trials, or more than 2,000 of a policy.

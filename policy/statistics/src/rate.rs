@@ -16,9 +16,9 @@ pub struct Interval {
 /// Steps of a bisection: an interval of length 1 shrinks below the spacing of numbers near 1.
 const BISECTIONS: usize = 60;
 
-/// Wilson's score interval: the rates that a two-sided normal test of the score keeps at `confidence` (E. B. Wilson, "Probable
-/// inference, the law of succession, and statistical inference", 1927). It covers `confidence` on average over rates. 0 to 1 without
-/// trials.
+/// Wilson's score interval: the rates that a two-sided normal test of the score keeps at `confidence` (E. B. Wilson,
+/// "Probable inference, the law of succession, and statistical inference", 1927). It covers `confidence` on average over
+/// rates. 0 to 1 without trials.
 ///
 /// # Errors
 /// More successes than trials; a confidence that is not between 0 and 1.
@@ -54,8 +54,8 @@ pub fn clopper_pearson(successes: u64, trials: u64, confidence: f64) -> Result<I
     Ok(Interval { low, high })
 }
 
-/// pass^k: the chance that `k` trials, drawn from those that were made, all succeeded: C(successes, k) / C(trials, k), the unbiased
-/// estimate of the k-th power of the rate. 1 for `k` = 0.
+/// pass^k: the chance that `k` trials, drawn from those that were made, all succeeded: C(successes, k) / C(trials, k), the
+/// unbiased estimate of the k-th power of the rate. 1 for `k` = 0.
 ///
 /// # Errors
 /// More successes than trials; a `k` of more than all trials.

@@ -1,10 +1,11 @@
 //! An exact group-sequential test of two policies on pairs of trials, which may stop after any pair.
 //!
-//! After n pairs the state is (successes of A, successes of B). For each n up to the number that was fixed before the first trial, the
-//! states are put in order of their pooled z; from the most extreme on they are taken into the set in which the test ends, for as long
-//! as the chance to have ended by then stays within alpha n / n_max for every common rate (K. K. G. Lan and D. L. DeMets, "Discrete
-//! sequential boundaries for clinical trials", 1983, with linear spending; exact binomial paths as in C. Jennison and B. W. Turnbull,
-//! "Group Sequential Methods", 2000). Both directions are tested, each with half of alpha.
+//! After n pairs the state is (successes of A, successes of B). For each n up to the number that was fixed before the first
+//! trial, the states are put in order of their pooled z; from the most extreme on they are taken into the set in which the
+//! test ends, for as long as the chance to have ended by then stays within alpha n / n_max for every common rate (K. K. G.
+//! Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials", 1983, with linear spending; exact binomial
+//! paths as in C. Jennison and B. W. Turnbull, "Group Sequential Methods", 2000). Both directions are tested, each with half
+//! of alpha.
 
 use std::f64::consts::PI;
 
@@ -61,8 +62,8 @@ pub struct Operating {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequentialTest {
     max_pairs: usize,
-    /// For n pairs and x successes of the worse policy, at `n * (max_pairs + 1) + x`: successes of the better one from which on the test
-    /// ends; `max_pairs + 1` where it does not.
+    /// For n pairs and x successes of the worse policy, at `n * (max_pairs + 1) + x`: successes of the better one from which
+    /// on the test ends; `max_pairs + 1` where it does not.
     ends_from: Vec<u16>,
 }
 
@@ -165,8 +166,8 @@ impl SequentialTest {
         Ok(Operating { says_b, says_a, mean_pairs })
     }
 
-    /// How many more pairs would settle an undecided comparison with a chance of 80 %, if both policies go on as they did (rates by
-    /// Laplace's rule of succession); `None` if not even all that are planned would, or if nothing was seen yet.
+    /// How many more pairs would settle an undecided comparison with a chance of 80 %, if both policies go on as they did
+    /// (rates by Laplace's rule of succession); `None` if not even all that are planned would, or if nothing was seen yet.
     ///
     /// # Errors
     /// More successes than pairs, more pairs than were planned.

@@ -147,8 +147,8 @@ fn skill(
 /// A row of a table of closings.
 type Row<'a> = &'a dyn Fn(&Closing) -> Vec<f32>;
 
-/// Tensors of a file, a row a closing. `felt` holds what was felt while the hand closed, then while it lifted; of each touch, then
-/// tracking.
+/// Tensors of a file, a row a closing. `felt` holds what was felt while the hand closed, then while it lifted; of each
+/// touch, then tracking.
 fn to_bytes(closings: &Closings, record: &ClosingsRecord) -> anyhow::Result<Vec<u8>> {
     let rows = &closings.closings;
     let flat = |row: Row<'_>| -> Vec<u8> {

@@ -241,7 +241,8 @@ impl Observer {
         }
     }
 
-    /// Whether every channel should be on now, and its load over the one that switches it on; `None` without an object or with joints unknown.
+    /// Whether every channel should be on now, and its load over the one that switches it on; `None` without an object or
+    /// with joints unknown.
     fn feel(&mut self, frame: &TwinFrame) -> Option<(Vec<bool>, Vec<f64>)> {
         let (object, base_from_object) = self.object.as_ref()?;
         let object = self.station.objects.get(object)?;

@@ -1,8 +1,9 @@
 //! Messages shared by the server, the page and the recordings.
 //!
 //! [`proto`] holds what is compact and binary (takes, traces, the stream socket), [`foxglove`] the messages that stock
-//! viewers know, [`descriptor_set`] the descriptions of both that go into recordings, [`api`] the JSON of the HTTP API
-//! and of the command line, [`bits`] the packing of activations, [`wording`] what documents say in words. Pure; runs in the browser.
+//! viewers know, [`descriptor_set`] the descriptions of both that go into recordings, [`api`] the JSON of the HTTP API and
+//! of the command line, [`bits`] the packing of activations, [`wording`] what documents say in words. Pure; runs in the
+//! browser.
 
 pub mod api;
 pub mod bits;

@@ -6,8 +6,8 @@ use crate::{GraspConfig, GraspError};
 
 /// What the trials of a comparison have in common, as read from TOML.
 ///
-/// Trial number i of an object begins at the start that `seed` and i give, whatever moves the robot, so that policies are compared
-/// on the same starts. Protocols of one `half_width_m` and `seed` share their starts.
+/// Trial number i of an object begins at the start that `seed` and i give, whatever moves the robot, so that policies are
+/// compared on the same starts. Protocols of one `half_width_m` and `seed` share their starts.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Protocol {

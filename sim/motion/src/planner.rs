@@ -74,9 +74,9 @@ struct PlannedTouch {
 
 /// Plans the take at `take_idx` of `plan` on `station`. Primitives that the plan does not hold come from `primitives`.
 ///
-/// With `limits` the motion keeps below nine tenths of every speed and acceleration, lasts at least the take's
-/// `duration_s`, and stays within the positions and the workspace of the station's safety section. Without, it is as the plan says, and refused where the time is too
-/// short. Same arguments, same motion, to the bit.
+/// With `limits` the motion keeps below nine tenths of every speed and acceleration, lasts at least the take's `duration_s`,
+/// and stays within the positions and the workspace of the station's safety section. Without, it is as the plan says, and
+/// refused where the time is too short. Same arguments, same motion, to the bit.
 pub fn plan_take(
     station: &Station,
     plan: &Plan,

@@ -163,9 +163,10 @@ impl Robot {
     /// Continuous joints become [`JointKind::Revolute`] without limits. A moving joint whose URDF gives no limits has
     /// none here.
     ///
-    /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one
-    /// root, duplicate names, mimic joints and joints with several degrees of freedom, meshes, non-finite numbers,
-    /// sizes that are not positive, masses that are not positive and inertias that no body can have, crossed limits, a zero axis, unknown or missing names in `dof_names`.
+    /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one root,
+    /// duplicate names, mimic joints and joints with several degrees of freedom, meshes, non-finite numbers, sizes that are
+    /// not positive, masses that are not positive and inertias that no body can have, crossed limits, a zero axis, unknown
+    /// or missing names in `dof_names`.
     pub fn from_urdf(file: &str, text: &str, dof_names: &[String]) -> Result<Self, ModelError> {
         urdf::read(file, text, dof_names)
     }

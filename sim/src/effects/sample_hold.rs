@@ -4,10 +4,10 @@ use palpate_robot_model::{Place, Station};
 
 use super::{Effect, EffectKind, Hold, Parameter, Stage, TakeScene, Transport, places};
 
-/// For a share `frozen_fraction` of the time the readings are frozen, `span_s` at a stretch, and then jump to the
-/// present. When the spans begin is not a parameter, because nothing that a fit could follow leads there. Where a
-/// recording shows it, because its readings are repeated to the bit ([`TakeScene::frozen_for_s`]), the spans are those, and
-/// the fraction over theirs says how much of it counts. Elsewhere a soft chain gives the mean over all phases, and a hard one freezes
+/// For a share `frozen_fraction` of the time the readings are frozen, `span_s` at a stretch, and then jump to the present.
+/// When the spans begin is not a parameter, because nothing that a fit could follow leads there. Where a recording shows it,
+/// because its readings are repeated to the bit ([`TakeScene::frozen_for_s`]), the spans are those, and the fraction over
+/// theirs says how much of it counts. Elsewhere a soft chain gives the mean over all phases, and a hard one freezes
 /// regularly from the start of the take ([`super::Hold`]).
 pub(super) struct SampleHold;
 

@@ -48,8 +48,8 @@ pub(super) fn losses(
 /// The last effect that stands in for something else, if any, and why; `steps` are models with one effect more each.
 ///
 /// It does where it makes a signal worse, where it leaves most of what was there before it, and where all names together
-/// leave too much in the signals that it changes: less if none of them is a model of something. What an effect leaves is judged beside those that came after it: the
-/// first of two explains little while the second is missing.
+/// leave too much in the signals that it changes: less if none of them is a model of something. What an effect leaves is
+/// judged beside those that came after it: the first of two explains little while the second is missing.
 pub(super) fn inadequate(
     domain: &ActuatorDomain<'_>,
     steps: &[Model],

@@ -282,8 +282,8 @@ pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[
     Some(Fired { rule: rules::LEFT_AT_PATCH, measured: after[patch] / before, limit })
 }
 
-/// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at most 0.8
-/// on the tuning stations.
+/// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at
+/// most 0.8 on the tuning stations.
 const MUCH_AT_PATCH: f64 = 1.3;
 /// Share of what repeats in a patch that right names of its limb leave at most.
 pub(crate) const MOST_LEFT_AT_PATCH: f64 = 0.7;

@@ -1,10 +1,10 @@
 //! Whether the size of a response depends on how the finger is bent.
 //!
-//! Near contact the residual `r` of a reading is regressed on what the model says of it, `c`, both in standard deviations, and on
-//! `c` times the angle `q` of a joint: `r = a c + b c q`, with an `a` for each object. A gain that is wrong, but always the same, is
-//! `a`, and so is what skin feels of a sphere as against a block, which no model gets quite right; `b` is the change of the response
-//! per radian. Over all rows together a change of 5 % is lost in what nothing models better than so; along the joint that it goes
-//! with, it is not.
+//! Near contact the residual `r` of a reading is regressed on what the model says of it, `c`, both in standard deviations,
+//! and on `c` times the angle `q` of a joint: `r = a c + b c q`, with an `a` for each object. A gain that is wrong, but
+//! always the same, is `a`, and so is what skin feels of a sphere as against a block, which no model gets quite right; `b`
+//! is the change of the response per radian. Over all rows together a change of 5 % is lost in what nothing models better
+//! than so; along the joint that it goes with, it is not.
 
 use std::collections::BTreeMap;
 
@@ -138,8 +138,8 @@ pub(crate) fn with_posture(
     Ok(most.collect())
 }
 
-/// What chance and misfit make of a session in which nothing is missing: on the tuning stations a change of at most 3.5 %, with an
-/// evidence of at most 65.
+/// What chance and misfit make of a session in which nothing is missing: on the tuning stations a change of at most 3.5 %,
+/// with an evidence of at most 65.
 const LEAST_SHARE: f64 = 0.036;
 const LEAST_EVIDENCE: f64 = 110.0;
 

@@ -25,7 +25,8 @@ impl GrowingSession {
     /// Begins the session at `dir` or goes on with it; the second value says in sentences what was found and mended.
     ///
     /// `station` is the station's id and `recorded` when the session begins (RFC 3339). Added steps of `plan` that the
-    /// session does not have yet come behind its own. A session that follows another plan, belongs to another station, was not recorded step by step, or is open in another process is refused.
+    /// session does not have yet come behind its own. A session that follows another plan, belongs to another station, was
+    /// not recorded step by step, or is open in another process is refused.
     pub fn open(
         dir: &Path,
         station: &str,

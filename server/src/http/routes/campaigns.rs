@@ -69,6 +69,7 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<
     post,
     path = "/campaigns",
     tag = "campaigns",
+    request_body = CampaignPlan,
     responses(
         (status = 201, description = "Done.", body = Campaign),
         Refusal<409>,
@@ -206,6 +207,7 @@ pub(super) async fn begin(
     post,
     path = "/campaigns/{campaign}/trials/{trial}/outcome",
     tag = "campaigns",
+    request_body = TrialEnd,
     responses(
         (status = 200, description = "Done.", body = Campaign),
         Refusal<404>,
@@ -234,6 +236,7 @@ pub(super) async fn outcome(
     path = "/campaigns/{campaign}/trials/{trial}/score",
     tag = "campaigns",
     params(View),
+    request_body = ScoreRequest,
     responses(
         (status = 200, description = "Done.", body = Campaign),
         Refusal<404>,
@@ -261,6 +264,7 @@ pub(super) async fn score(
     path = "/campaigns/{campaign}/trials/{trial}/unscore",
     tag = "campaigns",
     params(View),
+    request_body = ScoreBack,
     responses(
         (status = 200, description = "Done.", body = Campaign),
         Refusal<404>,
@@ -287,6 +291,7 @@ pub(super) async fn unscore(
     post,
     path = "/campaigns/{campaign}/trials/{trial}/settle",
     tag = "campaigns",
+    request_body = ScoreRequest,
     responses(
         (status = 200, description = "Done.", body = Campaign),
         Refusal<404>,

@@ -35,6 +35,7 @@ const MAX_SHOWN_NAME: usize = 40;
     post,
     path = "/login",
     tag = "people",
+    request_body = Login,
     responses(
         (status = 200, description = "Done.", body = Me),
         Refusal<401>,
@@ -134,6 +135,7 @@ pub(super) async fn me(Asking(principal): Asking) -> Json<Me> {
     post,
     path = "/me/password",
     tag = "people",
+    request_body = PasswordChange,
     responses(
         (status = 204, description = "Done."),
         Refusal<401>,
@@ -193,6 +195,7 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<Person>
     post,
     path = "/people",
     tag = "people",
+    request_body = NewPerson,
     responses(
         (status = 201, description = "Done.", body = Person),
         Refusal<409>,
@@ -222,6 +225,7 @@ pub(super) async fn add(
     patch,
     path = "/people/{person}",
     tag = "people",
+    request_body = PersonChanges,
     responses(
         (status = 200, description = "Done.", body = Person),
         Refusal<404>,
@@ -304,6 +308,7 @@ pub(super) async fn tokens(
     post,
     path = "/tokens",
     tag = "people",
+    request_body = NewToken,
     responses(
         (status = 201, description = "Done.", body = CreatedToken),
         Refusal<404>,

@@ -60,7 +60,8 @@ fn nominal() -> String {
     "nominal".to_owned()
 }
 
-/// Answers with a take as a sensor model feels it: a protobuf message `palpate.ReplayTrace` (`server/wire/proto/palpate/trace.proto`).
+/// Answers with a take as a sensor model feels it: a protobuf message `palpate.ReplayTrace`
+/// (`server/wire/proto/palpate/trace.proto`).
 #[utoipa::path(
     get,
     path = "/sessions/{session}/takes/{take}/replay",

@@ -102,7 +102,8 @@ impl LearnEnv {
         self.begin(&start)
     }
 
-    /// Whether from the next episode on every joint seems to be where it was sent, so that tracking errors tell the actor nothing.
+    /// Whether from the next episode on every joint seems to be where it was sent, so that tracking errors tell the actor
+    /// nothing.
     pub fn hide_tracking(&mut self, hidden: bool) {
         self.tracking_hidden = hidden;
     }

@@ -34,7 +34,8 @@ pub struct SearchConfig {
     pub stopped_error: f64,
     /// Probability of holding the object from which on the robot says so, where a task has one claim.
     pub claim_from: f64,
-    /// Distance between neighbouring places that the hand is brought to, and half the edge length of the square that they fill, m.
+    /// Distance between neighbouring places that the hand is brought to, and half the edge length of the square that they
+    /// fill, m.
     pub places: [f64; 2],
 }
 

@@ -50,8 +50,8 @@ impl Senses {
     pub const NONE: Self = Self { touch: false, tracking: false };
 }
 
-/// Widths of the kernel over what was felt, in standard deviations of each number times the root of how many numbers there are, from
-/// which the closings themselves choose.
+/// Widths of the kernel over what was felt, in standard deviations of each number times the root of how many numbers there
+/// are, from which the closings themselves choose.
 const BANDWIDTHS: [f64; 8] = [0.05, 0.08, 0.12, 0.18, 0.27, 0.4, 0.6, 1.0];
 /// Closings that are predicted to choose a bandwidth.
 const MAX_PREDICTED: usize = 1_000;

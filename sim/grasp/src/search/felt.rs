@@ -5,9 +5,9 @@ use crate::Observation;
 
 /// Numbers about a stretch of time, while the hand closes or lifts: of touch, then of tracking errors.
 ///
-/// Touch, for each digit and then for the rest of the hand: the largest share of its channels that was active, the share at the
-/// end, and how early the first was (1 at once, 0 never). Tracking: the error (command minus reading) of each hand joint at the end,
-/// rad or m, and how early each digit was stopped.
+/// Touch, for each digit and then for the rest of the hand: the largest share of its channels that was active, the share at
+/// the end, and how early the first was (1 at once, 0 never). Tracking: the error (command minus reading) of each hand joint
+/// at the end, rad or m, and how early each digit was stopped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Felt {
     /// Length 3 (digits + 1).

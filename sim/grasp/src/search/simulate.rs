@@ -15,8 +15,9 @@ use crate::{GraspEnv, GraspError, GraspScene, Start};
 /// Time after a lift in which what is held can be held for long enough, beyond the hold itself, s.
 const SLACK_S: f64 = 0.5;
 
-/// Closings number 0 to `count` of those with `seed` and `shape`, each at the place in the middle of the region, with the object within
-/// `window_m` of it along both axes and physics randomised as in trials. Closings that ended in an emergency stop count as lost.
+/// Closings number 0 to `count` of those with `seed` and `shape`, each at the place in the middle of the region, with the
+/// object within `window_m` of it along both axes and physics randomised as in trials. Closings that ended in an emergency
+/// stop count as lost.
 ///
 /// The same seed gives the same bits for any number of threads.
 ///

@@ -151,3 +151,13 @@ fn viser_the_video_encoder_stays_out() {
     assert!(lock.contains("name = \"serde\""), "this is not the lock file");
     assert!(!lock.contains("name = \"viser\""), "the crate `viser` is a video encoder");
 }
+
+#[test]
+fn the_page_of_the_architecture_is_read_in_one_sitting() {
+    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let lines = page.lines().count();
+    assert!(
+        lines <= 120,
+        "ARCHITECTURE.md has {lines} lines, expected at most 120: details belong into docs/, beside their subject"
+    );
+}

@@ -209,3 +209,25 @@ fn no_file_is_longer_than_700_lines() {
         }
     }
 }
+
+/// Longest line of a comment, characters; rows of tables may be longer. Rustfmt does not wrap comments.
+const MAX_COMMENT_WIDTH: usize = 130;
+
+#[test]
+fn comments_fit_beside_each_other_on_a_screen() {
+    let is_comment = |line: &str| line.starts_with("//") && !line.contains("/ |") && !line.contains("! |");
+    for folder in crates() {
+        for path in ["src", "tests", "benches"].iter().flat_map(|inside| rust_files(&folder.join(inside))) {
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            for (idx, line) in text.lines().enumerate().filter(|(_, line)| is_comment(line.trim_start())) {
+                let width = line.chars().count();
+                assert!(
+                    width <= MAX_COMMENT_WIDTH,
+                    "{}:{} is a comment of {width} characters, expected at most {MAX_COMMENT_WIDTH}",
+                    shown(&path),
+                    idx + 1
+                );
+            }
+        }
+    }
+}
