@@ -152,6 +152,108 @@ fn viser_the_video_encoder_stays_out() {
     assert!(!lock.contains("name = \"viser\""), "the crate `viser` is a video encoder");
 }
 
+/// Words of a crate's sources, its build script included.
+fn words(package: &cargo_metadata::Package) -> BTreeSet<String> {
+    let folder = package.manifest_path.parent().expect("a folder").as_std_path();
+    let inside = ["src", "tests", "benches", "examples"];
+    let mut files: Vec<_> =
+        inside.iter().flat_map(|inside| crate::rust_files(&folder.join(inside))).collect();
+    files.extend(Some(folder.join("build.rs")).filter(|path| path.exists()));
+    let mut words = BTreeSet::new();
+    for path in files {
+        let text = std::fs::read_to_string(path).expect("a source file");
+        let is_part = |c: char| c.is_alphanumeric() || c == '_';
+        let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+        words.extend(code.flat_map(|line| line.split(|c| !is_part(c))).map(str::to_owned));
+    }
+    words
+}
+
+/// Dependencies that no source names, and what each is there for.
+const UNNAMED: [(&str, &str, &str); 0] = [];
+
+#[test]
+fn every_dependency_is_used() {
+    let mut unused = Vec::new();
+    for package in metadata(&host()).workspace_packages() {
+        let words = words(package);
+        for dependency in &package.dependencies {
+            let name = dependency.rename.as_ref().unwrap_or(&dependency.name).replace('-', "_");
+            let is_known = UNNAMED
+                .iter()
+                .any(|(of, known, _)| *of == package.name.as_str() && *known == dependency.name);
+            if words.contains(&name) == is_known {
+                unused.push(format!("{} of {}", dependency.name, package.name));
+            }
+        }
+    }
+    let hint = "remove it, or say in UNNAMED what it is there for";
+    assert!(unused.is_empty(), "no source of the crate names these dependencies; {hint}: {unused:#?}");
+}
+
+#[test]
+fn there_is_one_version_of_each_big_dependency() {
+    let big =
+        ["axum", "egui", "h2", "hyper", "mcap", "nalgebra", "parry3d", "prost", "reqwest", "tokio", "wgpu"];
+    let metadata = metadata(&host());
+    for name in big {
+        let versions: BTreeSet<_> = metadata
+            .packages
+            .iter()
+            .filter(|package| package.name.as_str() == name)
+            .map(|p| &p.version)
+            .collect();
+        assert!(
+            versions.len() <= 1,
+            "{name} is built in several versions: {versions:?}; `cargo tree -i {name}@VERSION`"
+        );
+    }
+}
+
+/// Licences under which others may use what is built here without publishing theirs; the last three are of data and fonts.
+const LICENCES: [&str; 17] = [
+    "0BSD",
+    "Apache-2.0",
+    "Apache-2.0 WITH LLVM-exception",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "BSL-1.0",
+    "CC0-1.0",
+    "ISC",
+    "MIT",
+    "MIT-0",
+    "MPL-2.0",
+    "Unicode-3.0",
+    "Unlicense",
+    "Zlib",
+    "CDLA-Permissive-2.0",
+    "OFL-1.1",
+    "Ubuntu-font-1.0",
+];
+
+/// Crates that have their licence in a file, not in a field: Apache-2.0.
+const LICENCE_IN_A_FILE: [&str; 1] = ["cfg_block"];
+
+#[test]
+fn every_dependency_may_be_given_on() {
+    let metadata = metadata(&host());
+    let members: BTreeSet<&PackageId> = metadata.workspace_members.iter().collect();
+    let mut others = Vec::new();
+    let is_looked_at = |package: &&cargo_metadata::Package| {
+        !members.contains(&package.id) && !LICENCE_IN_A_FILE.contains(&package.name.as_str())
+    };
+    for package in metadata.packages.iter().filter(is_looked_at) {
+        let licence = package.license.clone().unwrap_or_default().replace('/', " OR ");
+        // Of "A OR B" one is enough, of "A AND B" all are needed; brackets only group.
+        let allowed = |one: &str| LICENCES.contains(&one.trim());
+        let flat = licence.replace(['(', ')'], "");
+        if !flat.split(" AND ").all(|part| part.split(" OR ").any(allowed)) {
+            others.push(format!("{} {}: {licence:?}", package.name, package.version));
+        }
+    }
+    assert!(others.is_empty(), "expected one of {LICENCES:?}, found {others:#?}");
+}
+
 #[test]
 fn the_page_of_the_architecture_is_read_in_one_sitting() {
     let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
