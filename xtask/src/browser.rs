@@ -9,15 +9,20 @@ use anyhow::Context as _;
 
 use crate::{paths, shell};
 
-/// Installs Chromium and playwright-core where they are missing; gives the folder of the browser tests.
-pub(crate) fn tests_dir() -> anyhow::Result<PathBuf> {
+/// The folder of the browser tests.
+pub(crate) fn folder() -> PathBuf {
+    paths::root().join("tests/e2e/browser")
+}
+
+/// Installs Chromium and playwright-core where they are missing.
+pub(crate) fn install() -> anyhow::Result<()> {
     if !shell::exists("chromium") {
         shell::install_debian_packages(&["chromium"], "testing the page in a browser")?;
     }
     if !shell::exists("npm") {
         shell::install_debian_packages(&["nodejs", "npm"], "driving the browser")?;
     }
-    let dir = paths::root().join("tests/e2e/browser");
+    let dir = folder();
     let lock = std::fs::read(dir.join("package-lock.json"))
         .context("failed to read the browser tests' lock file")?;
     let stamp = dir.join("node_modules").join(".installed");
@@ -26,13 +31,13 @@ pub(crate) fn tests_dir() -> anyhow::Result<PathBuf> {
             .context("failed to install playwright-core from npm")?;
         std::fs::write(&stamp, lock)?;
     }
-    Ok(dir)
+    Ok(())
 }
 
 /// Takes a picture of every screen of the studio at `url`.
 pub(crate) fn screenshots(url: &str, out: &Path) -> anyhow::Result<()> {
-    let dir = tests_dir()?;
+    install()?;
     std::fs::create_dir_all(out).with_context(|| format!("failed to create {out:?}"))?;
     let out = out.canonicalize()?;
-    shell::run(Command::new("node").arg("screenshots.mjs").arg(url).arg(out).current_dir(dir))
+    shell::run(Command::new("node").arg("screenshots.mjs").arg(url).arg(out).current_dir(folder()))
 }

@@ -10,6 +10,7 @@ mod page;
 mod paths;
 mod python;
 mod shell;
+mod skip;
 mod slurm;
 mod studio;
 mod test;

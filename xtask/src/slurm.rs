@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 
-use crate::shell;
+use crate::{shell, skip};
 
 /// What the tests start; the packages start nothing by themselves where there is no init system.
 const PROGRAMS: [&str; 4] =
@@ -12,9 +12,7 @@ const PROGRAMS: [&str; 4] =
 
 /// Installs Slurm where it is missing, unless `PALPATE_SKIP` names it.
 pub(crate) fn install() -> anyhow::Result<()> {
-    let is_skipped = std::env::var("PALPATE_SKIP")
-        .is_ok_and(|skipped| skipped.split([',', ' ']).any(|word| word == "slurm"));
-    if is_skipped || PROGRAMS.iter().all(|program| Path::new(program).exists()) {
+    if skip::names("slurm") || PROGRAMS.iter().all(|program| Path::new(program).exists()) {
         return Ok(());
     }
     shell::install_debian_packages(

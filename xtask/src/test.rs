@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::{browser, build, mujoco, paths, python, shell, slurm};
+use crate::{browser, build, mujoco, paths, python, shell, skip, slurm};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 pub(crate) const PROPTEST_SEED: &str = "20261121";
@@ -15,8 +15,11 @@ pub(crate) struct TestArgs {
 
 /// Sets everything up, then runs every test of the workspace, the browser's included.
 pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
+    skip::check()?;
     let python = python::interpreter()?;
-    let browser_tests = browser::tests_dir()?;
+    if !skip::names("browser") {
+        browser::install()?;
+    }
     slurm::install()?;
     if !shell::exists("curl") {
         shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
@@ -24,6 +27,8 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     let palpate = build::dev()?;
     let artifacts = paths::target().join("e2e");
     std::fs::create_dir_all(&artifacts)?;
+    let skipped = artifacts.join("skipped.txt");
+    std::fs::write(&skipped, "")?;
     let page = paths::target().join("page");
     let cargo_test = || {
         let mut cargo = shell::cargo(&paths::root());
@@ -40,7 +45,8 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         .arg("--no-fail-fast")
         .env("PALPATE_BIN", &palpate)
         .env("PALPATE_PYTHON", python)
-        .env("PALPATE_BROWSER_TESTS", browser_tests)
+        .env("PALPATE_BROWSER_TESTS", browser::folder())
+        .env("PALPATE_SKIPPED", &skipped)
         .env("PALPATE_ARTIFACTS", &artifacts)
         .env("PALPATE_XTASK", std::env::current_exe()?)
         .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
@@ -49,8 +55,9 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
     }
     let workspace = shell::run(&mut cargo);
     let grasping = mujoco::test(&palpate, args.filter.as_deref());
-    workspace.and(grasping)?;
     eprintln!("screenshots and reports: {}", artifacts.display());
+    skip::report(&skipped);
+    workspace.and(grasping)?;
     Ok(())
 }
 

@@ -37,6 +37,8 @@ def viewer(p: Palpate) -> Iterator[Viewer]:
 
 def picture(viewer: Viewer, text: str, name: str, folder: Path) -> Picture:
     """The viewer's page, once its controls show `text`: only what is left of them and below its first notice."""
+    if "browser" in os.environ.get("PALPATE_SKIP", "").replace(",", " ").split():
+        pytest.skip("PALPATE_SKIP names browser")
     browser = tool("PALPATE_BROWSER_TESTS", "the folder tests/e2e/browser with playwright-core installed")
     file = Path(os.environ.get("PALPATE_ARTIFACTS", folder)) / f"viser-{name}.png"
     done = subprocess.run(

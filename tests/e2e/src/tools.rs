@@ -1,6 +1,7 @@
 //! What `cargo xtask test` set up, and the session that the tests share.
 
 use std::{
+    io::Write as _,
     path::{Path, PathBuf},
     process::Command,
     sync::OnceLock,
@@ -24,13 +25,28 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// The tools, or `None` (with a message) when the tests were not started by `cargo xtask test`.
+    /// The tools; `None` where `PALPATE_SKIP` names `e2e`.
+    ///
+    /// # Panics
+    /// If they are missing: a test that cannot run has not passed.
     pub fn find() -> Option<Self> {
-        let tools = Self::from_env();
-        if tools.is_none() {
-            eprintln!("skipped: the end-to-end tests need their set-up; run `cargo xtask test`");
+        if is_skipped("e2e") {
+            return None;
         }
+        let tools = Self::from_env();
+        assert!(
+            tools.is_some(),
+            "the end-to-end tests need their set-up: run `cargo xtask test`, or set PALPATE_SKIP=e2e to leave them out"
+        );
         tools
+    }
+
+    /// The tools, for a test that opens the page; `None` where `PALPATE_SKIP` names `e2e` or `browser`.
+    ///
+    /// # Panics
+    /// As [`Self::find`].
+    pub fn find_with_browser() -> Option<Self> {
+        if is_skipped("browser") { None } else { Self::find() }
     }
 
     fn from_env() -> Option<Self> {
@@ -48,6 +64,19 @@ impl Tools {
     pub fn palpate(&self) -> Command {
         Command::new(&self.palpate)
     }
+}
+
+/// Whether `PALPATE_SKIP` names `tool`, so that the test that asks is left out. `cargo xtask test` counts these tests.
+fn is_skipped(tool: &str) -> bool {
+    let is_named =
+        std::env::var("PALPATE_SKIP").is_ok_and(|skip| skip.split([',', ' ']).any(|word| word == tool));
+    if let Some(list) = std::env::var_os("PALPATE_SKIPPED").filter(|_| is_named) {
+        let test = std::thread::current().name().unwrap_or("a test").to_owned();
+        let file = std::fs::OpenOptions::new().append(true).create(true).open(list);
+        let noted = file.and_then(|mut file| file.write_all(format!("{tool} {test}\n").as_bytes()));
+        noted.expect("the list of tests that are left out");
+    }
+    is_named
 }
 
 /// The checkout's root.

@@ -21,7 +21,7 @@ const MOST_MS: f64 = 1500.0;
 /// by the processor and two cores do everything, painting takes longest.
 #[test]
 fn a_jump_of_a_reading_is_seen_in_the_picture() {
-    let Some(tools) = Tools::find() else { return };
+    let Some(tools) = Tools::find_with_browser() else { return };
     if std::env::var_os(MEASURE).is_none() {
         eprintln!("skipped: a measurement, which wants a quiet machine; set {MEASURE}=1");
         return;

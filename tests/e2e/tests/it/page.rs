@@ -58,7 +58,7 @@ fn run_script(tools: &Tools, studio: &Studio, script: &str) -> bool {
 
 /// Runs a script of the browser tests on a studio with the demonstration session.
 fn browser_test(script: &str) {
-    let Some(tools) = Tools::find() else { return };
+    let Some(tools) = Tools::find_with_browser() else { return };
     let _turn = together();
     pass_or_retry(script, || {
         let data = own_data(&tools).expect("the demonstration session");
@@ -70,7 +70,7 @@ fn browser_test(script: &str) {
 /// Runs a script that commands the emulated station of `truth`. It comes first on the machine: a page that waits a moment
 /// does no harm, a station that does holds.
 fn station_test(script: &str, truth: &Path) {
-    let Some(tools) = Tools::find() else { return };
+    let Some(tools) = Tools::find_with_browser() else { return };
     let _turn = alone();
     pass_or_retry(script, || {
         let data = tempfile::tempdir().expect("a folder");
