@@ -13,23 +13,20 @@ use palpate_wire::proto::LiveFrame;
 use palpate_wire::proto::device_status::Link as DeviceLink;
 use serde_json::Value;
 
-use crate::link;
 use crate::policy::{Policy, ScriptPolicy};
+use crate::studio::Studio;
 use crate::task::{Source, sha256};
 
 /// Where objects are, by name.
 const OBJECTS: &str = "assets/objects";
 /// Where scripts are, by the name of their object.
-const SCRIPTS: &str = "assets/grasp/scripts";
+pub(crate) const SCRIPTS: &str = "assets/grasp/scripts";
 /// How much faster than the safety layer lets a joint a script may be before that is said; rounding is no reason.
 const FASTER: f64 = 1.01;
 
-/// What is rolled out, and in what.
+/// What is rolled out beside the policy, and in what.
 #[derive(Clone, Debug, clap::Args)]
 pub struct FitArgs {
-    /// A learned policy: a training's folder, a checkpoint or an exported file; without one the script alone runs
-    #[arg(long)]
-    pub policy: Option<PathBuf>,
     /// Script: a file, or a name in `assets/grasp/scripts` [default: that of the object]
     #[arg(long)]
     pub script: Option<String>,
@@ -84,13 +81,15 @@ impl Sources {
     }
 }
 
-/// Reads everything, and refuses what does not belong together by the name of what differs.
+/// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; without one the script alone runs) among
+/// it, and refuses what does not belong together by the name of what differs.
 ///
 /// # Errors
 /// A studio without a station, files that cannot be read or do not fit the station's robot, a policy of another task.
-pub fn fit(url: &str, args: &FitArgs) -> anyhow::Result<Fitted> {
+pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Result<Fitted> {
     let sources = Sources::default();
-    let station = Arc::new(station(&link::get(url, "/station")?, &sources)?);
+    let document: Value = studio.get("/station")?;
+    let station = Arc::new(station(&document, &sources)?);
     let world =
         GraspConfig::from_toml(&shown(&args.world), &sources.text("world", &args.world)?, &station.robot)
             .with_context(|| {
@@ -116,7 +115,7 @@ pub fn fit(url: &str, args: &FitArgs) -> anyhow::Result<Fitted> {
         reaches(path, script, &station)?;
         warnings.extend(too_fast(path, script, &station, &world));
     }
-    let (policy, policy_name): (Box<dyn Policy>, String) = match (&args.policy, script) {
+    let (policy, policy_name): (Box<dyn Policy>, String) = match (policy, script) {
         (None, Some((path, script))) => {
             let policy = ScriptPolicy::new(Arc::clone(&station), world.clone(), script);
             (Box::new(policy), format!("script {}", shown(&path)))
@@ -136,6 +135,15 @@ pub fn fit(url: &str, args: &FitArgs) -> anyhow::Result<Fitted> {
     Ok(Fitted { station, world, policy, policy_name, object: object.id, sources, warnings })
 }
 
+/// Whether the policy at `path` says that it was learned without a script.
+///
+/// # Errors
+/// A file that cannot be read or is no policy.
+#[cfg(not(feature = "learned"))]
+pub fn is_without_script(path: &Path) -> anyhow::Result<bool> {
+    Err(not_built(path))
+}
+
 #[cfg(not(feature = "learned"))]
 fn learned(
     _args: &FitArgs,
@@ -146,9 +154,39 @@ fn learned(
     _object: &str,
     _sources: &Sources,
 ) -> anyhow::Result<Box<dyn Policy>> {
-    bail!(
+    Err(not_built(path))
+}
+
+#[cfg(not(feature = "learned"))]
+fn not_built(path: &Path) -> anyhow::Error {
+    anyhow::anyhow!(
         "{path:?} cannot be run: this program was built without learned policies; `palpate-train rollout` has them"
     )
+}
+
+/// Whether the policy at `path` says that it was learned without a script.
+///
+/// # Errors
+/// A file that cannot be read or is no policy.
+#[cfg(feature = "learned")]
+pub fn is_without_script(path: &Path) -> anyhow::Result<bool> {
+    let (file, _, actor) = actor(path)?;
+    let memory = crate::task::Memory::from_toml(actor.memory());
+    let memory = memory.map_err(|problem| anyhow::anyhow!("policy {file:?}: {problem}"))?;
+    Ok(!memory.task.has_script())
+}
+
+/// The policy at `path`, and the file and bytes that it was read from.
+#[cfg(feature = "learned")]
+fn actor(path: &Path) -> anyhow::Result<(PathBuf, Vec<u8>, palpate_ppo::Actor)> {
+    let file = if path.is_dir() { path.join(palpate_ppo::CHECKPOINT_FILE) } else { path.to_owned() };
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!(
+            "failed to read {file:?}; --policy is a training's folder, a checkpoint or an exported policy"
+        )
+    })?;
+    let actor = palpate_ppo::Actor::from_bytes(&file, &bytes)?;
+    Ok((file, bytes, actor))
 }
 
 /// The policy at `path`, if it was trained for what it is given here.
@@ -163,7 +201,6 @@ fn learned(
     sources: &Sources,
 ) -> anyhow::Result<Box<dyn Policy>> {
     use palpate_grasp::learn::{ActorTask, LearnConfig};
-    use palpate_ppo::{Actor, CHECKPOINT_FILE};
 
     use crate::policy::LearnedPolicy;
     use crate::task::{Memory, TaskRecord};
@@ -173,14 +210,8 @@ fn learned(
         .with_context(|| format!("the learning file does not fit the station {:?}", station.id))?;
     let task = ActorTask::new(Arc::clone(station), world.clone(), script, learning);
     let given = TaskRecord::of(object, task.layout(), &sources.0.borrow())?;
-    let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
-    let bytes = std::fs::read(&file).with_context(|| {
-        format!(
-            "failed to read {file:?}; --policy is a training's folder, a checkpoint or an exported policy"
-        )
-    })?;
+    let (file, bytes, actor) = actor(path)?;
     sources.add("policy", &file, &bytes);
-    let actor = Actor::from_bytes(&file, &bytes)?;
     let wrong = |problem: String| {
         let station = &station.id;
         anyhow::anyhow!("policy {file:?} does not fit: {problem} (the studio's station is {station:?})")

@@ -8,13 +8,16 @@
 //!
 //! Nothing here simulates: it needs no physics library, and the server needs nothing of it.
 
+mod campaign;
 pub mod fit;
 pub mod inject;
+mod journal;
 pub mod link;
 pub mod operator;
 pub mod policy;
 pub mod record;
 pub mod run;
+pub mod studio;
 pub mod task;
 pub mod trial;
 pub mod verdict;

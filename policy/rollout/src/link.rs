@@ -3,9 +3,7 @@
 //! Heartbeats go out from a thread of their own, but only while the thread of the policy has said lately that it is alive
 //! ([`Link::alive`]): one that computes for too long or hangs is a policy that nobody stands behind.
 
-use std::collections::{BTreeMap, VecDeque};
-use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -17,7 +15,9 @@ use palpate_wire::proto::{
 };
 use prost::Message as _;
 use tokio::sync::mpsc;
-use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::{ClientRequestBuilder, Message};
+
+use crate::studio::Studio;
 
 /// As pages send them: the station brakes after 0.15 s without one.
 const HEARTBEAT: Duration = Duration::from_millis(50);
@@ -58,6 +58,8 @@ struct State {
     frames: VecDeque<Frame>,
     answers: VecDeque<Answered>,
     awaited: BTreeMap<u64, Option<ControlReply>>,
+    /// Numbers of heartbeats that are not answered yet.
+    beats: BTreeSet<u64>,
     lease: u64,
     sequence: u64,
     alive_until: Option<Instant>,
@@ -90,12 +92,12 @@ pub struct Link {
 }
 
 impl Link {
-    /// Takes control as `name` of what the studio at `url` drives.
+    /// Takes control as `name` of what `studio` drives.
     ///
     /// # Errors
     /// A studio that cannot be reached, or that refuses because somebody else has control.
-    pub fn connect(url: &str, name: &str, take_over: bool) -> anyhow::Result<Self> {
-        let address = address(url)?.to_owned();
+    pub fn connect(studio: &Studio, name: &str, take_over: bool) -> anyhow::Result<Self> {
+        let studio = studio.clone();
         let shared = Arc::new(Shared::default());
         let (requests, waiting) = mpsc::channel(MOST_REQUESTS);
         let (tell, told) = std::sync::mpsc::sync_channel(1);
@@ -105,7 +107,7 @@ impl Link {
             let run = move || {
                 let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
                 match runtime {
-                    Ok(runtime) => runtime.block_on(converse(&address, &shared, post, waiting, &tell)),
+                    Ok(runtime) => runtime.block_on(converse(&studio, &shared, post, waiting, &tell)),
                     Err(err) => drop(tell.send(Err(err.into()))),
                 }
                 shared.end("the connection to the studio has ended".to_owned());
@@ -252,27 +254,21 @@ impl Drop for Link {
     }
 }
 
-/// Host and port of a studio.
-fn address(url: &str) -> anyhow::Result<&str> {
-    let address = url.strip_prefix("http://").with_context(|| {
-        format!(
-            "--url is {url:?}, expected the address that `palpate serve` prints, as http://127.0.0.1:8080"
-        )
-    })?;
-    Ok(address.trim_end_matches('/'))
-}
-
 /// Both sockets until the requests end or the studio does.
 async fn converse(
-    address: &str,
+    studio: &Studio,
     shared: &Shared,
     post: mpsc::WeakSender<ControlRequest>,
     mut requests: mpsc::Receiver<ControlRequest>,
     opened: &std::sync::mpsc::SyncSender<anyhow::Result<()>>,
 ) {
     let open = async |path: &str| {
-        let url = format!("ws://{address}/api/v1/{path}");
-        let connected = tokio_tungstenite::connect_async(&url).await;
+        let url = format!("ws://{}/api/v1/{path}", studio.address());
+        let mut request = ClientRequestBuilder::new(url.parse()?);
+        if let Some(token) = studio.token() {
+            request = request.with_header("Authorization", format!("Bearer {token}"));
+        }
+        let connected = tokio_tungstenite::connect_async(request).await;
         connected.map(|(socket, _)| socket).with_context(|| format!("failed to connect to {url}"))
     };
     let sockets = async { anyhow::Ok((open("control").await?, open("stream").await?)) };
@@ -334,9 +330,13 @@ async fn converse(
                     }
                     Err(err) => return format!("the studio's stream makes no sense: {err}"),
                 },
-                Some(Ok(Message::Close(_))) | None => return "the studio ended its stream".to_owned(),
+                Some(Ok(Message::Close(_))) | None => {
+                    return "the connection to the studio has ended: it sends no more frames".to_owned();
+                }
                 Some(Ok(_)) => {}
-                Some(Err(err)) => return format!("the studio's stream has ended: {err}"),
+                Some(Err(err)) => {
+                    return format!("the connection to the studio has ended: no more frames: {err}");
+                }
             }
         }
     };
@@ -357,9 +357,11 @@ fn heartbeat(shared: &Shared, post: &mpsc::WeakSender<ControlRequest>) {
         && is_alive
     {
         state.sequence += 1;
+        let sequence = state.sequence;
+        state.beats.insert(sequence);
         let request = Some(Request::Heartbeat(Heartbeat {}));
         // Where so much waits that there is no room, the policy learns of it by its own requests.
-        let _ = post.try_send(ControlRequest { sequence: state.sequence, lease: state.lease, request });
+        let _ = post.try_send(ControlRequest { sequence, lease: state.lease, request });
     }
 }
 
@@ -369,6 +371,11 @@ fn take_reply(shared: &Shared, reply: ControlReply) {
         state.ended.get_or_insert_with(|| format!("control was lost: {}", reply.problem));
     }
     state.lease = reply.lease;
+    // Nobody asks what became of a heartbeat, and an accepted one says nothing of targets that were refused.
+    if state.beats.remove(&reply.sequence) {
+        drop(state);
+        return shared.changed.notify_all();
+    }
     match state.awaited.get_mut(&reply.sequence) {
         Some(waiting) => *waiting = Some(reply),
         None => {
@@ -393,26 +400,4 @@ fn take_frame(shared: &Shared, live: LiveFrame) {
     state.newest = Some(frame);
     drop(state);
     shared.changed.notify_all();
-}
-
-/// `GET` of a JSON document below `/api/v1`.
-///
-/// # Errors
-/// A studio that cannot be reached, or that has no such document, with what it says.
-pub fn get(url: &str, path: &str) -> anyhow::Result<serde_json::Value> {
-    let address = address(url)?;
-    let mut stream =
-        TcpStream::connect(address).with_context(|| format!("failed to connect to {address}"))?;
-    stream.set_read_timeout(Some(REPLY))?;
-    // HTTP/1.0: the answer ends where the connection does.
-    write!(stream, "GET /api/v1{path} HTTP/1.0\r\nHost: {address}\r\n\r\n")?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer)?;
-    let (head, content) = answer.split_once("\r\n\r\n").context("the answer has no end of its head")?;
-    let status = head.lines().next().unwrap_or_default();
-    if !status.contains(" 200 ") {
-        let problem: serde_json::Value = serde_json::from_str(content).unwrap_or_default();
-        bail!("{path}: {}", problem["detail"].as_str().unwrap_or(status));
-    }
-    serde_json::from_str(content).with_context(|| format!("{path} is no JSON"))
 }

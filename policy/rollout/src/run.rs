@@ -15,11 +15,13 @@ use palpate_wire::proto::{Arm, control_request::Request, control_state::Phase};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::campaign;
 use crate::fit::{self, FitArgs, Fitted};
 use crate::inject::Injected;
 use crate::link::{Frame, Link};
 use crate::operator::Operator;
 use crate::record::Record;
+use crate::studio::Studio;
 use crate::trial::{self, Ended, Setting, targets, wait_until};
 use crate::verdict::Verdict;
 
@@ -31,8 +33,13 @@ const NEAR_HAND_RAD: f64 = 0.12;
 const NEAR_ARM_RAD: f64 = 0.02;
 /// Targets of a motion to the start are told again this often.
 const TELL_AGAIN: Duration = Duration::from_millis(500);
+/// Whether the object was placed is asked this often.
+const LOOK_AGAIN: Duration = Duration::from_millis(300);
 /// Joints that have arrived get this long to come to rest.
 const REST: Duration = Duration::from_millis(500);
+
+/// What `palpate tokens create` printed, where people have to log in.
+const TOKEN: &str = "PALPATE_TOKEN";
 
 /// Trials of a policy on the hand that a studio drives.
 #[derive(Clone, Debug, clap::Args)]
@@ -40,8 +47,24 @@ pub struct RolloutArgs {
     /// Address of the studio, as `palpate serve` prints it
     #[arg(long, default_value = "http://127.0.0.1:8080")]
     url: String,
+    /// A learned policy: a training's folder, a checkpoint or an exported file; without one the script alone runs. With
+    /// `--campaign`, ID=PATH for a policy of the campaign whose own source is not to be used; may be repeated
+    #[arg(long)]
+    policy: Vec<String>,
     #[command(flatten)]
-    fit: FitArgs,
+    pub(crate) fit: FitArgs,
+    /// Make the trials of this campaign of the studio, one after the other, until none is left or somebody pauses it
+    #[arg(long, value_name = "ID", conflicts_with_all = ["script", "without_script", "object", "silence_touch", "trials", "first", "seed", "start_cm", "inject"])]
+    campaign: Option<String>,
+    /// Make trials of the campaign that were scored void once more
+    #[arg(long, requires = "campaign")]
+    repeat_void: bool,
+    /// Whoever places the object says so on the studio's page, where they begin each trial of the campaign
+    #[arg(long, requires = "campaign", conflicts_with_all = ["operator", "placed"])]
+    placed_at_page: bool,
+    /// Tell the policy that it feels nothing, to see what touch is worth
+    #[arg(long)]
+    silence_touch: bool,
     /// Number of trials
     #[arg(long, default_value_t = 1)]
     trials: u64,
@@ -54,39 +77,48 @@ pub struct RolloutArgs {
     /// Half the edge length of the square that objects start in, cm [default: as the world's file says]
     #[arg(long)]
     start_cm: Option<f64>,
-    /// Folder for the records of the trials and `outcomes.jsonl`; it must be new or empty
+    /// Folder for the records of the trials and `outcomes.jsonl`; it must be new or empty, or hold the same campaign
     #[arg(long)]
-    out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Socket of the operator of `palpate-train station`, who places objects and sees what became of them
     #[arg(long, value_name = "SOCKET")]
-    operator: Option<PathBuf>,
+    pub(crate) operator: Option<PathBuf>,
     /// The object lies there already: nobody is asked to place it
     #[arg(long, conflicts_with = "operator")]
-    placed: bool,
+    pub(crate) placed: bool,
     /// Who has control meanwhile, for everybody else's page
     #[arg(long, default_value = "rollout")]
-    name: String,
+    pub(crate) name: String,
     /// Take control from whoever has it
     #[arg(long)]
-    take_over: bool,
+    pub(crate) take_over: bool,
     /// A fault on purpose: nan, jumps, slow or hang, and when in each trial, s
     #[arg(long, value_name = "KIND=S")]
     inject: Option<Injected>,
     /// A line of JSON for each trial on standard output
     #[arg(long)]
-    json: bool,
+    pub(crate) json: bool,
 }
 
 /// What a trial came to: a line of `outcomes.jsonl`. `docs/rollouts.md` explains the fields; they stay.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outcome {
-    /// Its number.
+    /// Its campaign; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub campaign: Option<String>,
+    /// Its number; in a campaign, that of its plan.
     pub trial: u64,
+    /// Which try of the campaign's trial it is, from 0; absent without a campaign.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attempt: Option<u32>,
     /// Id of the object.
     pub object: String,
     /// What moved the hand.
     pub policy: String,
-    /// How the trial began: seed, trial and half width of the starts; `null` where a person placed the object.
+    /// The policy was told that it feels nothing.
+    pub is_silenced: bool,
+    /// How the trial began: what the object's place was made of, and where it was; `null` where a person placed the object
+    /// outside a campaign.
     pub start: Value,
     /// What the robot itself takes it for.
     pub suggested: Verdict,
@@ -122,11 +154,32 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     if args.trials == 0 {
         bail!("--trials is 0, expected at least 1");
     }
-    let asks = args.operator.is_none() && !args.placed;
+    let asks = args.operator.is_none() && !args.placed && !args.placed_at_page;
     if asks && !std::io::stdin().is_terminal() {
-        bail!("nobody is there to place the object: give --operator, or --placed if it lies there already");
+        let placed = match args.campaign {
+            Some(_) => "--placed-at-page if it is placed by somebody at the studio's page",
+            None => "--placed if it lies there already",
+        };
+        bail!("nobody is there to place the object: give --operator, or {placed}");
     }
-    let mut fitted = fit::fit(&args.url, &args.fit)?;
+    let studio = Studio::new(&args.url, std::env::var(TOKEN).ok())?;
+    if let Some(id) = &args.campaign {
+        let options = campaign::Options {
+            id,
+            repeats_void: args.repeat_void,
+            is_placed_at_page: args.placed_at_page,
+            policies: &args.policy,
+        };
+        return campaign::run(args, &studio, &options);
+    }
+    let policy = match &args.policy[..] {
+        [] => None,
+        [policy] => Some(Path::new(policy)),
+        _ => {
+            bail!("--policy is there {} times; one is tried at a time outside a campaign", args.policy.len())
+        }
+    };
+    let mut fitted = fit::fit(&studio, policy, &args.fit)?;
     let is_free = std::fs::read_dir(&args.out).map_or(true, |mut entries| entries.next().is_none());
     if !is_free {
         bail!("--out is {:?}, which is not empty; records of trials are never written over", args.out);
@@ -138,128 +191,185 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         eprintln!("rollout: {warning}");
     }
     let cancel = cancel_on_ctrl_c();
-    let link = Link::connect(&args.url, &args.name, args.take_over)?;
-    let done = trials(args, &mut fitted, &link, operator.as_mut(), &cancel);
+    let link = Link::connect(&studio, &args.name, args.take_over)?;
+    let hand = Hand { link: &link, cancel: &cancel };
+    let done = trials(args, &mut fitted, &hand, operator.as_mut());
     hold(&link, &fitted.station);
     link.release();
     done
 }
 
+/// Control of the station, and whether somebody wants to stop.
+#[derive(Clone, Copy)]
+pub(crate) struct Hand<'a> {
+    pub(crate) link: &'a Link,
+    pub(crate) cancel: &'a Cancel,
+}
+
 fn trials(
     args: &RolloutArgs,
     fitted: &mut Fitted,
-    link: &Link,
+    hand: &Hand<'_>,
     mut operator: Option<&mut Operator>,
-    cancel: &Cancel,
 ) -> anyhow::Result<()> {
-    let frame =
-        wait_for(link, "the devices to be ready", cancel, |frame| match fit::not_ready(&frame.live) {
-            None => Ok(()),
-            Some(problem) => Err(problem),
-        })?;
-    if frame.live.control.as_ref().is_some_and(|control| control.phase() == Phase::Stopped) {
-        bail!("the station is stopped; reset the stop at the studio's page first");
-    }
-    let file = args.out.join("outcomes.jsonl");
-    let mut lines = std::fs::File::create(&file).with_context(|| format!("failed to make {file:?}"))?;
+    ready(hand)?;
+    let mut outcomes = Outcomes::open(&args.out, args.json)?;
     for trial in args.first..args.first + args.trials {
-        let outcome = one(args, fitted, link, operator.as_deref_mut(), cancel, trial);
+        let outcome = one(args, fitted, hand, operator.as_deref_mut(), trial);
         let (outcome, is_cancelled) = match outcome {
-            Err(_) if cancel.is_cancelled() => break,
+            Err(_) if hand.cancel.is_cancelled() => break,
             other => other?,
         };
-        let line = serde_json::to_string(&outcome)?;
-        std::io::Write::write_all(&mut lines, format!("{line}\n").as_bytes())
-            .with_context(|| format!("failed to write {file:?}"))?;
-        if args.json {
-            println!("{line}");
-        } else {
+        outcomes.add(&outcome)?;
+        if !args.json {
             println!("trial {trial}: {:?}: {}", outcome.suggested, outcome.reasons.join("; "));
         }
-        if is_cancelled || link.ended().is_some() {
+        if is_cancelled || hand.link.ended().is_some() {
             break;
         }
     }
     Ok(())
 }
 
-/// One trial, from wherever the robot is; whether somebody wants no further one.
-fn one(
-    args: &RolloutArgs,
-    fitted: &mut Fitted,
-    link: &Link,
-    operator: Option<&mut Operator>,
-    cancel: &Cancel,
-    trial: u64,
-) -> anyhow::Result<(Outcome, bool)> {
-    let station = Arc::clone(&fitted.station);
-    let waits = fitted.world.start_positions(&station.robot);
-    arm(link, cancel)?;
-    go(link, cancel, &station, &waits, false)?;
-    let mut start = Value::Null;
-    let mut begins = waits;
-    let mut operator = operator;
-    if let Some(operator) = operator.as_deref_mut() {
-        let mut request =
-            json!({ "act": "start", "object": args.fit.object, "seed": args.seed, "trial": trial });
-        if let Some(start_cm) = args.start_cm {
-            request["start_cm"] = json!(start_cm);
-        }
-        let placed = ask_alive(link, operator, &request).context("the object was not placed")?;
-        let positions: BTreeMap<String, f64> =
-            serde_json::from_value(placed["start"].clone()).context("the operator told no start")?;
-        for (at, joint) in begins.iter_mut().zip(station.robot.dofs()) {
-            *at = positions.get(&joint.name).copied().unwrap_or(*at);
-        }
-        let object_pose = &placed["object_pose"];
-        start = json!({
-            "seed": args.seed, "trial": trial, "start_cm": args.start_cm, "object_pose": object_pose,
-        });
-        go(link, cancel, &station, &begins, false)?;
-    } else if !args.placed {
-        ask_person(link, &fitted.object, trial)?;
+/// Waits until every device is ready; refuses a station that somebody stopped.
+pub(crate) fn ready(hand: &Hand<'_>) -> anyhow::Result<()> {
+    let wanted = |frame: &Frame| fit::not_ready(&frame.live).map_or(Ok(()), Err);
+    let frame = wait_for(hand, "the devices to be ready", wanted)?;
+    if frame.live.control.as_ref().is_some_and(|control| control.phase() == Phase::Stopped) {
+        bail!("the station is stopped; reset the stop at the studio's page first");
     }
-    let path = args.out.join(format!("trial-{trial:04}.jsonl"));
-    let head = json!({
-        "trial": trial, "object": fitted.object, "policy": fitted.policy_name, "start": start,
+    Ok(())
+}
+
+/// `outcomes.jsonl`, to which lines are only added.
+pub(crate) struct Outcomes {
+    file: std::fs::File,
+    path: PathBuf,
+    prints: bool,
+}
+
+impl Outcomes {
+    /// The file in `folder`; each line is printed too with `prints`.
+    pub(crate) fn open(folder: &Path, prints: bool) -> anyhow::Result<Self> {
+        let path = folder.join("outcomes.jsonl");
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
+        let file = file.with_context(|| format!("failed to open {path:?}"))?;
+        Ok(Self { file, path, prints })
+    }
+
+    pub(crate) fn add(&mut self, outcome: &Outcome) -> anyhow::Result<()> {
+        let line = serde_json::to_string(outcome)?;
+        std::io::Write::write_all(&mut self.file, format!("{line}\n").as_bytes())
+            .with_context(|| format!("failed to write {:?}", self.path))?;
+        if self.prints {
+            println!("{line}");
+        }
+        Ok(())
+    }
+}
+
+/// Whoever puts the object where a trial begins.
+pub(crate) enum Placing<'a> {
+    /// The operator of an emulated station, asked for this.
+    Operator(&'a mut Operator, Value),
+    /// A person at the keyboard, told this.
+    Person(String),
+    /// Somebody who says so elsewhere: `Ok(true)` once they have.
+    Elsewhere(&'a mut (dyn FnMut() -> anyhow::Result<bool> + Send)),
+    /// Nobody: it lies there.
+    Nobody,
+}
+
+/// The robot and the object are where a trial begins.
+pub(crate) struct Begins {
+    /// By degree of freedom.
+    positions: Vec<f64>,
+    /// Where the operator of an emulated station says that the object is; `null` elsewhere.
+    object_pose: Value,
+}
+
+/// Arms the station, moves it out of the way, has the object placed, and moves to where the trial begins.
+pub(crate) fn begin(hand: &Hand<'_>, fitted: &Fitted, placing: Placing<'_>) -> anyhow::Result<Begins> {
+    let station = &fitted.station;
+    let waits = fitted.world.start_positions(&station.robot);
+    arm(hand)?;
+    go(hand, station, &waits, false)?;
+    let mut begins = Begins { positions: waits, object_pose: Value::Null };
+    match placing {
+        Placing::Operator(operator, request) => {
+            let placed = ask_alive(hand.link, operator, &request).context("the object was not placed")?;
+            let positions: BTreeMap<String, f64> =
+                serde_json::from_value(placed["start"].clone()).context("the operator told no start")?;
+            for (at, joint) in begins.positions.iter_mut().zip(station.robot.dofs()) {
+                *at = positions.get(&joint.name).copied().unwrap_or(*at);
+            }
+            begins.object_pose = placed["object_pose"].clone();
+            go(hand, station, &begins.positions, false)?;
+        }
+        Placing::Person(told) => ask_person(hand.link, &told)?,
+        Placing::Elsewhere(is_placed) => {
+            while !alive_while(hand.link, &mut *is_placed)? {
+                still_there(hand)?;
+                wait_until(hand.link, Instant::now() + LOOK_AGAIN);
+            }
+        }
+        Placing::Nobody => {}
+    }
+    Ok(begins)
+}
+
+/// Which trial is made, and with what.
+pub(crate) struct Making<'a> {
+    pub(crate) campaign: Option<&'a str>,
+    pub(crate) trial: u64,
+    pub(crate) attempt: Option<u32>,
+    /// File of its record.
+    pub(crate) path: &'a Path,
+    /// How it begins, as its outcome says.
+    pub(crate) start: Value,
+    pub(crate) is_silenced: bool,
+    pub(crate) inject: Option<Injected>,
+}
+
+/// Runs a trial that [`begin`] prepared; gives what it came to, and whether somebody wants no further one.
+pub(crate) fn make(
+    hand: &Hand<'_>,
+    fitted: &mut Fitted,
+    making: Making<'_>,
+    begins: &Begins,
+    operator: Option<&mut Operator>,
+) -> anyhow::Result<(Outcome, bool)> {
+    let Making { campaign, trial, attempt, path, mut start, is_silenced, inject } = making;
+    let Hand { link, cancel } = *hand;
+    let station = Arc::clone(&fitted.station);
+    if start.is_object() {
+        start["object_pose"] = begins.object_pose.clone();
+    }
+    let mut head = json!({
+        "trial": trial, "object": fitted.object, "policy": fitted.policy_name, "is_silenced": is_silenced, "start": start,
         "station": station.id, "files": fitted.sources, "control_rate_hz": fitted.world.control_rate_hz,
         "joints": station.robot.dofs().map(|joint| joint.name.as_str()).collect::<Vec<_>>(),
         "channels": station.layout.channels.iter().map(|channel| channel.id.as_str()).collect::<Vec<_>>(),
-        "begins_at": begins,
+        "begins_at": begins.positions,
     });
-    let mut record = Record::create(&path, station.layout.num_channels(), &head)?;
-    let setting = Setting { station: &station, world: &fitted.world, link, cancel, inject: args.inject };
-    let ended = trial::run(&setting, &mut *fitted.policy, &begins, &mut record)?;
+    if let Some(campaign) = campaign {
+        head["campaign"] = json!(campaign);
+        head["attempt"] = json!(attempt);
+    }
+    let mut record = Record::create(path, station.layout.num_channels(), &head)?;
+    let setting = Setting { station: &station, world: &fitted.world, link, cancel, is_silenced, inject };
+    let ended = trial::run(&setting, &mut *fitted.policy, &begins.positions, &mut record)?;
     let truth = operator.map(|operator| truth(link, operator, &fitted.world.task.hold_s)).transpose();
     let truth =
         truth.unwrap_or_else(|err| Some(json!({ "problem": format!("{err:#}") }))).unwrap_or_default();
-    let outcome = outcome(trial, fitted, &path, start, truth, &ended);
-    record.outcome(&outcome)?;
-    hold(link, &station);
-    if ended.suggestion.held_s > 0.0 && link.ended().is_none() && !ended.is_cancelled {
-        // What was lifted is put down before the hand opens.
-        let _ = go(link, cancel, &station, &put_down(link, &station, &ended.lowest), true);
-    }
-    Ok((outcome, ended.is_cancelled))
-}
-
-/// The arm where the hand was lowest, the hand as it is told to be.
-fn put_down(link: &Link, station: &Station, lowest: &[f64]) -> Vec<f64> {
-    let commanded = link.newest().and_then(|frame| frame.live.control.clone()).unwrap_or_default().commanded;
-    let mut down: Vec<f64> = commanded.into_iter().map(f64::from).collect();
-    down.resize(lowest.len(), 0.0);
-    for &dof in &station.carrier_dofs {
-        down[dof] = lowest[dof];
-    }
-    down
-}
-
-fn outcome(trial: u64, fitted: &Fitted, path: &Path, start: Value, truth: Value, ended: &Ended) -> Outcome {
     let suggestion = ended.suggestion.clone();
-    Outcome {
+    let outcome = Outcome {
+        campaign: campaign.map(str::to_owned),
         trial,
+        attempt,
         object: fitted.object.clone(),
         policy: fitted.policy_name.clone(),
+        is_silenced,
         start,
         suggested: suggestion.verdict,
         reasons: suggestion.reasons,
@@ -273,7 +383,62 @@ fn outcome(trial: u64, fitted: &Fitted, path: &Path, start: Value, truth: Value,
         refused: ended.refused,
         plan_ms: median_and_p99_ms(&ended.plan_s),
         age_ms: median_and_p99_ms(&ended.age_s),
+    };
+    record.outcome(&outcome)?;
+    hold(link, &station);
+    if ended.suggestion.held_s > 0.0 && link.ended().is_none() && !ended.is_cancelled {
+        // What was lifted is put down before the hand opens.
+        let _ = go(hand, &station, &put_down(link, &station, &ended), true);
     }
+    Ok((outcome, ended.is_cancelled))
+}
+
+/// One trial, from wherever the robot is; whether somebody wants no further one.
+fn one(
+    args: &RolloutArgs,
+    fitted: &mut Fitted,
+    hand: &Hand<'_>,
+    mut operator: Option<&mut Operator>,
+    trial: u64,
+) -> anyhow::Result<(Outcome, bool)> {
+    let mut start = Value::Null;
+    let placing = match operator.as_deref_mut() {
+        Some(operator) => {
+            let mut request =
+                json!({ "act": "start", "object": args.fit.object, "seed": args.seed, "trial": trial });
+            if let Some(start_cm) = args.start_cm {
+                request["start_cm"] = json!(start_cm);
+            }
+            start = json!({ "seed": args.seed, "trial": trial, "start_cm": args.start_cm });
+            Placing::Operator(operator, request)
+        }
+        None if args.placed => Placing::Nobody,
+        None => Placing::Person(format!("trial {trial}: place the object {:?}", fitted.object)),
+    };
+    let begins = begin(hand, fitted, placing)?;
+    let path = args.out.join(format!("trial-{trial:04}.jsonl"));
+    let making = Making {
+        campaign: None,
+        trial,
+        attempt: None,
+        path: &path,
+        start,
+        is_silenced: args.silence_touch,
+        inject: args.inject,
+    };
+    make(hand, fitted, making, &begins, operator)
+}
+
+/// The arm where the hand was lowest, the hand as it is told to be.
+fn put_down(link: &Link, station: &Station, ended: &Ended) -> Vec<f64> {
+    let lowest = &ended.lowest;
+    let commanded = link.newest().and_then(|frame| frame.live.control.clone()).unwrap_or_default().commanded;
+    let mut down: Vec<f64> = commanded.into_iter().map(f64::from).collect();
+    down.resize(lowest.len(), 0.0);
+    for &dof in &station.carrier_dofs {
+        down[dof] = lowest[dof];
+    }
+    down
 }
 
 fn median_and_p99_ms(seconds: &[f64]) -> [f64; 2] {
@@ -303,34 +468,47 @@ fn truth(link: &Link, operator: &mut Operator, hold_s: &f64) -> anyhow::Result<V
 
 /// Asks the operator; heartbeats go on meanwhile.
 fn ask_alive(link: &Link, operator: &mut Operator, request: &Value) -> anyhow::Result<Value> {
+    alive_while(link, || operator.ask(request))
+}
+
+/// Does `work`, which takes its time but ends; heartbeats go on meanwhile.
+pub(crate) fn alive_while<T: Send>(
+    link: &Link,
+    work: impl FnOnce() -> anyhow::Result<T> + Send,
+) -> anyhow::Result<T> {
     std::thread::scope(|scope| {
-        let asked = scope.spawn(move || operator.ask(request));
-        while !asked.is_finished() {
+        let done = scope.spawn(work);
+        while !done.is_finished() {
             link.alive();
             std::thread::sleep(Duration::from_millis(5));
         }
-        asked.join().unwrap_or_else(|_| bail!("asking the operator failed"))
+        done.join().unwrap_or_else(|_| bail!("a thread of the rollout failed"))
     })
 }
 
-/// Asks a person at the keyboard to place the object; heartbeats go on meanwhile.
-fn ask_person(link: &Link, object: &str, trial: u64) -> anyhow::Result<()> {
-    eprintln!("rollout: trial {trial}: place the object {object:?} and press Enter");
-    std::thread::scope(|scope| {
-        let asked = scope.spawn(|| std::io::stdin().read_line(&mut String::new()));
-        while !asked.is_finished() {
-            link.alive();
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        match asked.join() {
-            Ok(Ok(1..)) => Ok(()),
-            _ => bail!("standard input has ended"),
-        }
+/// Asks a person at the keyboard to do what they are `told`; heartbeats go on meanwhile.
+fn ask_person(link: &Link, told: &str) -> anyhow::Result<()> {
+    eprintln!("rollout: {told}, and press Enter");
+    alive_while(link, || match std::io::stdin().read_line(&mut String::new()) {
+        Ok(1..) => Ok(()),
+        _ => bail!("standard input has ended"),
     })
+}
+
+/// Refuses to go on where control is lost, the station does not follow, or somebody wants to stop.
+fn still_there(hand: &Hand<'_>) -> anyhow::Result<()> {
+    if let Some(why) = hand.link.ended() {
+        bail!("{why}");
+    }
+    if hand.cancel.is_cancelled() {
+        bail!("stopped by Ctrl-C");
+    }
+    let newest = hand.link.newest();
+    newest.and_then(|frame| crate::verdict::not_following(&frame.live)).map_or(Ok(()), |why| bail!("{why}"))
 }
 
 /// Joints stay where they are told to be now.
-fn hold(link: &Link, station: &Station) {
+pub(crate) fn hold(link: &Link, station: &Station) {
     let Some(frame) = link.newest().filter(|_| link.ended().is_none()) else { return };
     let commanded = frame.live.control.as_ref().map(|control| control.commanded.clone()).unwrap_or_default();
     if commanded.is_empty() {
@@ -342,7 +520,8 @@ fn hold(link: &Link, station: &Station) {
     wait_until(link, Instant::now() + REST);
 }
 
-fn arm(link: &Link, cancel: &Cancel) -> anyhow::Result<()> {
+fn arm(hand: &Hand<'_>) -> anyhow::Result<()> {
+    let link = hand.link;
     let is_armed = |frame: &Frame| match frame.live.control.as_ref().map(|control| control.phase()) {
         Some(Phase::Armed) => Ok(()),
         _ => Err(frame.live.control.as_ref().map(|control| control.reason.clone()).unwrap_or_default()),
@@ -350,18 +529,13 @@ fn arm(link: &Link, cancel: &Cancel) -> anyhow::Result<()> {
     if link.newest().is_none_or(|frame| is_armed(&frame).is_err()) {
         link.must("arming", Request::Arm(Arm {}))?;
     }
-    wait_for(link, "the station to be armed", cancel, is_armed).map(drop)
+    wait_for(hand, "the station to be armed", is_armed).map(drop)
 }
 
 /// Moves all joints to `positions`, and waits until they are there, or until those of the arm are where the hand holds
 /// something that keeps its own from it.
-fn go(
-    link: &Link,
-    cancel: &Cancel,
-    station: &Station,
-    positions: &[f64],
-    is_holding: bool,
-) -> anyhow::Result<()> {
+fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -> anyhow::Result<()> {
+    let link = hand.link;
     let is_arm = |dof: usize| station.carrier_dofs.contains(&dof);
     let wanted = within_limits(station, positions);
     link.must("a motion to the start", targets(&wanted))?;
@@ -391,7 +565,7 @@ fn go(
             }
         }
     };
-    wait_for(link, "the robot to be where the trial begins", cancel, arrived)?;
+    wait_for(hand, "the robot to be where the trial begins", arrived)?;
     wait_until(link, Instant::now() + REST);
     Ok(())
 }
@@ -404,11 +578,11 @@ fn within_limits(station: &Station, positions: &[f64]) -> Vec<f64> {
 
 /// Waits for a frame that is as wanted; `wanted` says what is not so yet.
 fn wait_for(
-    link: &Link,
+    hand: &Hand<'_>,
     what: &str,
-    cancel: &Cancel,
     wanted: impl Fn(&Frame) -> Result<(), String>,
 ) -> anyhow::Result<Frame> {
+    let Hand { link, cancel } = *hand;
     let begun = Instant::now();
     let (mut number, mut problem) = (0, "nothing was heard of the station".to_owned());
     loop {

@@ -31,6 +31,8 @@ pub struct Setting<'a> {
     pub link: &'a Link,
     /// Says when somebody wants to stop.
     pub cancel: &'a Cancel,
+    /// The policy is told that it feels nothing.
+    pub is_silenced: bool,
     /// What goes wrong on purpose.
     pub inject: Option<Injected>,
 }
@@ -82,7 +84,7 @@ pub fn run(
     start: &[f64],
     record: &mut Record,
 ) -> anyhow::Result<Ended> {
-    let Setting { station, world, link, cancel, inject } = setting;
+    let Setting { station, world, link, cancel, is_silenced, inject } = setting;
     let period = Duration::from_secs_f64(1.0 / world.control_rate_hz);
     let num_steps = (world.task.episode_s * world.control_rate_hz).round() as u64;
     let horizon = policy.horizon();
@@ -151,13 +153,16 @@ pub fn run(
         }
         let time_s = step as f64 / world.control_rate_hz;
         let now = Instant::now();
-        let Some((frame, now_seen)) = fresh(newest, station, time_s, now) else {
+        let Some((frame, mut now_seen)) = fresh(newest, station, time_s, now) else {
             break Some(Break::Void(format!(
                 "nothing new was heard of the station for {:.2} s",
                 STALE.as_secs_f64()
             )));
         };
         ended.age_s.push(now.saturating_duration_since(frame.received).as_secs_f64());
+        if *is_silenced {
+            now_seen.active.fill(false);
+        }
         history.push_back(now_seen);
         while history.len() > horizon.observations {
             history.pop_front();

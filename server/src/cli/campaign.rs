@@ -59,7 +59,9 @@ fn list(args: &FolderArgs) -> Result<(), Error> {
         let state = match (&campaign.error, &campaign.closed) {
             (Some(error), _) => format!("cannot be read: {error}"),
             (None, Some(time)) => format!("closed {time}"),
-            (None, None) => "open".to_owned(),
+            (None, None) => {
+                campaign.paused.as_ref().map_or_else(|| "open".to_owned(), |time| format!("paused {time}"))
+            }
         };
         let scored = format!("{}/{}", campaign.scored, campaign.planned);
         output::line(&format!(

@@ -399,6 +399,18 @@ const EXAMPLES: &[Example] = &[
     },
     Example {
         method: "POST",
+        path: "/campaigns/{campaign}/pause",
+        curl: r#"curl -X POST "$PALPATE_URL/api/v1/campaigns/first-trials/pause""#,
+        status: 200,
+    },
+    Example {
+        method: "POST",
+        path: "/campaigns/{campaign}/resume",
+        curl: r#"curl -X POST "$PALPATE_URL/api/v1/campaigns/first-trials/resume""#,
+        status: 200,
+    },
+    Example {
+        method: "POST",
         path: "/campaigns/{campaign}/close",
         curl: r#"curl -X POST "$PALPATE_URL/api/v1/campaigns/first-trials/close""#,
         status: 200,

@@ -179,6 +179,8 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::GET, "/campaigns/{campaign}", VIEW, get(campaigns::detail)),
         route(Method::GET, "/campaigns/{campaign}/results", VIEW, get(campaigns::results)),
         route(Method::GET, "/campaigns/{campaign}/tables/{file}", VIEW, get(campaigns::table)),
+        route(Method::POST, "/campaigns/{campaign}/pause", TRIALS, post(campaigns::pause)),
+        route(Method::POST, "/campaigns/{campaign}/resume", TRIALS, post(campaigns::resume)),
         route(Method::POST, "/campaigns/{campaign}/close", DATA, post(campaigns::close)),
         route(Method::POST, "/campaigns/{campaign}/reopen", DATA, post(campaigns::reopen)),
         route(Method::POST, "/campaigns/{campaign}/trials/{trial}/begin", TRIALS, post(campaigns::begin)),

@@ -80,6 +80,23 @@ async fn campaign_is_made_run_scored_and_exported() {
 }
 
 #[tokio::test]
+async fn paused_campaign_is_listed_as_such_and_begins_nothing() {
+    let data = Data::empty();
+    let app = data.app();
+    assert_eq!(post(&app, "/api/v1/campaigns", &plan()).await.status, 201);
+    let paused = post(&app, "/api/v1/campaigns/first-trials/pause", &json!({})).await;
+    let paused: Campaign = paused.json();
+    assert!(paused.summary.paused.is_some());
+    let begin = "/api/v1/campaigns/first-trials/trials/1/begin";
+    let refused = post(&app, begin, &json!({})).await;
+    assert!(refused.problem(409).contains("paused"), "{:?}", refused.body);
+    let listed = palpate_ok(&["campaign", "list", "--data", arg(data.root())]);
+    assert!(listed.contains("paused 20"), "{listed}");
+    assert_eq!(post(&app, "/api/v1/campaigns/first-trials/resume", &json!({})).await.status, 200);
+    assert_eq!(post(&app, begin, &json!({})).await.status, 200);
+}
+
+#[tokio::test]
 async fn blind_scorer_sees_neither_policy_nor_suggestion() {
     let data = Data::empty();
     let app = data.app();

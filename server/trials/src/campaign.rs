@@ -36,6 +36,7 @@ pub(crate) struct State {
     pub(crate) planned: Vec<PlannedTrial>,
     /// By number, from 1: the attempts of each trial.
     pub(crate) attempts: Vec<Vec<Attempt>>,
+    pub(crate) paused: Option<String>,
     pub(crate) closed: Option<String>,
 }
 
@@ -43,7 +44,7 @@ impl State {
     pub(crate) fn new(id: String, created: String, plan: CampaignPlan) -> Self {
         let planned = trials_of(&plan);
         let attempts = vec![Vec::new(); planned.len()];
-        Self { id, created, plan, planned, attempts, closed: None }
+        Self { id, created, plan, planned, attempts, paused: None, closed: None }
     }
 
     fn unknown(&self, trial: u32) -> TrialsError {
@@ -91,6 +92,12 @@ impl State {
     /// The change that begins `trial`: its first attempt, or one more after a void one.
     pub(crate) fn begin(&self, trial: u32) -> Result<Change, TrialsError> {
         self.is_open()?;
+        if let Some(time) = &self.paused {
+            return Err(TrialsError::Conflict(format!(
+                "campaign {:?} is paused since {time}; resume it to go on",
+                self.id
+            )));
+        }
         let attempts = self.attempts(trial)?;
         let running =
             self.attempts.iter().position(|attempts| attempts.last().is_some_and(|last| !last.has_ended));
@@ -189,6 +196,16 @@ impl State {
         }
     }
 
+    /// The change that pauses the campaign; `None` if it is paused.
+    pub(crate) fn pause(&self) -> Result<Option<Change>, TrialsError> {
+        self.is_open().map(|()| self.paused.is_none().then_some(Change::Paused))
+    }
+
+    /// The change that goes on with it; `None` if it is not paused.
+    pub(crate) fn resume(&self) -> Result<Option<Change>, TrialsError> {
+        self.is_open().map(|()| self.paused.is_some().then_some(Change::Resumed))
+    }
+
     /// The change that closes the campaign.
     pub(crate) fn close(&self) -> Result<Change, TrialsError> {
         self.is_open().map(|()| Change::Closed)
@@ -251,6 +268,8 @@ impl State {
                 self.last_mut(trial, attempt)?.settled = Some(score);
                 self.decide(trial);
             }
+            Change::Paused => self.paused = Some(time),
+            Change::Resumed => self.paused = None,
             Change::Closed => self.closed = Some(time),
             Change::Reopened => self.closed = None,
         }
@@ -288,6 +307,7 @@ impl State {
             planned: self.planned.len() as u32,
             scored: count(&[TrialState::Scored]),
             to_score: count(&[TrialState::Unscored, TrialState::Unsettled]),
+            paused: self.paused.clone(),
             closed: self.closed.clone(),
             error: None,
         }
@@ -377,6 +397,11 @@ fn check_outcome(outcome: &RolloutOutcome) -> Result<(), TrialsError> {
     }
     if outcome.take.as_ref().is_some_and(|take| take.len() > MAX_REASON_BYTES) {
         return Err(TrialsError::Argument("take is too long; expected session/take".to_owned()));
+    }
+    if outcome.record.as_ref().is_some_and(|record| record.len() > MAX_REASON_BYTES) {
+        return Err(TrialsError::Argument(format!(
+            "record is too long; expected a path of at most {MAX_REASON_BYTES} bytes"
+        )));
     }
     Ok(())
 }

@@ -40,6 +40,10 @@ pub(crate) enum Change {
     Unscored { trial: u32, attempt: u32 },
     /// Scorers differed; this counts.
     Settled { trial: u32, attempt: u32, verdict: TrialVerdict, note: String },
+    /// No trial begins until it is resumed.
+    Paused,
+    /// Trials begin again.
+    Resumed,
     /// No trial is made any more.
     Closed,
     /// Trials go on.

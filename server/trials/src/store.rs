@@ -194,6 +194,22 @@ impl Campaigns {
         self.change(id, viewer, &viewer.name, |state| state.settle(trial, request, &viewer.name).map(Some))
     }
 
+    /// No trial begins until the campaign is resumed; the one that runs goes on to its end. Asked twice, it is kept once.
+    ///
+    /// # Errors
+    /// It is closed.
+    pub fn pause(&self, id: &str, viewer: &Viewer) -> Result<Campaign, TrialsError> {
+        self.change(id, viewer, &viewer.name, State::pause)
+    }
+
+    /// Trials begin again. Asked twice, it is kept once.
+    ///
+    /// # Errors
+    /// It is closed.
+    pub fn resume(&self, id: &str, viewer: &Viewer) -> Result<Campaign, TrialsError> {
+        self.change(id, viewer, &viewer.name, State::resume)
+    }
+
     /// No trial is made any more; a blind campaign is open to everybody from now on.
     ///
     /// # Errors
@@ -299,6 +315,7 @@ fn broken(id: String, err: &TrialsError) -> CampaignSummary {
         planned: 0,
         scored: 0,
         to_score: 0,
+        paused: None,
         closed: None,
         error: Some(err.to_string()),
     }

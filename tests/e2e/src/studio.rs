@@ -47,6 +47,18 @@ impl Studio {
         Self::spawn(serve(tools, data, station))
     }
 
+    /// The same at the address where another one was: `ADDRESS:PORT`.
+    pub fn serve_at(
+        tools: &Tools,
+        address: &str,
+        data: &Path,
+        station: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    ) -> anyhow::Result<Self> {
+        let mut command = tools.palpate();
+        command.args(["serve", "--listen", address, "--data"]).arg(data).args(station);
+        Self::spawn(command)
+    }
+
     /// The same where nobody ever reads its standard error: the pipe fills up.
     pub fn serve_unread(
         tools: &Tools,
@@ -214,7 +226,7 @@ impl Studio {
         stream.read_to_string(&mut answer)?;
         let (head, content) = answer.split_once("\r\n\r\n").context("the answer has no end of its head")?;
         let status = head.lines().next().unwrap_or_default();
-        if !status.contains(" 200 ") {
+        if !status.contains(" 200 ") && !status.contains(" 201 ") {
             bail!("{method} {path}: {status}: {content}");
         }
         if content.is_empty() {

@@ -39,6 +39,7 @@ fn campaign(state: TrialState) -> Campaign {
         time_to_grasp_s: None,
         held_s: None,
         take: None,
+        record: None,
     };
     let has_ended = state == TrialState::Unscored;
     let attempt = Attempt {
@@ -75,6 +76,7 @@ fn campaign(state: TrialState) -> Campaign {
             planned: 2,
             scored: 0,
             to_score: u32::from(has_ended),
+            paused: None,
             closed: None,
             error: None,
         },

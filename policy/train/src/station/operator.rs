@@ -33,7 +33,7 @@ const MOST_DEEP_M: f64 = 0.002;
 enum Request {
     /// Where the object is and what has become of it.
     State {},
-    /// Puts an object on the table, in the nominal world.
+    /// Puts an object on the table.
     Place {
         /// Another object than the present one.
         object: Option<String>,
@@ -46,6 +46,8 @@ enum Request {
         /// Which stable side it lies on: 0 to 1, by how likely they are.
         #[serde(default)]
         side: f64,
+        /// Draws the physics and the noise on where the hand begins; the nominal world without one.
+        seed: Option<u64>,
     },
     /// Puts it where a trial of the grasp world begins, in that trial's physics.
     Start {
@@ -188,7 +190,7 @@ fn act(
 ) -> anyhow::Result<Value> {
     let placement = match request {
         Request::State {} => return Ok(state(shared, control)),
-        Request::Place { object, offset_m, yaw_rad, side } => {
+        Request::Place { object, offset_m, yaw_rad, side, seed } => {
             if ![offset_m[0], offset_m[1], yaw_rad].iter().all(|value| value.is_finite()) {
                 bail!("offset_m is {offset_m:?} and yaw_rad {yaw_rad}, expected finite numbers");
             }
@@ -196,7 +198,16 @@ fn act(
                 bail!("side is {side}, expected 0 to 1");
             }
             objects.choose(object.as_deref())?;
-            objects.at(&|scene| Start::placed(scene, side, offset_m, yaw_rad))?
+            objects.at(&|scene| {
+                let placed = Start::placed(scene, side, offset_m, yaw_rad);
+                match seed {
+                    None => placed,
+                    Some(seed) => Start {
+                        base_from_object: placed.base_from_object,
+                        ..Start::of_trial(scene, 0.0, seed, 0)
+                    },
+                }
+            })?
         }
         Request::Start { object, seed, trial, start_cm } => {
             objects.choose(object.as_deref())?;

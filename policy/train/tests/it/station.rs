@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 use super::rollouts::replay;
 
 /// A process that prints a line when it is ready, and ends with its owner.
-struct Ready {
+pub(crate) struct Ready {
     process: Child,
-    line: String,
+    pub(crate) line: String,
     _stdout: BufReader<ChildStdout>,
 }
 
 impl Ready {
-    fn start(command: &mut Command) -> Self {
+    pub(crate) fn start(command: &mut Command) -> Self {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut process = command
             .current_dir(root)
@@ -40,7 +40,7 @@ impl Drop for Ready {
     }
 }
 
-fn palpate() -> Option<PathBuf> {
+pub(crate) fn palpate() -> Option<PathBuf> {
     let palpate = std::env::var_os("PALPATE_BIN").map(PathBuf::from);
     if palpate.is_none() {
         eprintln!("skipped: the station's studio is set up by `cargo xtask test`");

@@ -312,6 +312,48 @@ pub(super) async fn settle(
     change(&state, id, move |campaigns, id| campaigns.settle(id, trial, &request, &viewer)).await
 }
 
+/// Pauses a campaign: no trial begins until it is resumed; the one that runs goes on to its end.
+#[utoipa::path(
+    post,
+    path = "/campaigns/{campaign}/pause",
+    tag = "campaigns",
+    responses(
+        (status = 200, description = "Done.", body = Campaign),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
+pub(super) async fn pause(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    Asking(principal): Asking,
+    Peer(peer): Peer,
+) -> Answer<Json<Campaign>> {
+    change(&state, id, move |campaigns, id| campaigns.pause(id, &viewer(&principal, &peer, "", false))).await
+}
+
+/// Goes on with a paused campaign.
+#[utoipa::path(
+    post,
+    path = "/campaigns/{campaign}/resume",
+    tag = "campaigns",
+    responses(
+        (status = 200, description = "Done.", body = Campaign),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<422>,
+    ),
+)]
+pub(super) async fn resume(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    Asking(principal): Asking,
+    Peer(peer): Peer,
+) -> Answer<Json<Campaign>> {
+    change(&state, id, move |campaigns, id| campaigns.resume(id, &viewer(&principal, &peer, "", false))).await
+}
+
 /// Closes a campaign: no trial is made any more, and a blind one is open to everybody.
 #[utoipa::path(
     post,

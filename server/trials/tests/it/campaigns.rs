@@ -90,6 +90,31 @@ fn one_trial_runs_at_a_time() {
 }
 
 #[test]
+fn paused_campaign_begins_no_trial_until_it_is_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::new(dir.path(), Vec::new());
+    campaigns.create("first", plan(&["a"], &[("cube", "seen")], 2), &operator()).unwrap();
+    campaigns.begin("first", 1, &operator()).unwrap();
+    for _ in 0..2 {
+        let paused = campaigns.pause("first", &operator()).unwrap();
+        assert!(paused.summary.paused.is_some());
+    }
+    // What runs goes on to its end, and is scored.
+    campaigns.end("first", (1, 0), &outcome(TrialVerdict::Slip), &operator()).unwrap();
+    campaigns.score("first", 1, &says(0, TrialVerdict::Slip), &operator()).unwrap();
+    let again = Campaigns::new(dir.path(), Vec::new());
+    let refused = again.begin("first", 2, &operator()).unwrap_err().to_string();
+    assert!(refused.contains("is paused since"), "{refused}");
+    again.resume("first", &operator()).unwrap();
+    assert!(again.resume("first", &operator()).unwrap().summary.paused.is_none());
+    again.begin("first", 2, &operator()).unwrap();
+    let lines = fs::read_to_string(dir.path().join("first/log.jsonl")).unwrap().lines().count();
+    assert_eq!(lines, 6, "each act is kept once");
+    again.close("first", &operator()).unwrap();
+    assert!(again.pause("first", &operator()).is_err());
+}
+
+#[test]
 fn requests_that_come_twice_are_kept_once_and_others_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::new(dir.path(), Vec::new());

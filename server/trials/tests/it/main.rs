@@ -51,6 +51,7 @@ fn outcome(suggested: TrialVerdict) -> RolloutOutcome {
         time_to_grasp_s: Some(3.5),
         held_s: Some(1.2),
         take: Some("trials/take-01".to_owned()),
+        record: None,
     }
 }
 

@@ -173,6 +173,9 @@ pub struct RolloutOutcome {
     /// The take that was recorded, `session/take`.
     #[serde(default)]
     pub take: Option<String>,
+    /// The rollout's own record, as the computer that it ran on names the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub record: Option<String>,
 }
 
 /// `POST /api/v1/campaigns/{campaign}/trials/{trial}/outcome`.
@@ -304,6 +307,9 @@ pub struct CampaignSummary {
     pub scored: u32,
     /// Trials that wait for scores or for scorers to settle.
     pub to_score: u32,
+    /// Since when no trial begins until somebody resumes it, RFC 3339.
+    #[serde(default)]
+    pub paused: Option<String>,
     /// When it was closed, RFC 3339.
     pub closed: Option<String>,
     /// Why it cannot be opened; the rest is empty then.

@@ -13,6 +13,7 @@ mod full_disk;
 mod page;
 mod probe_bench;
 mod python_client;
+mod rollouts;
 mod scene;
 mod takes;
 mod unplugging;

@@ -81,6 +81,7 @@ fn running_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign
                 time_to_grasp_s: None,
                 held_s: None,
                 take: None,
+                record: None,
             };
             let end = TrialEnd { attempt, outcome };
             cx.store.campaigns.act(id, false, CampaignAct::End(trial.number, end));

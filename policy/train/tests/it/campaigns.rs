@@ -1,0 +1,195 @@
+//! A campaign on the physical emulated station, scored blind by somebody else while it goes on.
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use palpate_rollout::link::Link;
+use palpate_rollout::studio::{RequestError, Studio};
+use palpate_wire::api::{Campaign, CampaignResults, TrialVerdict};
+use serde_json::{Value, json};
+
+use super::station::{Ready, palpate};
+
+/// Whatever is waited for comes long before this, unless it never does.
+const PATIENCE: Duration = Duration::from_secs(300);
+/// Verdicts of the scorer by trial, who knows nothing else.
+const VERDICTS: [TrialVerdict; 4] =
+    [TrialVerdict::Success, TrialVerdict::Slip, TrialVerdict::EmptyGrasp, TrialVerdict::Success];
+
+/// Somebody with a role, and the token of what they use.
+fn somebody(palpate: &Path, data: &Path, name: &str, role: &str, scopes: &str) -> String {
+    let mut add = Command::new(palpate)
+        .args(["people", "add", name, "--role", role, "--data"])
+        .arg(data)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the command starts");
+    let mut password = add.stdin.take().expect("its input");
+    writeln!(password, "a password of {name}").expect("a password");
+    drop(password);
+    assert!(add.wait().expect("it ends").success());
+    let output = Command::new(palpate)
+        .args(["tokens", "create", name, "--name", "test", "--scopes", scopes, "--data"])
+        .arg(data)
+        .output()
+        .expect("the command starts");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let token = text.split(|letter: char| letter.is_whitespace() || letter == '"');
+    let token = token.into_iter().find(|word| word.starts_with("plp_"));
+    token.unwrap_or_else(|| panic!("no token: {output:?}")).to_owned()
+}
+
+/// The status and the reason of what must be refused.
+fn refused<T: std::fmt::Debug>(done: Result<T, RequestError>) -> (u16, String) {
+    match done {
+        Err(RequestError::Refused { status, detail, .. }) => (status, detail),
+        other => panic!("it was not refused: {other:?}"),
+    }
+}
+
+#[test]
+fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scored() {
+    let Some(palpate) = palpate() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let (dir, data) = (folder.path().join("devices"), folder.path().join("data"));
+    let station = Ready::start(
+        Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
+            .arg(&dir),
+    );
+    let found: Value = serde_json::from_str(&station.line).expect("where everything is");
+    let operator_token = somebody(&palpate, &data, "olga", "operator", "read,control,data");
+    let scorer_token = somebody(&palpate, &data, "ada", "scorer", "read,score");
+    let viewer_token = somebody(&palpate, &data, "vera", "viewer", "read");
+    let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
+    let running = Ready::start(
+        Command::new(&palpate)
+            .args(["serve", "--login", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .arg(&data)
+            .args(serve),
+    );
+    let line: Value = serde_json::from_str(&running.line).expect("an address");
+    let url = line["url"].as_str().expect("an address");
+    let studio = |token: &str| Studio::new(url, Some(token.to_owned())).expect("a studio");
+    let (operator, scorer, viewer) = (studio(&operator_token), studio(&scorer_token), studio(&viewer_token));
+
+    let plan = json!({
+        "name": "Night", "starts": 1, "half_width_m": 0.015, "seed": 5, "is_blind": true,
+        "policies": [
+            { "id": "expert", "source": "{object}.safetensors" },
+            { "id": "numb", "source": "{object}.safetensors", "is_silenced": true },
+        ],
+        "objects": [{ "id": "cube", "group": "seen" }, { "id": "ball", "group": "unseen" }],
+    });
+    assert_eq!(refused(viewer.post::<Campaign>("/campaigns", &plan)).0, 403);
+    assert_eq!(refused(scorer.post::<Campaign>("/campaigns", &plan)).0, 403);
+    let _: Campaign = operator.post("/campaigns", &plan).expect("a campaign");
+
+    // Shorter trials, as what they come to is not what is looked at here.
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let world = std::fs::read_to_string(root.join("assets/grasp/xarm6_leap.toml")).expect("a world");
+    let short = folder.path().join("world.toml");
+    std::fs::write(&short, world.replace("episode_s = 10.0", "episode_s = 3.0")).expect("a file");
+    let out = folder.path().join("night");
+    let mut rollout = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        .args(["rollout", "--campaign", "night", "--url", url, "--operator"])
+        .arg(found["operator"].as_str().expect("a socket"))
+        .arg("--world")
+        .arg(&short)
+        .arg("--out")
+        .arg(&out)
+        .env("PALPATE_TOKEN", &operator_token)
+        .current_dir(&root)
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the command starts");
+
+    // The scorer scores each trial as it ends; the viewer may neither move nor score.
+    let begun = Instant::now();
+    let mut num_scored = 0;
+    while num_scored < VERDICTS.len() {
+        assert!(begun.elapsed() < PATIENCE, "{num_scored} of the trials were made");
+        if let Some(status) = rollout.try_wait().expect("a process") {
+            assert!(status.success(), "the rollout failed: {status}");
+        }
+        let seen: Value = scorer.get("/campaigns/night").expect("the campaign");
+        let text = seen.to_string();
+        assert!(!text.contains("safetensors") && !text.contains("digits were stopped"), "{text}");
+        assert!(seen["trials"].as_array().expect("trials").iter().all(|trial| trial["policy"].is_null()));
+        let Some(number) = seen["next_to_score"].as_u64() else {
+            std::thread::sleep(Duration::from_millis(200));
+            continue;
+        };
+        let score = json!({ "attempt": 0, "verdict": VERDICTS[number as usize - 1] });
+        let path = format!("/campaigns/night/trials/{number}/score");
+        let (status, why) = refused(viewer.post::<Campaign>(&path, &score));
+        assert_eq!(status, 403, "{why}");
+        if num_scored == 0 {
+            let begin = "/campaigns/night/trials/4/begin";
+            assert_eq!(refused(viewer.post::<Campaign>(begin, &json!({}))).0, 403);
+            assert_eq!(refused(scorer.post::<Campaign>(begin, &json!({}))).0, 403);
+            let moved = Link::connect(&viewer, "vera", true).err().expect("a viewer takes no control");
+            eprintln!("viewer: {moved:#}");
+            let moved = Link::connect(&scorer, "ada", true).err().expect("a scorer takes no control");
+            eprintln!("scorer: {moved:#}");
+        }
+        let _: Campaign = scorer.post(&path, &score).expect("a score");
+        num_scored += 1;
+    }
+    let printed = rollout.wait_with_output().expect("its output");
+    assert!(printed.status.success(), "{printed:?}");
+    let printed = String::from_utf8_lossy(&printed.stdout).into_owned();
+    assert!(!printed.contains("expert") && !printed.contains("numb"), "the terminal tells nobody: {printed}");
+
+    // What comes out is what was scored, by policy and object.
+    assert_eq!(refused(scorer.get::<Value>("/campaigns/night/results")).0, 409);
+    let closed: Campaign = operator.post("/campaigns/night/close", &json!({})).expect("it is closed");
+    let mut expected: BTreeMap<(String, String), TrialVerdict> = BTreeMap::new();
+    for trial in &closed.trials {
+        assert_eq!(trial.attempts.len(), 1, "trial {}", trial.number);
+        let last = &trial.attempts[0];
+        let verdict = VERDICTS[trial.number as usize - 1];
+        assert_eq!((last.verdict, last.scores[0].scorer.as_str()), (Some(verdict), "ada"));
+        assert_eq!(last.by, "olga");
+        let suggested = last.outcome.as_ref().and_then(|outcome| outcome.suggested);
+        assert!(suggested.is_some_and(|suggested| suggested != TrialVerdict::Void), "{last:?}");
+        let policy = trial.policy.clone().expect("it is open now");
+        expected.insert((policy.clone(), trial.object.clone()), verdict);
+        let record = last.outcome.as_ref().and_then(|outcome| outcome.record.as_ref()).expect("a record");
+        let text = std::fs::read_to_string(record).expect("the record");
+        let head: Value = serde_json::from_str(text.lines().next().expect("a line")).expect("JSON");
+        assert_eq!(head["trial"]["is_silenced"], policy == "numb");
+        assert_eq!(head["trial"]["object"], json!(trial.object));
+        let at = |idx: usize| head["trial"]["start"]["object_pose"][idx].as_f64().expect("a pose");
+        // The middle of the shipped world's region.
+        let away = (at(0) - 0.42 - trial.start.x_m).hypot(at(1) - trial.start.y_m);
+        assert!(away < 1e-3, "trial {}: placed {away} m away", trial.number);
+    }
+    let results: CampaignResults = scorer.get("/campaigns/night/results").expect("results");
+    for policy in &results.policies {
+        for object in &policy.objects {
+            let is = |verdict| {
+                u64::from(expected.get(&(policy.policy.clone(), object.object.clone())) == Some(&verdict))
+            };
+            let counted = [
+                object.rate.successes,
+                object.failures.empty_grasp,
+                object.failures.slip,
+                object.rate.trials,
+            ];
+            let scored = [is(TrialVerdict::Success), is(TrialVerdict::EmptyGrasp), is(TrialVerdict::Slip), 1];
+            assert_eq!(counted, scored, "{} on {}", policy.policy, object.object);
+        }
+    }
+    let exported = Command::new(&palpate)
+        .args(["campaign", "results", "night", "--json", "--data"])
+        .arg(&data)
+        .output()
+        .expect("the command starts");
+    let exported: CampaignResults = serde_json::from_slice(&exported.stdout).expect("results");
+    assert_eq!(exported, results);
+}
