@@ -13,6 +13,7 @@ pub mod inject;
 pub mod link;
 pub mod operator;
 pub mod policy;
+pub mod read;
 pub mod record;
 pub mod run;
 pub mod task;
