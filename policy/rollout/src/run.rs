@@ -11,7 +11,7 @@ use anyhow::{Context as _, bail};
 use palpate_robot_model::Station;
 use palpate_sim::job::Cancel;
 use palpate_terminal::cancel_on_ctrl_c;
-use palpate_wire::proto::{Arm, control_request::Request, control_state::Phase};
+use palpate_wire::proto::{Arm, Reflex, control_request::Request, control_state::Phase};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -69,6 +69,9 @@ pub struct RolloutArgs {
     /// Take control from whoever has it
     #[arg(long)]
     take_over: bool,
+    /// Switch the studio's reflex of the digits on for the rollout, as this file has it (`docs/reflex.md`)
+    #[arg(long, value_name = "FILE")]
+    reflex: Option<PathBuf>,
     /// A fault on purpose: nan, jumps, slow or hang, and when in each trial, s
     #[arg(long, value_name = "KIND=S")]
     inject: Option<Injected>,
@@ -127,6 +130,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         bail!("nobody is there to place the object: give --operator, or --placed if it lies there already");
     }
     let mut fitted = fit::fit(&args.url, &args.fit)?;
+    let reflex = args.reflex.as_deref().map(|path| fit::reflex(path, &mut fitted)).transpose()?;
     let is_free = std::fs::read_dir(&args.out).map_or(true, |mut entries| entries.next().is_none());
     if !is_free {
         bail!("--out is {:?}, which is not empty; records of trials are never written over", args.out);
@@ -139,7 +143,11 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     }
     let cancel = cancel_on_ctrl_c();
     let link = Link::connect(&args.url, &args.name, args.take_over)?;
-    let done = trials(args, &mut fitted, &link, operator.as_mut(), &cancel);
+    // The reflex ends with the lease.
+    let reflex = reflex.map(|config_toml| Request::Reflex(Reflex { on: true, config_toml }));
+    let done = reflex
+        .map_or(Ok(()), |reflex| link.must("switching the reflex on", reflex).map(drop))
+        .and_then(|()| trials(args, &mut fitted, &link, operator.as_mut(), &cancel));
     hold(&link, &fitted.station);
     link.release();
     done
