@@ -19,6 +19,7 @@ use crate::link::Link;
 use crate::operator::Operator;
 use crate::run::{
     Begins, Hand, Making, Outcome, Outcomes, Placing, RolloutArgs, alive_while, begin, hold, make, ready,
+    switch_reflex_on,
 };
 use crate::studio::{RequestError, Studio};
 use crate::verdict::Verdict;
@@ -90,10 +91,14 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
         return Ok(());
     }
     // All before the first motion: a policy that does not fit is not found out in the middle of the night.
+    let mut reflex = None;
     for (policy, source) in campaign.plan.policies.iter().zip(&sources) {
         for object in &campaign.plan.objects {
-            let fitted = fit_arm(studio, &args.fit, source, &object.id)
+            let mut fitted = fit_arm(studio, &args.fit, source, &object.id)
                 .with_context(|| format!("policy {:?} on the object {:?}", policy.id, object.id))?;
+            if let Some(path) = &args.reflex {
+                reflex = Some(fit::reflex(path, &mut fitted)?);
+            }
             for warning in &fitted.warnings {
                 eprintln!("rollout: {} on {}: {warning}", policy.id, object.id);
             }
@@ -105,7 +110,7 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
     loop {
         let link = connect(args, studio)?;
         let hand = Hand { link: &link, cancel: &cancel };
-        let done = session.trials(&hand);
+        let done = switch_reflex_on(&link, reflex.as_deref()).and_then(|()| session.trials(&hand));
         if let Some(fitted) = session.arms.values().next() {
             hold(&link, &fitted.station);
         }

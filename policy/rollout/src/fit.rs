@@ -239,6 +239,17 @@ fn station(document: &Value, sources: &Sources) -> anyhow::Result<Station> {
     Ok(station)
 }
 
+/// The text of a reflex's file, which the studio checks; the record of each trial names it.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn reflex(path: &Path, fitted: &mut Fitted) -> anyhow::Result<String> {
+    let sources = Sources::default();
+    let text = sources.text("reflex", path)?;
+    fitted.sources.extend(sources.0.into_inner());
+    Ok(text)
+}
+
 /// A file, or one of a folder by its name.
 fn named(name: &str, folder: &str, flag: &str) -> anyhow::Result<PathBuf> {
     let given = PathBuf::from(name);

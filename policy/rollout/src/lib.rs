@@ -15,6 +15,7 @@ mod journal;
 pub mod link;
 pub mod operator;
 pub mod policy;
+pub mod read;
 pub mod record;
 pub mod run;
 pub mod studio;

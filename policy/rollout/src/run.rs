@@ -11,7 +11,7 @@ use anyhow::{Context as _, bail};
 use palpate_robot_model::Station;
 use palpate_sim::job::Cancel;
 use palpate_terminal::cancel_on_ctrl_c;
-use palpate_wire::proto::{Arm, control_request::Request, control_state::Phase};
+use palpate_wire::proto::{Arm, Reflex, control_request::Request, control_state::Phase};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -92,6 +92,9 @@ pub struct RolloutArgs {
     /// Take control from whoever has it
     #[arg(long)]
     pub(crate) take_over: bool,
+    /// Switch the studio's reflex of the digits on for the rollout, as this file has it (`docs/reflex.md`)
+    #[arg(long, value_name = "FILE")]
+    pub(crate) reflex: Option<PathBuf>,
     /// A fault on purpose: nan, jumps, slow or hang, and when in each trial, s
     #[arg(long, value_name = "KIND=S")]
     inject: Option<Injected>,
@@ -180,6 +183,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         }
     };
     let mut fitted = fit::fit(&studio, policy, &args.fit)?;
+    let reflex = args.reflex.as_deref().map(|path| fit::reflex(path, &mut fitted)).transpose()?;
     let is_free = std::fs::read_dir(&args.out).map_or(true, |mut entries| entries.next().is_none());
     if !is_free {
         bail!("--out is {:?}, which is not empty; records of trials are never written over", args.out);
@@ -193,7 +197,8 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let cancel = cancel_on_ctrl_c();
     let link = Link::connect(&studio, &args.name, args.take_over)?;
     let hand = Hand { link: &link, cancel: &cancel };
-    let done = trials(args, &mut fitted, &hand, operator.as_mut());
+    let done = switch_reflex_on(&link, reflex.as_deref())
+        .and_then(|()| trials(args, &mut fitted, &hand, operator.as_mut()));
     hold(&link, &fitted.station);
     link.release();
     done
@@ -604,4 +609,11 @@ fn wait_for(
             bail!("waited {} s in vain for {what}: {problem}", PATIENCE.as_secs());
         }
     }
+}
+
+/// Switches the studio's reflex on, if there is the text of its file. It ends with the lease.
+pub(crate) fn switch_reflex_on(link: &Link, config_toml: Option<&str>) -> anyhow::Result<()> {
+    let Some(config_toml) = config_toml else { return Ok(()) };
+    let reflex = Reflex { on: true, config_toml: config_toml.to_owned() };
+    link.must("switching the reflex on", Request::Reflex(reflex)).map(drop)
 }

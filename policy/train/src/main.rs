@@ -2,6 +2,7 @@
 //! they, searches by touch, scores what was learned and keeps it as demonstrations, pretrains the tactile encoder on these, and
 //! measures the grasp world's speed.
 
+mod against_hand;
 mod bench;
 mod compare;
 mod curves;
@@ -55,6 +56,8 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Run trials of a policy on the hand that a studio drives
     Rollout(palpate_rollout::RolloutArgs),
+    /// Compare a rollout with the same policy and the same commands in the grasp world, by sensor model
+    CompareRollout(against_hand::CompareRolloutArgs),
     /// Run an emulated station whose hand can grasp and lift, for any client of the real devices
     Station(station::StationArgs),
 }
@@ -107,6 +110,7 @@ fn main() -> ExitCode {
         Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Rollout(args) => palpate_rollout::run(&args),
+        Command::CompareRollout(args) => against_hand::run(&args),
         Command::Station(args) => station::run(&args),
     };
     match done {

@@ -44,12 +44,21 @@ pub(crate) fn of(
     script: Script,
     sources: Sources,
 ) -> anyhow::Result<OpenTask> {
+    of_script(args, scene, (!args.without_script).then_some(script), sources)
+}
+
+/// The same on top of this script, or of none.
+pub(crate) fn of_script(
+    args: &TaskArgs,
+    scene: Arc<GraspScene>,
+    script: Option<Script>,
+    sources: Sources,
+) -> anyhow::Result<OpenTask> {
     let text = sources.text("learning", &args.learning)?;
     let learning = LearnConfig::from_toml(&files::shown(&args.learning), &text, &scene.station().robot)?;
-    let script = (!args.without_script).then_some(script);
-    let task = Arc::new(LearnTask::new(scene, script, learning)?);
     let mut sources = sources.into_list();
-    sources.retain(|source| !(args.without_script && source.role == "script"));
+    sources.retain(|source| script.is_some() || source.role != "script");
+    let task = Arc::new(LearnTask::new(scene, script, learning)?);
     Ok(OpenTask {
         record: TaskRecord::of(&task.scene().object().id, task.layout(), &sources)?,
         task,

@@ -164,6 +164,7 @@ impl Control {
             tare_for: None,
             tare_problem: String::new(),
             tolerances: tolerances(&station),
+            reflex: None,
             station,
         };
         let (tell, ended) = crossbeam_channel::bounded(1);

@@ -9,7 +9,7 @@ use palpate_drivers::{DeviceEvent, Devices, HostClock};
 use palpate_robot_model::Station;
 use palpate_safety::Supervisor;
 use palpate_wire::{
-    proto::{ControlReply, ControlRequest, LiveFrame},
+    proto::{ControlReply, ControlRequest, LiveFrame, control_request::Request},
     wording::counted,
 };
 
@@ -22,6 +22,8 @@ use crate::{
     latch::Latch,
     pace::Pace,
     rates::RateMeter,
+    reflex::ReflexConfig,
+    reflexing::Reflex,
     refusals::Refusals,
     requests::{Busy, Caller, Claim, Desk, Effect, Refused, Times, describe, is_stop},
     senses::{Sensed, Senses},
@@ -91,6 +93,8 @@ pub(crate) struct ControlLoop {
     pub(crate) tare_problem: String,
     /// How far each joint may be behind a guided motion, rad or m.
     pub(crate) tolerances: Vec<f64>,
+    /// The reflex of the digits, while it is on.
+    pub(crate) reflex: Option<Reflex>,
 }
 
 impl ControlLoop {
@@ -293,6 +297,11 @@ impl ControlLoop {
             let who = self.desk.who(now_ns, &self.supervisor, caller);
             self.refused(now_ns, &who, describe(request), problem);
         }
+        if let (Ok(_), Some(reflex), Some(Request::Targets(targets))) =
+            (&handled, &mut self.reflex, &request.request)
+        {
+            reflex.told(&targets.dofs, &targets.positions);
+        }
         let ended =
             handled.map_err(Refused::into_text).and_then(|effect| self.effect(now_ns, caller, effect));
         self.desk.reply(now_ns, &self.supervisor, caller.connection, sequence, ended)
@@ -321,6 +330,20 @@ impl ControlLoop {
                 self.senses.streams.tare(now_ns, TARE_NS);
                 Ok(())
             }
+            Effect::Reflex { on, config_toml, lease } => {
+                let config = match on {
+                    true => Some(
+                        ReflexConfig::from_toml(&config_toml, &self.station)
+                            .map_err(|problem| format!("the reflex's configuration: {problem}"))?,
+                    ),
+                    false => None,
+                };
+                let who = self.desk.who(now_ns, &self.supervisor, caller);
+                let what = if on { "switched the reflex on" } else { "switched the reflex off" };
+                self.audit.note_by(now_ns, &who, what);
+                self.set_reflex(config, lease);
+                Ok(())
+            }
         }
     }
 
@@ -333,6 +356,7 @@ impl ControlLoop {
         self.finish_tare(now_ns);
         self.supervisor.measured(now_ns, &self.senses.measured);
         self.guide(now_ns);
+        self.reflex(now_ns);
         self.drive(now_ns);
         self.answer_stops(now_ns);
         self.note_audit("");
@@ -414,6 +438,7 @@ impl ControlLoop {
             taxels: twin.warnings,
             recording,
             twin: Some(twin.status),
+            reflex: self.reflex_status(),
         };
         // Publishing takes locks that slow threads share; a publisher that is behind misses this one.
         let _ = self.frames.try_send(frame.message());

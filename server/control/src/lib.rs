@@ -32,6 +32,8 @@ mod prepare;
 mod quality;
 mod rates;
 mod recorder;
+mod reflex;
+mod reflexing;
 mod refusals;
 mod requests;
 mod round;

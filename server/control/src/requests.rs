@@ -67,6 +67,12 @@ pub(crate) enum Effect {
     /// Clear what can be cleared of a device.
     ClearFault(String),
     Tare,
+    /// Switch the reflex on with this configuration, or off, for whoever has this lease.
+    Reflex {
+        on: bool,
+        config_toml: String,
+        lease: Lease,
+    },
 }
 
 /// Why a request is refused.
@@ -134,6 +140,8 @@ pub(crate) fn describe(request: &ControlRequest) -> &'static str {
         Some(Request::LeadThrough(_)) => "lead the arm by hand",
         Some(Request::ClearFault(_)) => "clear faults",
         Some(Request::Tare(_)) => "take the zero of tactile readings",
+        Some(Request::Reflex(reflex)) if reflex.on => "switch the reflex on",
+        Some(Request::Reflex(_)) => "switch the reflex off",
     }
 }
 
@@ -270,6 +278,10 @@ impl Desk {
                     );
                 }
                 return Ok(Effect::Tare);
+            }
+            Request::Reflex(reflex) => {
+                supervisor.heartbeat(now_ns, received_ns, lease)?;
+                return Ok(Effect::Reflex { on: reflex.on, config_toml: reflex.config_toml.clone(), lease });
             }
             Request::Acquire(_) | Request::Stop(_) => {}
         }

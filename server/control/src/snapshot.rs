@@ -6,8 +6,8 @@ use palpate_safety::{Phase, Status};
 use palpate_wire::{
     bits,
     proto::{
-        ControlState, DeviceStatus, LiveFrame, MotorStatus, RecordingStatus, TaxelWarning, TwinStatus,
-        control_state, device_status,
+        ControlState, DeviceStatus, LiveFrame, MotorStatus, RecordingStatus, ReflexStatus, TaxelWarning,
+        TwinStatus, control_state, device_status,
     },
 };
 
@@ -36,6 +36,7 @@ pub(crate) struct Snapshot<'a> {
     pub(crate) taxels: Vec<TaxelWarning>,
     pub(crate) recording: Option<RecordingStatus>,
     pub(crate) twin: Option<TwinStatus>,
+    pub(crate) reflex: Option<ReflexStatus>,
 }
 
 impl Snapshot<'_> {
@@ -62,6 +63,7 @@ impl Snapshot<'_> {
             taxels: self.taxels,
             recording: self.recording,
             twin: self.twin,
+            reflex: self.reflex,
         };
         LiveFrame {
             time_s: self.time_s,

@@ -418,6 +418,11 @@ impl Supervisor {
         self.describe(now_ns.max(self.now_ns))
     }
 
+    /// Where a joint is to go, rad or m; `None` while nothing is aimed at, as after a hold.
+    pub fn target(&self, dof: usize) -> Option<f64> {
+        self.joints.get(dof)?.target
+    }
+
     /// Who stopped the station, while the stop is latched.
     pub fn stopped_by(&self) -> Option<&str> {
         match &self.state {

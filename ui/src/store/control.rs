@@ -386,6 +386,7 @@ fn what_of(request: &Request) -> &'static str {
         Request::LeadThrough(_) => "Lead-through",
         Request::ClearFault(_) => "Clear fault",
         Request::Tare(_) => "Set zero",
+        Request::Reflex(_) => "Reflex",
     }
 }
 

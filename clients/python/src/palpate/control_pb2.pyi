@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class ControlRequest(_message.Message):
-    __slots__ = ("sequence", "lease", "acquire", "release", "heartbeat", "arm", "disarm", "stop", "reset_stop", "targets", "lead_through", "clear_fault", "tare")
+    __slots__ = ("sequence", "lease", "acquire", "release", "heartbeat", "arm", "disarm", "stop", "reset_stop", "targets", "lead_through", "clear_fault", "tare", "reflex")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     LEASE_FIELD_NUMBER: _ClassVar[int]
     ACQUIRE_FIELD_NUMBER: _ClassVar[int]
@@ -22,6 +22,7 @@ class ControlRequest(_message.Message):
     LEAD_THROUGH_FIELD_NUMBER: _ClassVar[int]
     CLEAR_FAULT_FIELD_NUMBER: _ClassVar[int]
     TARE_FIELD_NUMBER: _ClassVar[int]
+    REFLEX_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     lease: int
     acquire: Acquire
@@ -35,7 +36,8 @@ class ControlRequest(_message.Message):
     lead_through: LeadThrough
     clear_fault: ClearFault
     tare: Tare
-    def __init__(self, sequence: _Optional[int] = ..., lease: _Optional[int] = ..., acquire: _Optional[_Union[Acquire, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., arm: _Optional[_Union[Arm, _Mapping]] = ..., disarm: _Optional[_Union[Disarm, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., reset_stop: _Optional[_Union[ResetStop, _Mapping]] = ..., targets: _Optional[_Union[Targets, _Mapping]] = ..., lead_through: _Optional[_Union[LeadThrough, _Mapping]] = ..., clear_fault: _Optional[_Union[ClearFault, _Mapping]] = ..., tare: _Optional[_Union[Tare, _Mapping]] = ...) -> None: ...
+    reflex: Reflex
+    def __init__(self, sequence: _Optional[int] = ..., lease: _Optional[int] = ..., acquire: _Optional[_Union[Acquire, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., arm: _Optional[_Union[Arm, _Mapping]] = ..., disarm: _Optional[_Union[Disarm, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., reset_stop: _Optional[_Union[ResetStop, _Mapping]] = ..., targets: _Optional[_Union[Targets, _Mapping]] = ..., lead_through: _Optional[_Union[LeadThrough, _Mapping]] = ..., clear_fault: _Optional[_Union[ClearFault, _Mapping]] = ..., tare: _Optional[_Union[Tare, _Mapping]] = ..., reflex: _Optional[_Union[Reflex, _Mapping]] = ...) -> None: ...
 
 class Acquire(_message.Message):
     __slots__ = ("operator", "take_over")
@@ -79,6 +81,14 @@ class Tare(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Reflex(_message.Message):
+    __slots__ = ("on", "config_toml")
+    ON_FIELD_NUMBER: _ClassVar[int]
+    CONFIG_TOML_FIELD_NUMBER: _ClassVar[int]
+    on: bool
+    config_toml: str
+    def __init__(self, on: bool = ..., config_toml: _Optional[str] = ...) -> None: ...
+
 class ClearFault(_message.Message):
     __slots__ = ("device",)
     DEVICE_FIELD_NUMBER: _ClassVar[int]
@@ -108,7 +118,7 @@ class ControlReply(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., accepted: bool = ..., problem: _Optional[str] = ..., lease: _Optional[int] = ..., stop_confirmed: bool = ...) -> None: ...
 
 class ControlState(_message.Message):
-    __slots__ = ("phase", "reason", "holder", "lease_left_s", "stop_confirmed", "lead_through", "commanded", "loop_hz", "loop_mean_hz", "loop_worst_hz", "latency_ms", "latency_p95_ms", "devices", "taxels", "recording", "twin")
+    __slots__ = ("phase", "reason", "holder", "lease_left_s", "stop_confirmed", "lead_through", "commanded", "loop_hz", "loop_mean_hz", "loop_worst_hz", "latency_ms", "latency_p95_ms", "devices", "taxels", "recording", "twin", "reflex")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[ControlState.Phase]
@@ -141,6 +151,7 @@ class ControlState(_message.Message):
     TAXELS_FIELD_NUMBER: _ClassVar[int]
     RECORDING_FIELD_NUMBER: _ClassVar[int]
     TWIN_FIELD_NUMBER: _ClassVar[int]
+    REFLEX_FIELD_NUMBER: _ClassVar[int]
     phase: ControlState.Phase
     reason: str
     holder: str
@@ -157,7 +168,24 @@ class ControlState(_message.Message):
     taxels: _containers.RepeatedCompositeFieldContainer[TaxelWarning]
     recording: RecordingStatus
     twin: TwinStatus
-    def __init__(self, phase: _Optional[_Union[ControlState.Phase, str]] = ..., reason: _Optional[str] = ..., holder: _Optional[str] = ..., lease_left_s: _Optional[float] = ..., stop_confirmed: bool = ..., lead_through: bool = ..., commanded: _Optional[_Iterable[float]] = ..., loop_hz: _Optional[float] = ..., loop_mean_hz: _Optional[float] = ..., loop_worst_hz: _Optional[float] = ..., latency_ms: _Optional[float] = ..., latency_p95_ms: _Optional[float] = ..., devices: _Optional[_Iterable[_Union[DeviceStatus, _Mapping]]] = ..., taxels: _Optional[_Iterable[_Union[TaxelWarning, _Mapping]]] = ..., recording: _Optional[_Union[RecordingStatus, _Mapping]] = ..., twin: _Optional[_Union[TwinStatus, _Mapping]] = ...) -> None: ...
+    reflex: ReflexStatus
+    def __init__(self, phase: _Optional[_Union[ControlState.Phase, str]] = ..., reason: _Optional[str] = ..., holder: _Optional[str] = ..., lease_left_s: _Optional[float] = ..., stop_confirmed: bool = ..., lead_through: bool = ..., commanded: _Optional[_Iterable[float]] = ..., loop_hz: _Optional[float] = ..., loop_mean_hz: _Optional[float] = ..., loop_worst_hz: _Optional[float] = ..., latency_ms: _Optional[float] = ..., latency_p95_ms: _Optional[float] = ..., devices: _Optional[_Iterable[_Union[DeviceStatus, _Mapping]]] = ..., taxels: _Optional[_Iterable[_Union[TaxelWarning, _Mapping]]] = ..., recording: _Optional[_Union[RecordingStatus, _Mapping]] = ..., twin: _Optional[_Union[TwinStatus, _Mapping]] = ..., reflex: _Optional[_Union[ReflexStatus, _Mapping]] = ...) -> None: ...
+
+class ReflexStatus(_message.Message):
+    __slots__ = ("digits",)
+    DIGITS_FIELD_NUMBER: _ClassVar[int]
+    digits: _containers.RepeatedCompositeFieldContainer[DigitReflex]
+    def __init__(self, digits: _Optional[_Iterable[_Union[DigitReflex, _Mapping]]] = ...) -> None: ...
+
+class DigitReflex(_message.Message):
+    __slots__ = ("digit", "phase", "offset_rad")
+    DIGIT_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_RAD_FIELD_NUMBER: _ClassVar[int]
+    digit: str
+    phase: str
+    offset_rad: float
+    def __init__(self, digit: _Optional[str] = ..., phase: _Optional[str] = ..., offset_rad: _Optional[float] = ...) -> None: ...
 
 class DeviceStatus(_message.Message):
     __slots__ = ("id", "kind", "link", "problem", "rate_hz", "rate_mean_hz", "rate_worst_hz", "gaps", "bad_frames", "reconnects", "clock_skew_ppm", "motors")

@@ -1,6 +1,7 @@
 //! The command as people call it.
 #![cfg(feature = "mujoco")]
 
+mod against_hand;
 mod campaigns;
 mod comparisons;
 mod demonstrations;

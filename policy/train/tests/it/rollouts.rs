@@ -20,7 +20,7 @@ fn text(path: &str) -> String {
     std::fs::read_to_string(asset(path)).expect("a shipped file")
 }
 
-fn station() -> Arc<Station> {
+pub(crate) fn station() -> Arc<Station> {
     let folder = asset("stations");
     let read = |path: &str| std::fs::read(folder.join(path)).map_err(|err| err.to_string());
     Arc::new(Station::read("xarm6_leap.toml", read).expect("the shipped station"))

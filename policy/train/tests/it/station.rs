@@ -138,4 +138,26 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     let felt = most_pressed(&frames);
     assert!(felt > 25.0, "the channel that is pressed most rose by {felt} counts");
     assert!(replay(&record) > 40);
+
+    // The trial is found again in the grasp world: it begins where it began, and its touch is compared.
+    let output = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        .args(["compare-rollout", "--json", "--truth", "assets/truth/demo.toml", "--rollout"])
+        .arg(&out)
+        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
+        .output()
+        .expect("the command starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let compared: Value = serde_json::from_slice(&output.stdout).expect("a document");
+    eprintln!("{compared:#}");
+    assert_eq!((&compared["compared"], &compared["hand"]["seen_by_operator"]), (&json!(1), &json!(1)));
+    for model in compared["models"].as_array().expect("models") {
+        // The expert wins this start in every sense of touch.
+        assert_eq!(model["same_start"]["verdicts"]["success"]["success"], 1, "{model}");
+        let apart = model["same_commands"]["joint_difference"].as_array().expect("joints");
+        let arm = &apart[..6];
+        assert!(
+            arm.iter().flat_map(Value::as_f64).all(|apart| apart < 0.05),
+            "the arm goes the same way: {model}"
+        );
+    }
 }

@@ -3,6 +3,7 @@
 
 mod bench;
 mod devices;
+mod reflex;
 mod safety;
 mod session;
 mod teleoperation;
