@@ -3,7 +3,10 @@
 use std::collections::BTreeSet;
 
 use egui::RichText;
-use palpate_wire::api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder};
+use palpate_wire::{
+    api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder},
+    wording::counted,
+};
 
 use crate::{screens::ScreenContext, store::Loadable};
 
@@ -68,10 +71,14 @@ pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut 
         ui.add_space(8.0);
         let planned = form.policies.len() * form.objects.len() * form.starts as usize;
         ui.label(format!(
-            "{} policies x {} objects x {} starts = {planned} trials",
-            form.policies.len(),
-            form.objects.len(),
-            form.starts
+            "{} \u{d7} {} \u{d7} {} = {}",
+            match form.policies.len() {
+                1 => "1 policy".to_owned(),
+                several => format!("{several} policies"),
+            },
+            counted(form.objects.len() as u64, "object"),
+            counted(u64::from(form.starts), "start"),
+            counted(planned as u64, "trial"),
         ));
         if let Loadable::Failed(problem) = &cx.store.campaigns.made {
             ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
