@@ -247,7 +247,7 @@ fn station_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
             ui.label("No hand is connected: this studio shows recordings.");
             ui.label(
                 RichText::new(
-                    "Start it with `palpate serve --emulate` for an emulated station, or with `--station FILE` for a \
+                    "Start it with `palpate serve --emulate demo` for an emulated station, or with `--station FILE` for a \
                      real one.",
                 )
                 .color(cx.palette.text_weak),
@@ -371,6 +371,8 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, job: &Job) {
         if open.clicked() {
             *cx.go_to = Some(Route { job: Some(job.id.clone()), ..Route::to(Screen::Jobs) });
         }
+        // The card is as white as the part of a bar that is left.
+        ui.visuals_mut().extreme_bg_color = cx.palette.background;
         let width = (ui.available_width() - 8.0).clamp(120.0, 320.0);
         ui.add(progress_bar(job.fraction, &text).desired_width(width));
     });

@@ -53,7 +53,8 @@ impl Default for FormState {
 pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut FormState) -> bool {
     let mut left = false;
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-        ui.set_max_width(ui.available_width().min(640.0));
+        // The bar that scrolls lies over the right edge.
+        ui.set_max_width((ui.available_width() - 12.0).min(640.0));
         ui.add_space(4.0);
         ui.heading("Plan a campaign");
         ui.label(
