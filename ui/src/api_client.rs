@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 use palpate_wire::{
     api::{
-        CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, LiveModel, ProblemDetails,
-        RecordingAction, SaveDiagnosisRequest, SaveModelRequest, ScoreBack, ScoreRequest, StartRecording,
-        TrialEnd, WantedTake,
+        CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, LiveModel, NewPerson, NewToken,
+        PersonChanges, ProblemDetails, RecordingAction, SaveDiagnosisRequest, SaveModelRequest, ScoreBack,
+        ScoreRequest, StartRecording, TrialEnd, WantedTake,
     },
     proto::{ControlRequest, control_request},
 };
@@ -152,6 +152,31 @@ pub enum Request {
         /// What.
         act: JobAct,
     },
+    /// Who asks, and what they may.
+    Me,
+    /// People who may log in.
+    People,
+    /// Add somebody.
+    AddPerson(NewPerson),
+    /// Change somebody's role or password.
+    ChangePerson {
+        /// Their name.
+        person: String,
+        /// What is different.
+        changes: PersonChanges,
+    },
+    /// Remove somebody, with their logins and tokens.
+    RemovePerson(String),
+    /// API tokens that this page may see.
+    Tokens,
+    /// Make an API token.
+    CreateToken(NewToken),
+    /// End an API token.
+    RevokeToken(u64),
+    /// The newest lines of the audit log.
+    Audit,
+    /// Numbers of the studio, among them the room on the disk.
+    Metrics,
 }
 
 /// What can be done in a campaign.
@@ -189,7 +214,7 @@ pub enum JobAct {
 /// A request as HTTP.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpRequest {
-    /// `GET`, `POST`, `PUT` or `DELETE`.
+    /// `GET`, `POST`, `PUT`, `PATCH` or `DELETE`.
     pub method: &'static str,
     /// Path and query, from the server's root.
     pub path: String,
@@ -313,6 +338,19 @@ impl Request {
                     JobAct::Delete => delete(path),
                 }
             }
+            Self::Me => get("/me".into()),
+            Self::People => get("/people".into()),
+            Self::AddPerson(body) => post("/people".into(), json(body)),
+            Self::ChangePerson { person, changes } => {
+                http("PATCH", format!("/people/{}", segment(person)), json(changes))
+            }
+            Self::RemovePerson(person) => delete(format!("/people/{}", segment(person))),
+            Self::Tokens => get("/tokens".into()),
+            Self::CreateToken(body) => post("/tokens".into(), json(body)),
+            Self::RevokeToken(id) => delete(format!("/tokens/{id}")),
+            Self::Audit => get("/audit".into()),
+            // Outside of the API's own paths.
+            Self::Metrics => HttpRequest { method: "GET", path: "/metrics".into(), body: None, lease },
         }
     }
 }

@@ -83,6 +83,7 @@ pub struct StudioApp {
     strip: strip::StripState,
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
+    home: screens::home::HomeState,
     record: screens::record::RecordState,
     timelines: screens::timelines::TimelinesState,
     calibrate: screens::calibrate::CalibrateState,
@@ -91,6 +92,7 @@ pub struct StudioApp {
     objects: screens::objects::ObjectsState,
     trials: screens::trials::TrialsState,
     jobs: screens::jobs::JobsState,
+    settings: screens::settings::SettingsState,
 }
 
 impl StudioApp {
@@ -122,6 +124,7 @@ impl StudioApp {
             strip: strip::StripState::default(),
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),
+            home: screens::home::HomeState::default(),
             record: screens::record::RecordState::default(),
             timelines: screens::timelines::TimelinesState::default(),
             calibrate: screens::calibrate::CalibrateState::default(),
@@ -130,6 +133,7 @@ impl StudioApp {
             objects: screens::objects::ObjectsState::default(),
             trials: screens::trials::TrialsState::default(),
             jobs: screens::jobs::JobsState::default(),
+            settings: screens::settings::SettingsState::default(),
         };
         app.store.ask_info();
         app.store.control.operator = app.platform.saved_operator();
@@ -242,6 +246,7 @@ impl StudioApp {
             pick_file: &mut pick_file,
         };
         match route.screen {
+            Screen::Home => screens::home::home_ui(ui, &mut cx, &mut self.home),
             Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
             Screen::Record => screens::record::record_ui(ui, &mut cx, &mut self.record),
             Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
@@ -251,6 +256,7 @@ impl StudioApp {
             Screen::Objects => screens::objects::objects_ui(ui, &mut cx, &mut self.objects),
             Screen::Trials => screens::trials::trials_ui(ui, &mut cx, &mut self.trials),
             Screen::Jobs => screens::jobs::jobs_ui(ui, &mut cx, &mut self.jobs),
+            Screen::Settings => screens::settings::settings_ui(ui, &mut cx, &mut self.settings),
         }
         if pick_file {
             self.platform.pick_file();
@@ -395,13 +401,15 @@ impl StudioApp {
             session: self.playback.session.clone().filter(|_| screen != Screen::Record),
             take: match screen {
                 Screen::Hand | Screen::Timelines => self.playback.take.clone(),
-                Screen::Record
+                Screen::Home
+                | Screen::Record
                 | Screen::Calibrate
                 | Screen::Diagnose
                 | Screen::Sessions
                 | Screen::Objects
                 | Screen::Trials
-                | Screen::Jobs => None,
+                | Screen::Jobs
+                | Screen::Settings => None,
             },
             run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
                 (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),

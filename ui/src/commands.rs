@@ -49,7 +49,8 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 29] = [
+        Self::Open(Screen::Home),
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
         Self::Open(Screen::Timelines),
@@ -59,6 +60,7 @@ impl Command {
         Self::Open(Screen::Objects),
         Self::Open(Screen::Trials),
         Self::Open(Screen::Jobs),
+        Self::Open(Screen::Settings),
         Self::Stop,
         Self::ResetStop,
         Self::TakeControl,
@@ -82,6 +84,7 @@ impl Command {
     /// What it does, in words.
     pub fn label(self) -> &'static str {
         match self {
+            Self::Open(Screen::Home) => "Go to Home",
             Self::Open(Screen::Hand) => "Go to Hand",
             Self::Open(Screen::Record) => "Go to Record",
             Self::Stop => "STOP (software)",
@@ -98,6 +101,7 @@ impl Command {
             Self::Open(Screen::Objects) => "Go to Objects",
             Self::Open(Screen::Trials) => "Go to Trials",
             Self::Open(Screen::Jobs) => "Go to Jobs",
+            Self::Open(Screen::Settings) => "Go to Settings",
             Self::PlayPause => "Play or pause",
             Self::PreviousFrame => "One frame back",
             Self::NextFrame => "One frame on",
@@ -132,18 +136,21 @@ impl Command {
         let plain = |key| Some(KeyboardShortcut::new(Modifiers::NONE, key));
         let alt = |key| Some(KeyboardShortcut::new(Modifiers::ALT, key));
         match self {
-            Self::Open(Screen::Hand) => alt(Key::Num1),
-            Self::Open(Screen::Timelines) => alt(Key::Num2),
-            Self::Open(Screen::Calibrate) => alt(Key::Num3),
-            Self::Open(Screen::Diagnose) => alt(Key::Num4),
-            Self::Open(Screen::Sessions) => alt(Key::Num5),
-            Self::Open(Screen::Record) => alt(Key::Num6),
-            Self::Open(Screen::Objects) => alt(Key::Num7),
-            Self::Open(Screen::Trials) => alt(Key::Num8),
-            Self::Open(Screen::Jobs) => alt(Key::Num9),
+            // In the order of the rail.
+            Self::Open(Screen::Home) => alt(Key::Num1),
+            Self::Open(Screen::Hand) => alt(Key::Num2),
+            Self::Open(Screen::Record) => alt(Key::Num3),
+            Self::Open(Screen::Timelines) => alt(Key::Num4),
+            Self::Open(Screen::Calibrate) => alt(Key::Num5),
+            Self::Open(Screen::Diagnose) => alt(Key::Num6),
+            Self::Open(Screen::Sessions) => alt(Key::Num7),
+            Self::Open(Screen::Objects) => alt(Key::Num8),
+            Self::Open(Screen::Trials) => alt(Key::Num9),
+            Self::Open(Screen::Jobs) => alt(Key::Num0),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
-            Self::ResetStop
+            Self::Open(Screen::Settings)
+            | Self::ResetStop
             | Self::TakeControl
             | Self::GiveBackControl
             | Self::Arm

@@ -22,6 +22,8 @@ const RESERVED: &AsciiSet = &CONTROLS
 /// The screens of the rail, top to bottom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Screen {
+    /// What the station does, what runs, what to do next.
+    Home,
     /// The hand in 3-D and as a flat map.
     Hand,
     /// Guided recording of a calibration session.
@@ -40,11 +42,14 @@ pub enum Screen {
     Trials,
     /// Long work: what waits, runs and has ended.
     Jobs,
+    /// People, tokens, storage, the audit log.
+    Settings,
 }
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
+        Self::Home,
         Self::Hand,
         Self::Record,
         Self::Timelines,
@@ -54,11 +59,13 @@ impl Screen {
         Self::Objects,
         Self::Trials,
         Self::Jobs,
+        Self::Settings,
     ];
 
     /// The word in the rail.
     pub fn label(self) -> &'static str {
         match self {
+            Self::Home => "Home",
             Self::Hand => "Hand",
             Self::Record => "Record",
             Self::Timelines => "Timelines",
@@ -68,12 +75,14 @@ impl Screen {
             Self::Objects => "Objects",
             Self::Trials => "Trials",
             Self::Jobs => "Jobs",
+            Self::Settings => "Settings",
         }
     }
 
     /// One line on what the screen is for.
     pub fn purpose(self) -> &'static str {
         match self {
+            Self::Home => "What the station does, what runs, and what to do next",
             Self::Hand => "Watch the hand replay a take, taxels lit by what they felt",
             Self::Record => "Record a calibration session, take by take, as a checklist says",
             Self::Timelines => "Compare real and simulated touch on one time axis",
@@ -85,6 +94,7 @@ impl Screen {
             Self::Objects => "What is touched and grasped: shape, mass, poses at rest",
             Self::Trials => "Try policies on the hand, score each trial, compare success rates",
             Self::Jobs => "Long work: what waits, what runs, how it ended",
+            Self::Settings => "People, API tokens, storage, the audit log",
         }
     }
 
@@ -95,6 +105,7 @@ impl Screen {
 
     fn slug(self) -> &'static str {
         match self {
+            Self::Home => "home",
             Self::Hand => "hand",
             Self::Record => "record",
             Self::Timelines => "timelines",
@@ -104,6 +115,7 @@ impl Screen {
             Self::Objects => "objects",
             Self::Trials => "trials",
             Self::Jobs => "jobs",
+            Self::Settings => "settings",
         }
     }
 
@@ -135,7 +147,7 @@ pub struct Route {
     pub object: Option<String>,
     /// Campaign shown, by id.
     pub campaign: Option<String>,
-    /// Which part of a campaign is shown: `run`, `score` or `results`.
+    /// Which part is shown: of a campaign `run`, `score` or `results`; of Settings `people`, `tokens`, `storage` or `audit`.
     pub part: Option<String>,
     /// Job shown, by id.
     pub job: Option<String>,
@@ -143,7 +155,7 @@ pub struct Route {
 
 impl Default for Route {
     fn default() -> Self {
-        Self::to(Screen::Hand)
+        Self::to(Screen::Home)
     }
 }
 
@@ -184,7 +196,7 @@ impl Route {
         let hash = hash.trim_start_matches('#').trim_start_matches('/');
         let (path, query) = hash.split_once('?').unwrap_or((hash, ""));
         let mut segments = path.split('/').map(decode);
-        let screen = segments.next().and_then(|slug| Screen::from_slug(&slug)).unwrap_or(Screen::Hand);
+        let screen = segments.next().and_then(|slug| Screen::from_slug(&slug)).unwrap_or(Screen::Home);
         let mut route = Self::to(screen);
         route.session = segments.next().filter(|session| !session.is_empty());
         for pair in query.split('&') {
@@ -282,9 +294,9 @@ mod tests {
 
     #[test]
     fn nonsense_leads_to_the_first_screen() {
-        for hash in ["", "#", "#/", "#/nowhere/x?t=abc", "#/hand?t=NaN", "#/hand?t=-3", "#/hand?&&=&x"] {
+        for hash in ["", "#", "#/", "#/nowhere/x?t=abc", "#/home?t=NaN", "#/home?t=-3", "#/home?&&=&x"] {
             let route = Route::from_hash(hash);
-            assert_eq!(route.screen, Screen::Hand, "{hash}");
+            assert_eq!(route.screen, Screen::Home, "{hash}");
             assert_eq!(route.time_s, None, "{hash}");
         }
     }

@@ -3,13 +3,16 @@
 pub mod calibrate;
 pub mod control;
 pub mod controls;
+pub mod copy_as;
 pub mod diagnose;
 pub mod hand;
+pub mod home;
 pub mod jobs;
 pub mod objects;
 pub mod record;
 pub mod run_controls;
 pub mod sessions;
+pub mod settings;
 pub mod timelines;
 pub mod trials;
 
@@ -169,6 +172,12 @@ fn centered<R>(ui: &mut egui::Ui, add_contents: impl FnOnce(&mut egui::Ui) -> R)
         add_contents(ui)
     })
     .inner
+}
+
+/// A bar that is empty where nothing is done yet; egui's own begins as a full circle.
+pub fn progress_bar(fraction: f64, text: &str) -> egui::ProgressBar {
+    let radius = if fraction > 0.0 { 4 } else { 0 };
+    egui::ProgressBar::new(fraction as f32).corner_radius(radius).text(text)
 }
 
 /// A duration as people say it: `12.4 s`, `5 min 26 s`, `1 h 02 min`.

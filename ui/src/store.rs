@@ -8,6 +8,7 @@ pub mod control;
 mod jobs;
 mod live;
 pub mod notice;
+pub mod people;
 mod runs;
 #[cfg(test)]
 mod tests;
@@ -29,8 +30,8 @@ use palpate_wire::{
 use prost::Message as _;
 
 use self::{
-    campaigns::CampaignTable, control::ControlLink, jobs::JobTable, notice::Notice, runs::RunTable,
-    touch_history::TouchHistory,
+    campaigns::CampaignTable, control::ControlLink, jobs::JobTable, notice::Notice, people::PeopleTable,
+    runs::RunTable, touch_history::TouchHistory,
 };
 
 use crate::{
@@ -148,6 +149,8 @@ pub struct Store {
     pub campaigns: CampaignTable,
     /// Jobs of every kind.
     pub jobs: JobTable,
+    /// People, tokens, storage and the audit log.
+    pub people: PeopleTable,
     /// What the live station and its twin felt in the last seconds.
     pub touch_history: TouchHistory,
     /// Something was done in a recording, and the server has not answered yet.
@@ -360,6 +363,7 @@ impl Store {
         reset(&mut self.objects);
         self.campaigns.retry_failed();
         self.jobs.retry_failed();
+        self.people.retry_failed();
         self.calibrations.retry_failed();
         self.diagnoses.retry_failed();
         self.details.values_mut().for_each(reset);
@@ -380,6 +384,7 @@ impl Store {
         let mut outbox = std::mem::take(&mut self.outbox);
         outbox.extend(self.campaigns.take_outbox());
         outbox.extend(self.jobs.take_outbox());
+        outbox.extend(self.people.take_outbox());
         outbox
     }
 
@@ -465,6 +470,16 @@ impl Store {
             Request::Job(_) => self.jobs.receive_job(result),
             Request::JobLog(id) => self.jobs.receive_log(id, result),
             Request::ActOnJob { job, act } => self.jobs.receive_acted(job, act, result),
+            request @ (Request::Me
+            | Request::People
+            | Request::AddPerson(_)
+            | Request::ChangePerson { .. }
+            | Request::RemovePerson(_)
+            | Request::Tokens
+            | Request::CreateToken(_)
+            | Request::RevokeToken(_)
+            | Request::Audit
+            | Request::Metrics) => self.people.receive(&request, result),
             // Whether it could be stopped or not: where the run stands now is what matters.
             Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
             Request::CancelDiagnosis(run) => self.outbox.push(Request::Diagnosis(run)),

@@ -102,15 +102,15 @@ pub struct Channel {
 }
 
 impl TactileLayout {
-    /// What people call a channel: the name of its patch, with the number of the taxel (from 1) where the patch has
-    /// several, e.g. `Index tip 4`.
+    /// What people call a channel: the name of its patch, with the number of the taxel where the patch has several, the
+    /// same as in its id: `Index tip · 4` is `index_tip.4`.
     pub fn channel_label(&self, channel_idx: usize) -> String {
         let channel = &self.channels[channel_idx];
         let patch = &self.patches[channel.patch];
         if patch.channels.len() == 1 {
             patch.label.clone()
         } else {
-            format!("{} {}", patch.label, channel.taxel + 1)
+            format!("{} \u{b7} {}", patch.label, channel.taxel)
         }
     }
 

@@ -5,11 +5,15 @@ import { openBrowser } from "./browser.mjs";
 
 const [url, out, session = "demo"] = process.argv.slice(2);
 const screens = {
+  home: "#/home",
   hand: `#/hand/${session}?take=take-01&t=12.4`,
   timelines: `#/timelines/${session}?take=take-01&t=12.4`,
   calibrate: `#/calibrate/${session}`,
   diagnose: `#/diagnose/${session}`,
   sessions: `#/sessions/${session}`,
+  trials: "#/trials",
+  jobs: "#/jobs",
+  settings: "#/settings?part=audit",
 };
 
 // A finished run makes Calibrate and Timelines worth looking at.

@@ -12,7 +12,19 @@ const ZOOMS = [1, 1.5, 2];
 /** Smaller windows than this, in CSS pixels, are nobody's. */
 const NARROWEST = 320;
 const STOP = "STOP (software)";
-const SCREENS = ["hand?source=live", "record", "timelines", "calibrate", "diagnose", "sessions", "objects"];
+const SCREENS = [
+  "home",
+  "hand?source=live",
+  "record",
+  "timelines",
+  "calibrate",
+  "diagnose",
+  "sessions",
+  "objects",
+  "trials",
+  "jobs",
+  "settings",
+];
 
 const devtools = await context.newCDPSession(page);
 

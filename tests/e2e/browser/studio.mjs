@@ -27,9 +27,17 @@ const hash = () => page.evaluate(() => location.hash);
 await step("the page starts and names its screens", async () => {
   await page.goto(url);
   // Record is there once the live station is: until then the rail may still move under a click.
-  for (const screen of ["Hand", "Record", "Timelines", "Calibrate", "Sessions"]) {
+  for (const screen of ["Home", "Hand", "Record", "Timelines", "Calibrate", "Sessions", "Settings"]) {
     await button(screen).waitFor();
   }
+});
+
+await step("Home is first, and its button would calibrate the ready session", async () => {
+  for (const card of ["What next", "Station", "What runs", "Sensor models"]) {
+    await page.getByRole("heading", { name: card, exact: true }).waitFor();
+  }
+  await button("Calibrate on demo").waitFor();
+  await shot("home");
 });
 
 await step("Sessions shows the ready session, checked and covered", async () => {
@@ -111,6 +119,20 @@ await step("the live station is on the hand", async () => {
   await page.getByText(/LIVE/).first().waitFor();
   await page.waitForTimeout(1500);
   await shot("hand-live");
+});
+
+await step("Home has gone on to the diagnosis, with the model that was saved", async () => {
+  await button("Home").click();
+  await button("Diagnose demo").waitFor();
+});
+
+await step("Settings says that there is no login, and its audit log has the calibration", async () => {
+  await button("Settings").click();
+  await page.getByText(/^There is no login/).waitFor();
+  await page.getByRole("tab", { name: "Audit log", exact: true }).click();
+  await page.getByText(/calibrations/).first().waitFor();
+  assert.match(await hash(), /^#\/settings\?.*part=audit/);
+  await shot("settings-audit");
 });
 
 assert.deepEqual(errors, [], "the page logged errors");

@@ -306,6 +306,7 @@ fn dot_ui(ui: &mut egui::Ui, word: &str, colour: egui::Color32, live: bool) {
 
 fn icon(screen: Screen) -> &'static str {
     match screen {
+        Screen::Home => "\u{1f3e0}",
         Screen::Hand => "\u{270b}",
         Screen::Record => "\u{23fa}",
         Screen::Timelines => "\u{2630}",
@@ -315,6 +316,7 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Objects => "\u{1f4e6}",
         Screen::Trials => "\u{1f3af}",
         Screen::Jobs => "\u{231b}",
+        Screen::Settings => "\u{2699}",
     }
 }
 

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
 
 use super::{
-    ScreenContext, empty_ui, failed_ui, loading_ui,
+    ScreenContext, copy_as, empty_ui, failed_ui, loading_ui,
     run_controls::{
         HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
         route_to_run, session_ui, start_ui,
@@ -121,13 +121,18 @@ fn choose_ui(
     ui.heading("2  Run");
     let running = running_run(cx);
     let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
-    if start_ui(ui, cx, ready, "Calibrate", cx.palette.calibrated, "Start calibration") {
+    let request = CalibrationRequest {
+        session,
+        method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
+        hold_out: state.hold_out.takes(),
+    };
+    let starts = start_ui(ui, cx, ready, "Calibrate", cx.palette.calibrated, "Start calibration");
+    if problem.is_none() {
+        copy_as::copy_ui(ui, &copy_as::calibration(&request, copy_as::DATA_FOLDER));
+    }
+    if starts {
         state.waits_for_start = true;
-        cx.store.start_run(CalibrationRequest {
-            session,
-            method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
-            hold_out: state.hold_out.takes(),
-        });
+        cx.store.start_run(request);
     }
     if let Some(problem) = problem {
         ui.colored_label(cx.palette.warning, problem);

@@ -16,7 +16,7 @@ use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary
 use super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui,
+    copy_as, empty_ui, failed_ui, loading_ui,
     run_controls::{
         HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
         route_to_run, session_ui, start_ui,
@@ -48,7 +48,7 @@ pub struct DiagnoseState {
 struct Shown {
     run: String,
     model_name: String,
-    /// Named effects that are not to be added, by position.
+    /// Named effects that are not to be added, by position; at first those that help too little.
     unticked: BTreeSet<usize>,
     /// Named effects whose evidence is open.
     open: BTreeSet<usize>,
@@ -190,6 +190,11 @@ fn choose_ui(
     if start_ui(ui, cx, ready, "Diagnose", cx.palette.diagnosed, "Start diagnosis") {
         start(cx, state);
     }
+    if problem.is_none()
+        && let Some(request) = request(cx, state)
+    {
+        copy_as::copy_ui(ui, &copy_as::diagnosis(&request, copy_as::DATA_FOLDER));
+    }
     if let Some(problem) = problem {
         ui.colored_label(cx.palette.warning, problem);
     }
@@ -209,16 +214,22 @@ const MAX_EFFECTS: usize = 12;
 
 /// Starts a run with what is chosen.
 fn start(cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
-    let Some(session) = cx.playback.session.clone() else { return };
+    let Some(request) = request(cx, state) else { return };
     state.waits_for_start = true;
-    cx.store.start_diagnosis(DiagnosisRequest {
+    cx.store.start_diagnosis(request);
+}
+
+/// What is chosen.
+fn request(cx: &ScreenContext<'_>, state: &mut DiagnoseState) -> Option<DiagnosisRequest> {
+    let session = cx.playback.session.clone()?;
+    Some(DiagnosisRequest {
         hold_out: state.hold_out.of(&session).takes(),
         session,
         model: state.start_from.clone(),
         max_effects: state.max_effects,
         without: state.without.iter().cloned().collect(),
         null_sessions: state.sets_bar.then_some(NULL_SESSIONS),
-    });
+    })
 }
 
 fn start_from_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
@@ -263,13 +274,60 @@ fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseSta
                 state.shown = Shown {
                     run: run_id.to_owned(),
                     model_name: format!("{} diagnosed", run.request.session),
+                    unticked: effects::weak(report).collect(),
                     ..Shown::default()
                 };
             }
             use_result(cx, &mut state.shown, &run);
-            if results::results_ui(ui, cx, state, &run, report) {
+            let begun = started_from(cx, &run);
+            if results::results_ui(ui, cx, state, &run, report, &begun) {
                 start(cx, state);
             }
+        }
+    }
+}
+
+/// The model that a run started from, as its first step is called: only the station's own is nominal.
+fn started_from(cx: &mut ScreenContext<'_>, run: &DiagnosisRun) -> Start {
+    let Some(id) = run.request.model.as_deref().filter(|id| *id != ModelRef::Nominal.key()) else {
+        return Start::Nominal;
+    };
+    let models = cx.store.models();
+    let known = models.ready().and_then(|models| models.iter().find(|model| model.id == id));
+    Start::Saved(known.map_or_else(|| id.to_owned(), |model| model.name.clone()))
+}
+
+/// What a diagnosis started from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Start {
+    /// The station's nominal model.
+    Nominal,
+    /// A saved model, by its name.
+    Saved(String),
+}
+
+impl Start {
+    /// In the middle of a sentence.
+    fn word(&self) -> String {
+        match self {
+            Self::Nominal => "nominal".to_owned(),
+            Self::Saved(name) => format!("at the start ({name})"),
+        }
+    }
+
+    /// As a heading.
+    fn title(&self) -> String {
+        match self {
+            Self::Nominal => "Nominal".to_owned(),
+            Self::Saved(name) => format!("Start: {name}"),
+        }
+    }
+
+    /// Orange is the nominal simulation and nothing else.
+    fn colour(&self, palette: &crate::theme::Palette) -> egui::Color32 {
+        match self {
+            Self::Nominal => palette.nominal,
+            Self::Saved(_) => palette.text_weak,
         }
     }
 }

@@ -6,7 +6,7 @@ use palpate_wire::api::{Job, JobState};
 use super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    duration_text, empty_ui, failed_ui, loading_ui,
+    copy_as, duration_text, empty_ui, failed_ui, loading_ui, progress_bar,
 };
 use crate::{
     api_client::JobAct,
@@ -185,7 +185,7 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
         ui.add_space(8.0);
         facts_ui(ui, cx, job);
         ui.add_space(8.0);
-        again_ui(ui, job);
+        copy_as::copy_ui(ui, &copy_as::job(job, copy_as::DATA_FOLDER));
         ui.add_space(8.0);
         log_ui(ui, cx, state, job);
         ui.add_space(12.0);
@@ -199,7 +199,7 @@ fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
                 .seconds_left
                 .map_or_else(String::new, |seconds| format!(", about {} left", duration_text(seconds)));
             let text = format!("{:.0} %{left}", 100.0 * job.fraction);
-            ui.add(egui::ProgressBar::new(job.fraction as f32).desired_width(420.0).text(text));
+            ui.add(progress_bar(job.fraction, &text).desired_width(ui.available_width().min(420.0)));
             let asked = if job.cancel_requested { "It has been asked to stop. " } else { "" };
             ui.label(format!("{asked}{}", job.stage));
         }
@@ -302,38 +302,6 @@ fn facts_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
     ui.add(egui::Label::new(RichText::new(request).monospace()).wrap().selectable(true));
 }
 
-/// How a script asks for the same.
-fn again_ui(ui: &mut egui::Ui, job: &Job) {
-    ui.horizontal_wrapped(|ui| {
-        for (name, text) in [("Copy as curl", as_curl(job)), ("Copy as Python", as_python(job))] {
-            if ui.button(name).clicked() {
-                ui.ctx().copy_text(text);
-            }
-        }
-    });
-}
-
-fn body(job: &Job) -> String {
-    serde_json::json!({ "kind": job.kind, "request": job.spec.request, "seed": job.spec.seed }).to_string()
-}
-
-/// A line for a shell. The address is that of a studio on this computer.
-fn as_curl(job: &Job) -> String {
-    format!(
-        "curl -sS -X POST \"${{PALPATE_URL:-http://127.0.0.1:8080}}/api/v1/jobs\" -H 'Content-Type: application/json' -d '{}'",
-        body(job).replace('\'', "'\\''")
-    )
-}
-
-fn as_python(job: &Job) -> String {
-    // JSON is Python where it holds neither true, false nor null; json.loads reads all of it.
-    let request = serde_json::to_string(&job.spec.request.to_string()).unwrap_or_default();
-    format!(
-        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({:?}, json.loads({request}), seed={})\n    print(job.wait())\n",
-        job.kind, job.spec.seed
-    )
-}
-
 fn log_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
     ui.strong("Log");
     if job.state == JobState::Running && cx.now_s - state.log_asked_s > LOG_EVERY_S {
@@ -354,49 +322,5 @@ fn log_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
         Loadable::Idle | Loadable::Loading => {
             ui.spinner();
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use palpate_wire::api::JobSpec;
-
-    use super::*;
-
-    #[test]
-    fn what_is_copied_quotes_what_a_shell_would_read() {
-        let job = Job {
-            id: "diagnosis-1".into(),
-            kind: "diagnose".into(),
-            state: JobState::Done,
-            created: String::new(),
-            started: None,
-            ended: None,
-            attempts: 1,
-            owner: String::new(),
-            runner: "process".into(),
-            fraction: 1.0,
-            stage: String::new(),
-            seconds_left: None,
-            problem: None,
-            cancel_requested: false,
-            saved_as: None,
-            spec: JobSpec {
-                kind: "diagnose".into(),
-                request: serde_json::json!({ "session": "Ada's" }),
-                inputs: [].into(),
-                seed: 3,
-                software: String::new(),
-                priority: 0,
-                resources: Default::default(),
-            },
-        };
-        let curl = as_curl(&job);
-        assert!(curl.contains(r"Ada'\''s"), "{curl}");
-        let python = as_python(&job);
-        assert!(
-            python.contains(r#"p.jobs.submit("diagnose", json.loads("{\"session\":\"Ada's\"}"), seed=3)"#),
-            "{python}"
-        );
     }
 }

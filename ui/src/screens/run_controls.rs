@@ -5,7 +5,7 @@ use std::{collections::BTreeSet, time::Duration};
 use egui::RichText;
 use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Run, SessionDetail, SessionSummary};
 
-use super::{ScreenContext, duration_text, words};
+use super::{ScreenContext, duration_text, progress_bar, words};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -161,10 +161,8 @@ pub fn start_ui(
 /// How a run gets on. True when the operator cancels it.
 pub fn progress_ui<Q, R>(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &Run<Q, R>) -> bool {
     let left = run.seconds_left.map(|s| format!(", {} left", duration_text(s))).unwrap_or_default();
-    let bar = egui::ProgressBar::new(run.fraction as f32)
-        .desired_width(ui.available_width() - 8.0)
-        .text(format!("{:.0} %{left}", run.fraction * 100.0));
-    ui.add(bar);
+    let bar = progress_bar(run.fraction, &format!("{:.0} %{left}", run.fraction * 100.0));
+    ui.add(bar.desired_width(ui.available_width() - 8.0));
     ui.label(RichText::new(&run.stage).color(cx.palette.text_weak));
     ui.ctx().request_repaint_after(Duration::from_millis(200));
     ui.button("Cancel").on_hover_text("Stop the run; nothing is saved").clicked()

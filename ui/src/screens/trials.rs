@@ -12,7 +12,7 @@ use palpate_wire::api::{Campaign, CampaignSummary, TrialState};
 use super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui,
+    empty_ui, failed_ui, loading_ui, progress_bar,
 };
 use crate::{
     route::{Route, Screen},
@@ -76,7 +76,9 @@ pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Tria
         return;
     };
     if ui.available_width() < NARROW {
-        narrow_list_ui(ui, cx, &campaigns, &shown);
+        if narrow_list_ui(ui, cx, &campaigns, &shown) {
+            state.form = Some(form::FormState::default());
+        }
         campaign_ui(ui, cx, state, &shown);
         return;
     }
@@ -101,7 +103,13 @@ fn to(id: &str, part: Part) -> Route {
     Route { campaign: Some(id.to_owned()), part: slug, ..Route::to(Screen::Trials) }
 }
 
-fn narrow_list_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaigns: &[CampaignSummary], shown: &str) {
+/// True when another campaign is to be planned.
+fn narrow_list_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    campaigns: &[CampaignSummary],
+    shown: &str,
+) -> bool {
     let mut chosen = shown.to_owned();
     let name = |id: &str| {
         campaigns
@@ -117,6 +125,7 @@ fn narrow_list_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaigns: &[Ca
     if chosen != shown {
         *cx.go_to = Some(to(&chosen, Part::of(cx.route)));
     }
+    ui.button("Plan a campaign").clicked()
 }
 
 fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSummary, is_chosen: bool) {
@@ -193,7 +202,7 @@ fn progress_ui(ui: &mut egui::Ui, campaign: &Campaign) {
         Some(_) => format!("closed: {} of {} trials have a verdict", summary.scored, summary.planned),
         None => format!("{} of {} trials have a verdict", summary.scored, summary.planned),
     };
-    ui.add(egui::ProgressBar::new(share as f32).desired_width(width).text(text));
+    ui.add(progress_bar(share, &text).desired_width(width));
 }
 
 /// What a state is called.

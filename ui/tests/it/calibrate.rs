@@ -10,8 +10,8 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{
-        CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, JobState, Metrics, MetricsPair,
-        Objective, TakeMetrics, ThetaReport,
+        CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, Intervals, JobState, MetricIntervals,
+        Metrics, MetricsPair, Objective, TakeMetrics, ThetaReport,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
@@ -156,4 +156,49 @@ fn empty_choice_of_held_out_takes_is_refused_before_anything_runs() {
     harness.get_by_label_contains("take-01: tap").click();
     harness.run_steps(3);
     harness.get_by_label_contains("Leave at least one take");
+}
+
+#[test]
+fn the_headline_says_what_got_worse_and_what_is_within_chance() {
+    let api = full_api();
+    let mut worse = run(JobState::Done);
+    let report = worse.report.as_mut().expect("it is done");
+    report.held_out.nominal.offset_error_ms = Some(425.0);
+    report.held_out.calibrated.offset_error_ms = Some(445.0);
+    report.intervals_95 = Some(Intervals {
+        nominal: MetricIntervals::default(),
+        calibrated: MetricIntervals::default(),
+        change: MetricIntervals {
+            onset_error_ms: Some([-160.0, -120.0]),
+            offset_error_ms: Some([-30.0, 71.0]),
+            f1: Some([0.1, 0.2]),
+            fpr: Some([0.001, 0.004]),
+        },
+        resamples: 100,
+        seed: 0,
+    });
+    report.held_out.calibrated.fpr = Some(0.045);
+    answer(&api, &Request::Run("run-7".into()), &worse);
+    let harness = page(&api, &FakeWindow::at("#/calibrate/bench-1?run=run-7"));
+    harness.get_by_label_contains(
+        "on takes it has not seen. Worse: false positives (4.20 to 4.50 %). No clear difference: release timing (425 to \
+         445 ms).",
+    );
+    for (word, count) in [("better", 2), ("worse", 1), ("no clear difference", 1)] {
+        assert_eq!(harness.query_all_by_label(word).count(), count, "{word}");
+    }
+}
+
+#[test]
+fn what_the_form_asks_for_can_be_copied() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/calibrate/bench-1"));
+    for (name, has) in [
+        ("curl", r#"-d '{"session":"bench-1","method":"exact","hold_out":null}'"#),
+        ("Python", r#"p.calibrate("bench-1", method="exact")"#),
+        ("command line", "palpate calibrate --session data/sessions/bench-1 --method exact"),
+    ] {
+        harness.get_by_role_and_label(Role::Button, &format!("Copy as {name}")).click();
+        let copied = crate::fixture::copied(&mut harness);
+        assert!(copied.as_deref().is_some_and(|text| text.contains(has)), "{name}: {copied:?}");
+    }
 }

@@ -20,7 +20,7 @@ use palpate_wire::{
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, station};
+use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, page_of, station};
 
 const ID: &str = "diagnosis-3";
 
@@ -441,4 +441,67 @@ fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
     harness.get_by_role_and_label(Role::Button, "Record this next").click();
     harness.run_steps(4);
     harness.get_by_label_contains("The list was not changed: nothing at POST /api/v1/recording/wanted");
+}
+
+/// A page with a finished diagnosis, asked for with `request`.
+fn finished(request: DiagnosisRequest, report: DiagnosisReport) -> SharedApi {
+    let api = full_api();
+    let run = DiagnosisRun { request, ..run(JobState::Done, Some(report)) };
+    let body = serde_json::to_vec(&run).expect("a run is plain data");
+    api.0.borrow_mut().answer(&Request::Diagnosis(ID.into()), body);
+    api
+}
+
+#[test]
+fn a_saved_model_that_it_started_from_is_not_called_nominal() {
+    let at = FakeWindow::at(&format!("#/diagnose/bench-1?run={ID}"));
+    let from = DiagnosisRequest { model: Some("bench-fit".into()), ..request() };
+    let harness = page(&finished(from, named()), &at);
+    harness.get_by_label_contains("at the start (Bench fit) 0.9");
+    harness.get_by_label_contains("Start: Bench fit: gap");
+    harness.get_by_label("Start: Bench fit");
+    assert!(harness.query_by_label_contains("nominal 0.9").is_none());
+    let harness = page(&finished(request(), named()), &at);
+    harness.get_by_label_contains("nominal 0.9");
+    harness.get_by_label("Nominal");
+}
+
+#[test]
+fn effects_that_help_too_little_stand_apart_and_are_not_ticked() {
+    let useless = NamedEffect { gap_before: 0.30, gap_after: 0.31, ..backlash() };
+    let rare = NamedEffect { id: "low_pass".into(), takes_improved: "1/3".into(), ..latency() };
+    let report =
+        report(vec![useless, latency(), rare], Verdict::PartlyExplained, "Three effects are missing.");
+    let at = FakeWindow::at(&format!("#/diagnose/bench-1?run={ID}"));
+    // Tall, so that all of them are in sight.
+    let mut harness = page_of(&finished(request(), report), &at, [1280.0, 1600.0]);
+    harness.get_by_label_contains("1 of 3 named effects ticked");
+    let weak = harness.get_by_label("Weak, not ticked").rect();
+    let tick = |name: &str| harness.get_by_role_and_label(Role::CheckBox, name).rect();
+    assert!(tick("Add latency, stream film").bottom() < weak.top());
+    assert!(tick("Add joint backlash, joint x").top() > weak.bottom());
+    harness.get_by_role_and_label(Role::CheckBox, "Add joint backlash, joint x").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("2 of 3 named effects ticked");
+}
+
+#[test]
+fn parts_within_chance_are_counted_and_not_listed() {
+    let mut report = named();
+    report.unexplained.cells = vec![cell("onset", 0.2), Cell { p_value: 0.897, ..cell("release", 0.1) }];
+    let at = FakeWindow::at(&format!("#/diagnose/bench-1?run={ID}"));
+    let harness = page(&finished(request(), report), &at);
+    harness.get_by_label_contains("1 part within chance left out.");
+    assert!(harness.query_by_label_contains("0.897").is_none());
+}
+
+#[test]
+fn the_form_is_copied_with_every_choice() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/diagnose/bench-1"));
+    harness.get_by_label("Set the bar on 200 simulated sessions first").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Copy as command line").click();
+    let copied = crate::fixture::copied(&mut harness);
+    let command = "palpate diagnose --session data/sessions/bench-1 --data data --null-bar 200";
+    assert_eq!(copied.as_deref(), Some(command));
 }

@@ -335,3 +335,19 @@ pub(crate) fn app_mut<'a>(harness: &'a mut Harness<'static, Option<StudioApp>>) 
 pub(crate) fn deliver(api: &SharedApi, events: impl IntoIterator<Item = ApiEvent>) {
     api.0.borrow_mut().events.extend(VecDeque::from_iter(events));
 }
+
+/// What the page copies within the next frames, if anything.
+pub(crate) fn copied(harness: &mut Harness<'static, Option<StudioApp>>) -> Option<String> {
+    for _ in 0..4 {
+        harness.step();
+        let commands = &harness.output().platform_output.commands;
+        let text = commands.iter().find_map(|command| match command {
+            egui::OutputCommand::CopyText(text) => Some(text.clone()),
+            _ => None,
+        });
+        if text.is_some() {
+            return text;
+        }
+    }
+    None
+}

@@ -286,7 +286,7 @@ fn a_running_take_shows_progress_coverage_and_losses_and_takes_notes() {
     bench.harness.get_by_label_contains("5 samples lost");
     bench.harness.get_by_label_contains("make room");
     bench.harness.get_by_label_contains("3 channels in this take");
-    bench.harness.get_by_label("Index tip 1: touched in this take");
+    bench.harness.get_by_label("Index tip \u{b7} 0: touched in this take");
     key(&mut bench, Key::M);
     assert_eq!(acts(&bench), [RecordingAction::Note { text: String::new() }]);
     bench.harness.get_by_label("Note").focus();

@@ -5,14 +5,15 @@ use egui_kittest::kittest::Queryable as _;
 use palpate_ui::api_client::{ApiEvent, CampaignAct, Request};
 use palpate_wire::{
     api::{
-        Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignSummary, RolloutOutcome,
-        Trial, TrialOrder, TrialStart, TrialState, TrialVerdict,
+        Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignResults, CampaignSummary,
+        FailureModes, PolicyResult, RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart, TrialState,
+        TrialVerdict,
     },
     proto::{Changed, StreamMessage, stream_message},
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, full_api, page};
+use crate::fixture::{FakeWindow, SharedApi, full_api, page, page_of};
 
 fn campaign(state: TrialState) -> Campaign {
     let plan = CampaignPlan {
@@ -178,4 +179,69 @@ fn a_campaign_is_planned_and_what_is_missing_is_said() {
     harness.get_by_role_and_label(Role::Button, "Plan a campaign").click();
     harness.run_steps(3);
     harness.get_by_label_contains("Give the campaign a name.");
+}
+
+#[test]
+fn a_campaign_is_planned_and_run_on_a_phone() {
+    let phone = [390.0, 844.0];
+    let api = with(&campaign(TrialState::Waiting));
+    let mut harness = page_of(&api, &FakeWindow::at("#/trials"), phone);
+    let picture = harness
+        .get_by_role_and_label(Role::Image, "x +12 mm, y -4 mm from the middle, turned by 29\u{b0}")
+        .rect();
+    let begin = harness.get_by_role_and_label(Role::Button, "It is placed: begin").rect();
+    assert!(begin.top() >= picture.bottom() && begin.right() <= phone[0], "{picture:?} {begin:?}");
+    harness.get_by_role_and_label(Role::Button, "Plan a campaign").click();
+    harness.run_steps(4);
+    for field in ["Name", "A success is"] {
+        let rect = harness.get_by_role_and_label(Role::TextInput, field).rect();
+        assert!(rect.right() <= phone[0], "{field}: {rect:?}");
+    }
+    for text in ["Scorers do not learn", "The plan is fixed once"] {
+        let rect = harness.get_by_label_contains(text).rect();
+        assert!(rect.right() <= phone[0], "{text}: {rect:?}");
+    }
+}
+
+#[test]
+fn intervals_have_a_scale_and_names_are_not_cut_on_a_phone() {
+    let api = with(&campaign(TrialState::Waiting));
+    let rate = SuccessRate {
+        successes: 1,
+        trials: 2,
+        rate: Some(0.5),
+        wilson_95: [0.1, 0.9],
+        clopper_pearson_95: [0.0, 1.0],
+    };
+    let policy = PolicyResult {
+        policy: "a-policy-with-a-very-long-name".into(),
+        overall: rate,
+        seen: None,
+        unseen: None,
+        objects: Vec::new(),
+        failures: FailureModes::default(),
+        void: 0,
+        open: 0,
+        median_time_to_grasp_s: None,
+        pass_hat_k: Vec::new(),
+    };
+    let results = CampaignResults {
+        campaign: "first-trials".into(),
+        planned: 2,
+        scored: 2,
+        policies: vec![policy],
+        comparisons: Vec::new(),
+        agreement: None,
+        published: Vec::new(),
+    };
+    let body = serde_json::to_vec(&results).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::CampaignResults("first-trials".into()), body);
+    let at = FakeWindow::at("#/trials?campaign=first-trials&part=results");
+    for (size, above) in [([390.0, 844.0], true), ([1280.0, 800.0], false)] {
+        let harness = page_of(&api, &at, size);
+        let line = harness.get_by_label("a-policy-with-a-very-long-name: 1/2, 50 % (10 to 90)").rect();
+        assert!(line.right() <= size[0], "{line:?}");
+        let name = harness.query_all_by_label("a-policy-with-a-very-long-name");
+        assert_eq!(name.filter(|name| name.rect().bottom() <= line.top() + 1.0).count(), usize::from(above));
+    }
 }

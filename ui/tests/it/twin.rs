@@ -179,3 +179,18 @@ fn a_still_hand_is_told_to_move() {
     bench.harness.run_steps(3);
     bench.harness.get_by_label_contains("move the hand to compare the two");
 }
+
+/// "Index tip 1 is dead" must not lead to the taxel beside the dead one.
+#[test]
+fn a_taxel_has_the_number_of_its_id_wherever_it_is_named() {
+    let layout = crate::fixture::station().layout;
+    let mut num_numbered = 0;
+    for (idx, channel) in layout.channels.iter().enumerate() {
+        let label = layout.channel_label(idx);
+        if let Some((_, number)) = label.split_once(" \u{b7} ") {
+            num_numbered += 1;
+            assert_eq!(channel.id.rsplit('.').next(), Some(number), "{label} is {}", channel.id);
+        }
+    }
+    assert!(num_numbered > 0);
+}

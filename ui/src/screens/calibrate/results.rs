@@ -1,7 +1,7 @@
 //! What a finished run found: one sentence, the picture, the numbers, and what to do with it.
 
 use egui::RichText;
-use palpate_wire::api::{CalibrationReport, CalibrationRun, Intervals, Metrics};
+use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metrics};
 
 use super::{CalibrateState, objective, tables};
 use crate::{route::Screen, screens::ScreenContext, store::Loadable};
@@ -38,7 +38,8 @@ pub(super) fn results_ui(
     });
 }
 
-/// One sentence: what changed on takes that the fit has not seen.
+/// What changed on takes that the fit has not seen: what is looked at first, then what got worse, and what did not change
+/// beyond chance.
 fn headline(report: &CalibrationReport) -> String {
     let (before, after) = (&report.held_out.nominal, &report.held_out.calibrated);
     let mut parts = Vec::new();
@@ -54,49 +55,115 @@ fn headline(report: &CalibrationReport) -> String {
     if parts.is_empty() {
         return "Calibrated, but the held-out takes hold no touch to judge by.".to_owned();
     }
-    format!("Calibrated: {} on takes it has not seen.", parts.join(", "))
+    let mut text = format!("Calibrated: {} on takes it has not seen.", parts.join(", "));
+    for (change, word) in [(Change::Worse, "Worse"), (Change::Unclear, "No clear difference")] {
+        let of_kind = ROWS.iter().filter(|row| row.change(report) == Some(change));
+        let names: Vec<String> = of_kind.filter_map(|row| row.spoken(report)).collect();
+        if !names.is_empty() {
+            text += &format!(" {word}: {}.", names.join(", "));
+        }
+    }
+    text
+}
+
+/// What a calibration did to a metric.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Change {
+    Better,
+    Worse,
+    /// The 95 % interval of the change holds zero, or nothing changed.
+    Unclear,
+}
+
+impl Change {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Better => "better",
+            Self::Worse => "worse",
+            Self::Unclear => "no clear difference",
+        }
+    }
 }
 
 /// A metric as people read it.
 struct Row {
     name: &'static str,
+    /// In a sentence, with the unit that follows its values.
+    spoken: (&'static str, &'static str),
     value: fn(&Metrics) -> Option<f64>,
-    intervals: fn(&Intervals) -> [Option<[f64; 2]>; 2],
+    of: fn(&MetricIntervals) -> Option<[f64; 2]>,
     factor: f64,
     digits: usize,
+    lower_is_better: bool,
+}
+
+const ROWS: [Row; 4] = [
+    Row {
+        name: "Onset error, ms",
+        spoken: ("onset timing", " ms"),
+        value: |m| m.onset_error_ms,
+        of: |i| i.onset_error_ms,
+        factor: 1.0,
+        digits: 0,
+        lower_is_better: true,
+    },
+    Row {
+        name: "Offset error, ms",
+        spoken: ("release timing", " ms"),
+        value: |m| m.offset_error_ms,
+        of: |i| i.offset_error_ms,
+        factor: 1.0,
+        digits: 0,
+        lower_is_better: true,
+    },
+    Row {
+        name: "Activation F1",
+        spoken: ("F1", ""),
+        value: |m| m.f1,
+        of: |i| i.f1,
+        factor: 1.0,
+        digits: 3,
+        lower_is_better: false,
+    },
+    Row {
+        name: "False positive rate, %",
+        spoken: ("false positives", " %"),
+        value: |m| m.fpr,
+        of: |i| i.fpr,
+        factor: 100.0,
+        digits: 2,
+        lower_is_better: true,
+    },
+];
+
+impl Row {
+    /// What the calibration did to it on takes that the fit has not seen; `None` where it has no meaning there.
+    fn change(&self, report: &CalibrationReport) -> Option<Change> {
+        let before = (self.value)(&report.held_out.nominal)?;
+        let after = (self.value)(&report.held_out.calibrated)?;
+        let sign = if self.lower_is_better { -1.0 } else { 1.0 };
+        let gain = sign * (after - before);
+        let interval = report.intervals_95.as_ref().and_then(|intervals| (self.of)(&intervals.change));
+        let is_by_chance = interval.is_some_and(|[low, high]| low <= 0.0 && high >= 0.0);
+        Some(match gain {
+            _ if is_by_chance => Change::Unclear,
+            gain if gain > 0.0 => Change::Better,
+            gain if gain < 0.0 => Change::Worse,
+            _ => Change::Unclear,
+        })
+    }
+
+    /// Name and values for a sentence: `release timing (425 to 445 ms)`.
+    fn spoken(&self, report: &CalibrationReport) -> Option<String> {
+        let before = (self.value)(&report.held_out.nominal)? * self.factor;
+        let after = (self.value)(&report.held_out.calibrated)? * self.factor;
+        let (name, unit) = self.spoken;
+        let digits = self.digits;
+        Some(format!("{name} ({before:.digits$} to {after:.digits$}{unit})"))
+    }
 }
 
 fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationReport) {
-    let rows = [
-        Row {
-            name: "Onset error, ms",
-            value: |m| m.onset_error_ms,
-            intervals: |i| [i.nominal.onset_error_ms, i.calibrated.onset_error_ms],
-            factor: 1.0,
-            digits: 0,
-        },
-        Row {
-            name: "Offset error, ms",
-            value: |m| m.offset_error_ms,
-            intervals: |i| [i.nominal.offset_error_ms, i.calibrated.offset_error_ms],
-            factor: 1.0,
-            digits: 0,
-        },
-        Row {
-            name: "Activation F1",
-            value: |m| m.f1,
-            intervals: |i| [i.nominal.f1, i.calibrated.f1],
-            factor: 1.0,
-            digits: 3,
-        },
-        Row {
-            name: "False positive rate, %",
-            value: |m| m.fpr,
-            intervals: |i| [i.nominal.fpr, i.calibrated.fpr],
-            factor: 100.0,
-            digits: 2,
-        },
-    ];
     let held = report.held_out_takes.join(", ");
     ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
     egui::Grid::new("calibrate_metrics").striped(true).min_row_height(22.0).spacing([28.0, 6.0]).show(
@@ -107,15 +174,27 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationRep
             ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
             ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
             ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
+            ui.label("");
             ui.end_row();
-            for Row { name, value, intervals, factor, digits } in rows {
-                let [before, after] = report.intervals_95.as_ref().map_or([None; 2], intervals);
-                let text = |metrics: &Metrics| tables::number(value(metrics), factor, digits);
-                ui.label(name);
+            for row in &ROWS {
+                let (factor, digits) = (row.factor, row.digits);
+                let intervals = report.intervals_95.as_ref();
+                let before = intervals.and_then(|intervals| (row.of)(&intervals.nominal));
+                let after = intervals.and_then(|intervals| (row.of)(&intervals.calibrated));
+                let text = |metrics: &Metrics| tables::number((row.value)(metrics), factor, digits);
+                ui.label(row.name);
                 ui.label(text(&report.held_out.nominal));
                 ui.label(RichText::new(range(before, factor, digits)).color(cx.palette.text_weak));
                 ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
                 ui.label(RichText::new(range(after, factor, digits)).color(cx.palette.text_weak));
+                if let Some(change) = row.change(report) {
+                    let colour = match change {
+                        Change::Better => cx.palette.diagnosed,
+                        Change::Worse => cx.palette.mismatch,
+                        Change::Unclear => cx.palette.text_weak,
+                    };
+                    ui.colored_label(colour, change.word());
+                }
                 ui.end_row();
             }
             ui.label("Real contacts with a partner, %");

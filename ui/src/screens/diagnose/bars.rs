@@ -2,8 +2,12 @@
 
 use egui::{Align2, Color32, FontId, Rect, Sense, Stroke, Ui, accesskit::Role, pos2, vec2};
 use palpate_robot_model::Place;
-use palpate_wire::{api::DiagnosisReport, wording};
+use palpate_wire::{
+    api::{DiagnosisReport, WaterfallStep},
+    wording,
+};
 
+use super::Start;
 use crate::theme::Palette;
 
 const NAME_WIDTH: f32 = 290.0;
@@ -66,20 +70,24 @@ fn rows_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64)
 }
 
 /// The gap on confirm takes: nominal, calibrated, then one more effect each.
-pub(super) fn waterfall_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisReport) {
+pub(super) fn waterfall_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisReport, start: &Start) {
     if report.waterfall.is_empty() {
         ui.label("This report holds no steps.");
         return;
     }
     let calibrated = report.waterfall.iter().find(|step| step.step == "calibrated").map(|step| step.gap);
-    let names: Vec<String> = (0..report.waterfall.len()).map(|idx| wording::step_name(report, idx)).collect();
+    let name = |(idx, step): (usize, &WaterfallStep)| match step.step.as_str() {
+        "nominal" => start.title(),
+        _ => wording::step_name(report, idx),
+    };
+    let names: Vec<String> = report.waterfall.iter().enumerate().map(name).collect();
     let bars: Vec<Bar<'_>> = report
         .waterfall
         .iter()
         .zip(&names)
         .map(|(step, name)| {
             let colour = match step.step.as_str() {
-                "nominal" => palette.nominal,
+                "nominal" => start.colour(palette),
                 "calibrated" => palette.calibrated,
                 _ => palette.diagnosed,
             };

@@ -5,14 +5,18 @@ use palpate_wire::{
     api::{
         Cell, DiagnosisReport, Metrics, NextExperiment, RecordingDocument, StepState, Verdict, WantedTake,
     },
-    wording,
+    wording::{self, counted},
 };
 
+use super::Start;
 use crate::{
     route::Screen,
     screens::{ScreenContext, words},
     store::Loadable,
 };
+
+/// A part whose p-value is not below this is within chance.
+const SIGNIFICANT: f64 = 0.05;
 
 /// Parts of the data, a line each.
 pub(super) fn cells_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, cells: &[Cell]) {
@@ -49,7 +53,14 @@ pub(super) fn unexplained_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: 
     };
     let colour = if left.significant { cx.palette.warning } else { cx.palette.real };
     ui.colored_label(colour, text);
-    cells_ui(ui, cx, &left.cells);
+    // What chance gives as well is nothing to look at.
+    let (beyond, within): (Vec<Cell>, Vec<Cell>) =
+        left.cells.iter().cloned().partition(|cell| cell.p_value < SIGNIFICANT);
+    cells_ui(ui, cx, &beyond);
+    if !within.is_empty() {
+        let text = format!("{} within chance left out.", counted(within.len() as u64, "part"));
+        ui.label(RichText::new(text).color(cx.palette.text_weak));
+    }
 }
 
 pub(super) fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &DiagnosisReport) {
@@ -137,11 +148,11 @@ fn place_on_list(document: &RecordingDocument, next: &NextExperiment) -> Option<
 }
 
 /// Event metrics on confirm takes, and which takes did what.
-pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) {
+pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {
     let columns = [
-        ("nominal", "Nominal", cx.palette.nominal),
-        ("calibrated", "Calibrated", cx.palette.calibrated),
-        ("diagnosed", "Diagnosed", cx.palette.diagnosed),
+        ("nominal", start.title(), start.colour(&cx.palette)),
+        ("calibrated", "Calibrated".to_owned(), cx.palette.calibrated),
+        ("diagnosed", "Diagnosed".to_owned(), cx.palette.diagnosed),
     ];
     type Value = fn(&Metrics) -> Option<f64>;
     let rows: [(&str, Value, f64, usize); 5] = [
@@ -156,14 +167,14 @@ pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Dia
             ui,
             |ui| {
                 ui.label("");
-                for (_, name, colour) in columns {
-                    ui.label(RichText::new(name).color(colour).strong());
+                for (_, name, colour) in &columns {
+                    ui.label(RichText::new(name).color(*colour).strong());
                 }
                 ui.end_row();
                 for (name, value, factor, digits) in rows {
                     ui.label(name);
-                    for (key, ..) in columns {
-                        let value = report.metrics.get(key).and_then(value);
+                    for (key, ..) in &columns {
+                        let value = report.metrics.get(*key).and_then(value);
                         ui.label(value.map_or_else(
                             || "\u{2013}".to_owned(),
                             |value| format!("{:.digits$}", value * factor),

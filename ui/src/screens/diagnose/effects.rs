@@ -17,7 +17,18 @@ pub(super) fn effects_ui(
     report: &DiagnosisReport,
 ) -> bool {
     let mut left_out = None;
-    for (idx, effect) in report.effects.iter().enumerate() {
+    let is_weak = |idx: &usize| weak(report).any(|weak| weak == *idx);
+    let (strong, weak): (Vec<usize>, Vec<usize>) = (0..report.effects.len()).partition(|idx| !is_weak(idx));
+    let first_weak = weak.first().copied();
+    for (idx, effect) in
+        strong.into_iter().chain(weak).filter_map(|idx| Some((idx, report.effects.get(idx)?)))
+    {
+        if first_weak == Some(idx) {
+            ui.add_space(8.0);
+            ui.label(RichText::new("Weak, not ticked").strong());
+            let about = "They do not lower the gap on the takes kept for judging, or help in half of the takes at most.";
+            ui.label(RichText::new(about).color(cx.palette.text_weak));
+        }
         ui.add_space(4.0);
         egui::Frame::group(ui.style()).fill(cx.palette.surface).show(ui, |ui| {
             ui.set_width(ui.available_width());
@@ -29,6 +40,19 @@ pub(super) fn effects_ui(
     let again = left_out.is_some();
     state.without.extend(left_out);
     again
+}
+
+/// Effects that help too little to be ticked without a look, by position: those that do not lower the gap on the takes
+/// kept for judging, and those that lower the mismatch in half of the takes at most.
+pub(super) fn weak(report: &DiagnosisReport) -> impl Iterator<Item = usize> {
+    report.effects.iter().enumerate().filter(|(_, effect)| !helps(effect)).map(|(idx, _)| idx)
+}
+
+fn helps(effect: &NamedEffect) -> bool {
+    let counts = effect.takes_improved.split_once('/');
+    let counts =
+        counts.and_then(|(improved, all)| Some((improved.parse::<u64>().ok()?, all.parse::<u64>().ok()?)));
+    effect.gap_after < effect.gap_before && counts.is_none_or(|(improved, all)| 2 * improved > all)
 }
 
 /// Room for what can be done with an effect, which stands beside its sentence where both have room.

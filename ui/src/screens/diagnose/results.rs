@@ -6,7 +6,7 @@ use palpate_wire::{
     wording,
 };
 
-use super::{DiagnoseState, bars, details, effects, keep, residual_map};
+use super::{DiagnoseState, Start, bars, details, effects, keep, residual_map};
 use crate::screens::ScreenContext;
 
 /// True when the operator asks for another run with the choices as they are now.
@@ -16,6 +16,7 @@ pub(super) fn results_ui(
     state: &mut DiagnoseState,
     run: &DiagnosisRun,
     report: &DiagnosisReport,
+    start: &Start,
 ) -> bool {
     // What can be done with the result stays in reach, however far one scrolls.
     egui::Panel::bottom("diagnose_keep").resizable(false).show(ui, |ui| {
@@ -26,9 +27,9 @@ pub(super) fn results_ui(
     let mut again = false;
     egui::ScrollArea::vertical().id_salt(&run.id).auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
-        lead_ui(ui, cx, report);
+        lead_ui(ui, cx, report, start);
         section(ui, "The gap, step by step");
-        bars::waterfall_ui(ui, &cx.palette, report);
+        bars::waterfall_ui(ui, &cx.palette, report, start);
         if !report.effects.is_empty() {
             section(ui, "What is missing");
             again = effects::effects_ui(ui, cx, state, report);
@@ -42,7 +43,7 @@ pub(super) fn results_ui(
         section(ui, "What to record next");
         details::next_ui(ui, cx, report);
         section(ui, "How it was judged");
-        details::metrics_ui(ui, cx, report);
+        details::metrics_ui(ui, cx, report, start);
         ui.add_space(12.0);
     });
     again
@@ -53,7 +54,7 @@ fn section(ui: &mut egui::Ui, title: &str) {
     ui.heading(title);
 }
 
-fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) {
+fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {
     ui.horizontal(|ui| {
         ui.heading("3  See");
         let (word, colour) = match report.verdict {
@@ -84,7 +85,8 @@ fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) 
             format!("; repetitions of one motion differ by {}", wording::number(floor))
         });
         let text = format!(
-            "Gap on takes that nothing was fitted to: nominal {}, calibrated {}, with the named effects {}{floor}.",
+            "Gap on takes that nothing was fitted to: {} {}, calibrated {}, with the named effects {}{floor}.",
+            start.word(),
             wording::number(gap.nominal),
             wording::number(gap.calibrated),
             wording::number(gap.diagnosed),

@@ -3,7 +3,10 @@
 use std::collections::BTreeSet;
 
 use egui::RichText;
-use palpate_wire::api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder};
+use palpate_wire::{
+    api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder},
+    wording::counted,
+};
 
 use crate::{screens::ScreenContext, store::Loadable};
 
@@ -50,7 +53,8 @@ impl Default for FormState {
 pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut FormState) -> bool {
     let mut left = false;
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-        ui.set_max_width(640.0);
+        // The bar that scrolls lies over the right edge.
+        ui.set_max_width((ui.available_width() - 12.0).min(640.0));
         ui.add_space(4.0);
         ui.heading("Plan a campaign");
         ui.label(
@@ -68,10 +72,14 @@ pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut 
         ui.add_space(8.0);
         let planned = form.policies.len() * form.objects.len() * form.starts as usize;
         ui.label(format!(
-            "{} policies x {} objects x {} starts = {planned} trials",
-            form.policies.len(),
-            form.objects.len(),
-            form.starts
+            "{} \u{d7} {} \u{d7} {} = {}",
+            match form.policies.len() {
+                1 => "1 policy".to_owned(),
+                several => format!("{several} policies"),
+            },
+            counted(form.objects.len() as u64, "object"),
+            counted(u64::from(form.starts), "start"),
+            counted(planned as u64, "trial"),
         ));
         if let Loadable::Failed(problem) = &cx.store.campaigns.made {
             ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
@@ -104,7 +112,8 @@ pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut 
 fn text_ui(ui: &mut egui::Ui, name: &str, text: &mut String, hint: &str) {
     ui.horizontal_wrapped(|ui| {
         let label = ui.label(name);
-        let field = egui::TextEdit::singleline(text).hint_text(hint).desired_width(360.0).char_limit(120);
+        let width = ui.available_width().clamp(120.0, 360.0);
+        let field = egui::TextEdit::singleline(text).hint_text(hint).desired_width(width).char_limit(120);
         ui.add(field).labelled_by(label.id);
     });
 }
@@ -184,12 +193,16 @@ fn objects_ui(
         });
         ui.horizontal_wrapped(|ui| {
             for id in members {
-                let mut chosen = form.objects.contains(id);
-                if ui.toggle_value(&mut chosen, id).changed() {
-                    if chosen {
-                        form.objects.insert(id.clone())
-                    } else {
+                let is_chosen = form.objects.contains(id);
+                let response = ui.add(egui::Button::new(id).selected(is_chosen));
+                response.widget_info(|| {
+                    egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, is_chosen, id)
+                });
+                if response.clicked() {
+                    if is_chosen {
                         form.objects.remove(id)
+                    } else {
+                        form.objects.insert(id.clone())
                     };
                 }
             }
@@ -215,15 +228,14 @@ fn numbers_ui(ui: &mut egui::Ui, form: &mut FormState) {
         ui.add(egui::DragValue::new(&mut form.seed)).labelled_by(label.id);
         ui.end_row();
     });
-    ui.checkbox(
-        &mut form.is_blind,
-        "Blind: scorers do not learn which policy they see until the campaign is closed",
+    let weak = ui.visuals().weak_text_color();
+    ui.checkbox(&mut form.is_blind, "Blind");
+    ui.label(
+        RichText::new("Scorers do not learn which policy they see until the campaign is closed.").color(weak),
     );
     let mut by_object = form.order == TrialOrder::ByObject;
-    ui.checkbox(
-        &mut by_object,
-        "One object after the other: fewer changes by hand, but what drifts hits objects unequally",
-    );
+    ui.checkbox(&mut by_object, "One object after the other");
+    ui.label(RichText::new("Fewer changes by hand, but what drifts hits objects unequally.").color(weak));
     form.order = if by_object { TrialOrder::ByObject } else { TrialOrder::Interleaved };
 }
 

@@ -8,6 +8,8 @@ use crate::{
     store::Loadable,
 };
 
+/// With less room than this, points, names stand above their lines.
+const BESIDE: f32 = 520.0;
 /// Height of a line of the picture.
 const LINE: f32 = 24.0;
 
@@ -96,6 +98,7 @@ fn picture_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, results: &CampaignResul
         for line in &lines {
             line_ui(ui, cx, line);
         }
+        scale_ui(ui, cx);
         ui.add_space(4.0);
     }
     ui.label(
@@ -107,9 +110,37 @@ fn picture_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, results: &CampaignResul
     );
 }
 
+/// Where the parts of a line are: the name, the share from 0 to 1, and the count.
+struct Columns {
+    width: f32,
+    /// The name has a line of its own, because it would have no room beside the picture.
+    name_above: bool,
+    plot: egui::Rangef,
+}
+
+impl Columns {
+    /// In `available` points from `left` on.
+    fn of(left: f32, available: f32) -> Self {
+        let width = available.min(720.0);
+        let name_above = width < BESIDE;
+        let name_width = if name_above { 6.0 } else { (0.34 * width).min(230.0) };
+        Self { width, name_above, plot: egui::Rangef::new(left + name_width, left + width - 64.0) }
+    }
+
+    fn x(&self, share: f64) -> f32 {
+        egui::lerp(self.plot.min..=self.plot.max, share as f32)
+    }
+}
+
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+
 fn line_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, line: &Line) {
-    let width = ui.available_width().min(720.0);
-    let (rect, response) = ui.allocate_exact_size(egui::vec2(width, LINE), egui::Sense::hover());
+    let columns = Columns::of(ui.cursor().left(), ui.available_width());
+    if columns.name_above {
+        // The line below says it to those who do not see it.
+        ui.add(egui::Label::new(RichText::new(&line.name).small()).truncate());
+    }
+    let (rect, response) = ui.allocate_exact_size(egui::vec2(columns.width, LINE), egui::Sense::hover());
     let count = format!("{}/{}", line.rate.successes, line.rate.trials);
     let words = match line.rate.rate {
         Some(rate) if !line.is_published => {
@@ -123,27 +154,25 @@ fn line_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, line: &Line) {
     let painter = ui.painter_at(response.rect);
     let font = egui::FontId::proportional(13.0);
     let text = ui.visuals().text_color();
-    let name_width = (0.34 * rect.width()).min(230.0);
-    let plot = egui::Rangef::new(rect.left() + name_width, rect.right() - 64.0);
-    let name_clip = egui::Rect::from_min_max(rect.min, egui::pos2(plot.min - 8.0, rect.max.y));
-    painter.with_clip_rect(name_clip).text(
-        rect.left_center(),
-        egui::Align2::LEFT_CENTER,
-        &line.name,
-        font.clone(),
-        text,
-    );
-    let x = |share: f64| egui::lerp(plot.min..=plot.max, share as f32);
+    if !columns.name_above {
+        let name_clip = egui::Rect::from_min_max(rect.min, egui::pos2(columns.plot.min - 8.0, rect.max.y));
+        painter.with_clip_rect(name_clip).text(
+            rect.left_center(),
+            egui::Align2::LEFT_CENTER,
+            &line.name,
+            font.clone(),
+            text,
+        );
+    }
     let y = rect.center().y;
-    for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-        let at = x(share);
-        painter.vline(at, rect.y_range(), egui::Stroke::new(1.0, cx.palette.line));
+    for share in SHARES {
+        painter.vline(columns.x(share), rect.y_range(), egui::Stroke::new(1.0, cx.palette.line));
     }
     if let Some(rate) = line.rate.rate {
         let colour = cx.palette.calibrated;
         let [low, high] = line.rate.wilson_95;
-        painter.hline(x(low)..=x(high), y, egui::Stroke::new(2.0, colour));
-        let at = egui::pos2(x(rate), y);
+        painter.hline(columns.x(low)..=columns.x(high), y, egui::Stroke::new(2.0, colour));
+        let at = egui::pos2(columns.x(rate), y);
         if line.is_published {
             painter.circle(at, 5.0, cx.palette.surface, egui::Stroke::new(2.0, colour));
         } else {
@@ -151,6 +180,22 @@ fn line_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, line: &Line) {
         }
     }
     painter.text(rect.right_center(), egui::Align2::RIGHT_CENTER, count, font, text);
+}
+
+/// What the lines are measured by.
+fn scale_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>) {
+    let columns = Columns::of(ui.cursor().left(), ui.available_width());
+    let (rect, _) = ui.allocate_exact_size(egui::vec2(columns.width, 16.0), egui::Sense::hover());
+    for share in SHARES {
+        let at = egui::pos2(columns.x(share), rect.center().y);
+        let (text, font) = (format!("{:.0} %", 100.0 * share), egui::FontId::proportional(12.0));
+        let align = if share == 0.0 && columns.name_above {
+            egui::Align2::LEFT_CENTER
+        } else {
+            egui::Align2::CENTER_CENTER
+        };
+        ui.painter().text(at, align, text, font, cx.palette.text_weak);
+    }
 }
 
 fn comparison_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, comparison: &PolicyComparison) {

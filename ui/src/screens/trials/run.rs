@@ -9,6 +9,9 @@ use super::{
 };
 use crate::{api_client::CampaignAct, screens::ScreenContext};
 
+/// With less room than this, points, what is to be done stands below the picture.
+const BESIDE: f32 = 460.0;
+
 pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
     let next = campaign.next.and_then(|number| trial(campaign, number));
     match next {
@@ -37,27 +40,35 @@ fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, t
         "Trial {} of {}: {} with {policy}",
         trial.number, campaign.summary.planned, trial.object
     ));
+    if ui.available_width() < BESIDE {
+        place_ui(ui, &cx.palette, &campaign.plan, &trial.start);
+        step_ui(ui, cx, campaign, trial);
+        return;
+    }
     ui.horizontal_wrapped(|ui| {
         place_ui(ui, &cx.palette, &campaign.plan, &trial.start);
         ui.vertical(|ui| {
             ui.set_max_width((ui.available_width()).clamp(220.0, 460.0));
-            match trial.state {
-                TrialState::Running => running_ui(ui, cx, campaign, trial),
-                _ => {
-                    ui.label(format!("Place {} as in the picture: {}.", trial.object, words(&trial.start)));
-                    ui.label(
-                        RichText::new("Seen from behind the robot; the arrow is the object's x axis.")
-                            .color(cx.palette.text_weak),
-                    );
-                    ui.add_space(6.0);
-                    let begin = egui::Button::new(RichText::new("It is placed: begin").strong());
-                    if ui.add_enabled(!cx.store.campaigns.is_busy, begin).clicked() {
-                        cx.store.campaigns.act(&campaign.summary.id, false, CampaignAct::Begin(trial.number));
-                    }
-                }
-            }
+            step_ui(ui, cx, campaign, trial);
         });
     });
+}
+
+/// What is to be done with the trial now.
+fn step_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, trial: &Trial) {
+    if trial.state == TrialState::Running {
+        return running_ui(ui, cx, campaign, trial);
+    }
+    ui.label(format!("Place {} as in the picture: {}.", trial.object, words(&trial.start)));
+    ui.label(
+        RichText::new("Seen from behind the robot; the arrow is the object's x axis.")
+            .color(cx.palette.text_weak),
+    );
+    ui.add_space(6.0);
+    let begin = egui::Button::new(RichText::new("It is placed: begin").strong());
+    if ui.add_enabled(!cx.store.campaigns.is_busy, begin).clicked() {
+        cx.store.campaigns.act(&campaign.summary.id, false, CampaignAct::Begin(trial.number));
+    }
 }
 
 fn running_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, trial: &Trial) {
