@@ -192,6 +192,10 @@ pub enum CampaignAct {
     Unscore(u32, ScoreBack),
     /// Decide where scorers differ.
     Settle(u32, ScoreRequest),
+    /// No trial begins until somebody goes on.
+    Pause,
+    /// Go on after a break.
+    Resume,
     /// No more trials.
     Close,
     /// Trials go on.
@@ -320,6 +324,8 @@ impl Request {
                     CampaignAct::Score(number, body) => post(trial(number, "score"), json(body)),
                     CampaignAct::Unscore(number, body) => post(trial(number, "unscore"), json(body)),
                     CampaignAct::Settle(number, body) => post(trial(number, "settle"), json(body)),
+                    CampaignAct::Pause => post(format!("{campaign}/pause"), None),
+                    CampaignAct::Resume => post(format!("{campaign}/resume"), None),
                     CampaignAct::Close => post(format!("{campaign}/close"), None),
                     CampaignAct::Reopen => post(format!("{campaign}/reopen"), None),
                 }

@@ -132,6 +132,9 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSu
     let fact = match (&campaign.error, &campaign.closed) {
         (Some(_), _) => "cannot be read".to_owned(),
         (None, Some(_)) => format!("closed, {}/{}", campaign.scored, campaign.planned),
+        (None, None) if campaign.paused.is_some() => {
+            format!("paused, {}/{}", campaign.scored, campaign.planned)
+        }
         (None, None) => format!("{}/{}", campaign.scored, campaign.planned),
     };
     let button = egui::Button::selectable(is_chosen, RichText::new(&campaign.name).strong())

@@ -122,6 +122,7 @@ fn a_viewer_is_offered_nothing_and_a_scorer_the_trials_that_wait() {
         planned: 4,
         scored: 1,
         to_score: 2,
+        paused: None,
         closed: None,
         error: None,
     };

@@ -132,6 +132,27 @@ fn the_next_trial_says_where_the_object_goes_and_begins() {
 }
 
 #[test]
+fn a_break_is_taken_and_nothing_begins_until_somebody_goes_on() {
+    let mut paused = campaign(TrialState::Waiting);
+    let api = with(&paused);
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Take a break").click();
+    harness.run_steps(3);
+    assert_eq!(acts(&api), [CampaignAct::Pause]);
+
+    paused.summary.paused = Some("2026-11-25T10:00:00Z".into());
+    let api = with(&paused);
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("The campaign is paused");
+    assert!(harness.query_by_label("It is placed: begin").is_none());
+    harness.get_by_role_and_label(Role::Button, "Go on").click();
+    harness.run_steps(3);
+    assert_eq!(acts(&api), [CampaignAct::Resume]);
+}
+
+#[test]
 fn a_trial_is_scored_by_one_key() {
     let api = with(&campaign(TrialState::Unscored));
     let mut harness = page(&api, &FakeWindow::of("Ada", "#/trials?campaign=first-trials&part=score"));

@@ -14,7 +14,14 @@ const BESIDE: f32 = 460.0;
 
 pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
     let next = campaign.next.and_then(|number| trial(campaign, number));
+    if campaign.summary.paused.is_some() {
+        ui.label("The campaign is paused: no trial begins, neither here nor from a rollout, until somebody goes on.");
+        ui.add_space(4.0);
+    }
     match next {
+        Some(trial) if campaign.summary.paused.is_some() && trial.state != TrialState::Running => {
+            ui.label(format!("Next is trial {} of {}.", trial.number, campaign.summary.planned));
+        }
         Some(trial) => next_ui(ui, cx, campaign, trial),
         None if campaign.summary.closed.is_some() => {
             ui.label("The campaign is closed. Its results stay.");
@@ -25,7 +32,10 @@ pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &C
     }
     ui.add_space(10.0);
     settle_ui(ui, cx, campaign);
-    close_ui(ui, cx, campaign);
+    ui.horizontal_wrapped(|ui| {
+        pause_ui(ui, cx, campaign);
+        close_ui(ui, cx, campaign);
+    });
     ui.add_space(10.0);
     list_ui(ui, cx, campaign);
 }
@@ -133,6 +143,25 @@ fn settle_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign)
         });
     }
     ui.add_space(8.0);
+}
+
+/// A break, from which a restart of the studio does not wake the campaign.
+fn pause_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
+    if campaign.summary.closed.is_some() || campaign.next.is_none() {
+        return;
+    }
+    let (text, hint, act) = match campaign.summary.paused {
+        Some(_) => ("Go on", "Trials begin again", CampaignAct::Resume),
+        None => (
+            "Take a break",
+            "No trial begins until somebody goes on; one that runs goes to its end",
+            CampaignAct::Pause,
+        ),
+    };
+    let free = !cx.store.campaigns.is_busy;
+    if ui.add_enabled(free, egui::Button::new(text)).on_hover_text(hint).clicked() {
+        cx.store.campaigns.act(&campaign.summary.id, false, act);
+    }
 }
 
 fn close_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
