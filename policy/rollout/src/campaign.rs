@@ -19,7 +19,7 @@ use crate::link::Link;
 use crate::operator::Operator;
 use crate::run::{
     Begins, Hand, Making, Outcome, Outcomes, Placing, RolloutArgs, alive_while, begin, hold, make, ready,
-    switch_reflex_on,
+    still_there, switch_reflex_on,
 };
 use crate::studio::{RequestError, Studio};
 use crate::verdict::Verdict;
@@ -34,6 +34,8 @@ const SCRIPT: &str = "script:";
 const PATIENCE: Duration = Duration::from_secs(60);
 /// A lease without heartbeats ends within this.
 const LEASE: Duration = Duration::from_secs(8);
+/// A trial on an emulated station is prepared at most so often.
+const MAX_TRIES: u32 = 3;
 /// Longest reason that a studio takes, bytes.
 const MAX_REASON_BYTES: usize = 500;
 
@@ -206,21 +208,34 @@ impl Session<'_> {
         )?;
         let plan = campaign.plan.policies.iter().find(|known| known.id == policy);
         let is_silenced = plan.is_some_and(|policy| policy.is_silenced);
-        let arm = self.arms.get_mut(&(policy.clone(), trial.object.clone()));
-        let arm = arm.with_context(|| {
+        let key = (policy.clone(), trial.object.clone());
+        let arm = self.arms.get(&key).with_context(|| {
             format!(
                 "trial {number} is of policy {policy:?} on {:?}, which the plan does not have",
                 trial.object
             )
         })?;
-        let mut look = placed_at_page(self.studio, self.options.id, number);
-        let placing = match self.operator.as_mut() {
-            Some(operator) => Placing::Operator(operator, place_request(trial)),
-            None if self.options.is_placed_at_page => Placing::Elsewhere(&mut look),
-            None if self.args.placed => Placing::Nobody,
-            None => Placing::Person(told(campaign, trial, arm)),
+        let mut num_tries = 0;
+        let begins = loop {
+            let mut look = placed_at_page(self.studio, self.options.id, number);
+            let placing = match self.operator.as_mut() {
+                Some(operator) => Placing::Operator(operator, place_request(trial)),
+                None if self.options.is_placed_at_page => Placing::Elsewhere(&mut look),
+                None if self.args.placed => Placing::Nobody,
+                None => Placing::Person(told(campaign, trial, arm)),
+            };
+            num_tries += 1;
+            match begin(hand, arm, placing) {
+                Ok(begins) => break begins,
+                // An emulated station on a busy computer lets go now and then. Beside a real one somebody looks first.
+                Err(err) if self.operator.is_some() && num_tries < MAX_TRIES => {
+                    still_there(hand)?;
+                    eprintln!("rollout: trial {number} is prepared once more: {err:#}");
+                    ready(hand)?;
+                }
+                Err(err) => return Err(err),
+            }
         };
-        let begins = begin(hand, arm, placing)?;
         if !is_running {
             self.journal.begins(number, attempt)?;
         }

@@ -238,7 +238,7 @@ fn trials(
 
 /// Waits until every device is ready; refuses a station that somebody stopped.
 pub(crate) fn ready(hand: &Hand<'_>) -> anyhow::Result<()> {
-    let wanted = |frame: &Frame| fit::not_ready(&frame.live).map_or(Ok(()), Err);
+    let wanted = |frame: &Frame| fit::not_ready(&frame.live).map_or(Ok(()), |why| Err(Not::Yet(why)));
     let frame = wait_for(hand, "the devices to be ready", wanted)?;
     if frame.live.control.as_ref().is_some_and(|control| control.phase() == Phase::Stopped) {
         bail!("the station is stopped; reset the stop at the studio's page first");
@@ -315,6 +315,7 @@ pub(crate) fn begin(hand: &Hand<'_>, fitted: &Fitted, placing: Placing<'_>) -> a
         Placing::Elsewhere(is_placed) => {
             while !alive_while(hand.link, &mut *is_placed)? {
                 still_there(hand)?;
+                following(hand)?;
                 wait_until(hand.link, Instant::now() + LOOK_AGAIN);
             }
         }
@@ -500,14 +501,19 @@ fn ask_person(link: &Link, told: &str) -> anyhow::Result<()> {
     })
 }
 
-/// Refuses to go on where control is lost, the station does not follow, or somebody wants to stop.
-fn still_there(hand: &Hand<'_>) -> anyhow::Result<()> {
+/// Refuses to go on where control is lost, or somebody wants to stop.
+pub(crate) fn still_there(hand: &Hand<'_>) -> anyhow::Result<()> {
     if let Some(why) = hand.link.ended() {
         bail!("{why}");
     }
     if hand.cancel.is_cancelled() {
         bail!("stopped by Ctrl-C");
     }
+    Ok(())
+}
+
+/// Refuses to go on where the station does not follow.
+fn following(hand: &Hand<'_>) -> anyhow::Result<()> {
     let newest = hand.link.newest();
     newest.and_then(|frame| crate::verdict::not_following(&frame.live)).map_or(Ok(()), |why| bail!("{why}"))
 }
@@ -529,7 +535,10 @@ fn arm(hand: &Hand<'_>) -> anyhow::Result<()> {
     let link = hand.link;
     let is_armed = |frame: &Frame| match frame.live.control.as_ref().map(|control| control.phase()) {
         Some(Phase::Armed) => Ok(()),
-        _ => Err(frame.live.control.as_ref().map(|control| control.reason.clone()).unwrap_or_default()),
+        _ => {
+            let reason = frame.live.control.as_ref().map(|control| control.reason.clone());
+            Err(Not::Yet(reason.unwrap_or_default()))
+        }
     };
     if link.newest().is_none_or(|frame| is_armed(&frame).is_err()) {
         link.must("arming", Request::Arm(Arm {}))?;
@@ -552,7 +561,7 @@ fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -
             link.send(targets(&wanted));
         }
         if let Some(why) = crate::verdict::not_following(&frame.live) {
-            return Err(why);
+            return Err(Not::Ever(why));
         }
         let joints = station.robot.dofs().zip(frame.live.joint_positions.iter().zip(&wanted)).enumerate();
         let away = joints.filter_map(|(dof, (joint, (&at, to)))| {
@@ -566,7 +575,7 @@ fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -
             away => {
                 let reason =
                     frame.live.control.as_ref().map(|control| control.reason.as_str()).unwrap_or_default();
-                Err(format!("{} {reason}", away.join(", ")))
+                Err(Not::Yet(format!("{} {reason}", away.join(", "))))
             }
         }
     };
@@ -581,11 +590,19 @@ fn within_limits(station: &Station, positions: &[f64]) -> Vec<f64> {
     joints.map(|(at, limits)| at.clamp(limits.lower, limits.upper)).collect()
 }
 
+/// Why a frame is not as wanted.
+enum Not {
+    /// It may become so.
+    Yet(String),
+    /// It does not become so by itself.
+    Ever(String),
+}
+
 /// Waits for a frame that is as wanted; `wanted` says what is not so yet.
 fn wait_for(
     hand: &Hand<'_>,
     what: &str,
-    wanted: impl Fn(&Frame) -> Result<(), String>,
+    wanted: impl Fn(&Frame) -> Result<(), Not>,
 ) -> anyhow::Result<Frame> {
     let Hand { link, cancel } = *hand;
     let begun = Instant::now();
@@ -602,7 +619,8 @@ fn wait_for(
             number = frame.number;
             match wanted(&frame) {
                 Ok(()) => return Ok(frame),
-                Err(why) => problem = why,
+                Err(Not::Yet(why)) => problem = why,
+                Err(Not::Ever(why)) => bail!("waited in vain for {what}: {why}"),
             }
         }
         if begun.elapsed() > PATIENCE {
