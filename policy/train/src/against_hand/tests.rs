@@ -3,7 +3,8 @@ use palpate_rollout::verdict::Verdict;
 
 use super::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};
 
-/// Touch of three channels: the first is felt by both, by simulation two steps later; the second by the hand; the third by nobody.
+/// Touch of three channels: the first is felt by both, by simulation two steps later; the second by the hand; the third by
+/// nobody.
 fn touch() -> Touch {
     let steps = |first: usize, second: bool| -> Vec<bool> {
         (0..10).flat_map(|step| [step >= first, second && step == 4, false]).collect()
