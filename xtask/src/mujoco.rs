@@ -111,10 +111,10 @@ pub(crate) fn lint() -> anyhow::Result<()> {
 }
 
 /// Tests of the grasp world; with `filter` only those whose name contains it.
-pub(crate) fn test(palpate: &Path, filter: Option<&str>) -> anyhow::Result<()> {
+pub(crate) fn test(palpate: &Path, skipped: &Path, filter: Option<&str>) -> anyhow::Result<()> {
     let mut cargo = cargo(&["test", "--no-fail-fast"])?;
     // The physical station is driven by a studio.
-    cargo.env("PALPATE_BIN", palpate);
+    cargo.env("PALPATE_BIN", palpate).env("PALPATE_SKIPPED", skipped);
     // Test binaries know where the library is; those of documentation examples do not.
     cargo.env("LD_LIBRARY_PATH", link_dir()?).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
     if let Some(filter) = filter {

@@ -26,8 +26,10 @@ const MAX_LOGINS: i64 = 32;
 const MAX_TOKENS: i64 = 100;
 /// When a token was used is noted to this, s: not each request is a write.
 const USED_RESOLUTION_S: i64 = 60;
-/// Unknown secrets make it look at the database no more often than this.
-const LOOK_INTERVAL: Duration = Duration::from_millis(100);
+/// Unknown secrets make it look at the database no more often than so many times in so long: whoever guesses costs little,
+/// and a token that was made just now is good at once although somebody guessed a moment ago.
+const MAX_LOOKS: u32 = 10;
+const LOOKS_WITHIN: Duration = Duration::from_secs(1);
 /// Days that a token is good for.
 const MAX_TOKEN_DAYS: u32 = 730;
 
@@ -39,8 +41,8 @@ pub struct People {
     known: RwLock<Arc<Known>>,
     /// When tokens were used, as far as the database has not been told.
     used: Mutex<HashMap<Hash, i64>>,
-    /// When an unknown secret made it look at the database last.
-    looked: Mutex<Option<Instant>>,
+    /// Since when unknown secrets made it look at the database, and how often.
+    looked: Mutex<Option<(Instant, u32)>>,
 }
 
 /// Everything that the database holds, by what it is looked up by.
@@ -354,10 +356,12 @@ impl People {
     fn learns_more(&self) -> bool {
         {
             let mut looked = self.looked.lock().unwrap_or_else(PoisonError::into_inner);
-            if looked.is_some_and(|looked| looked.elapsed() < LOOK_INTERVAL) {
+            let (since, looks) =
+                looked.filter(|(since, _)| since.elapsed() < LOOKS_WITHIN).unwrap_or((Instant::now(), 0));
+            if looks >= MAX_LOOKS {
                 return false;
             }
-            *looked = Some(Instant::now());
+            *looked = Some((since, looks + 1));
         }
         let Ok(mut connection) = self.connection.try_lock() else { return false };
         tables::count(&connection).is_ok_and(|count| count != self.known().count)

@@ -279,9 +279,11 @@ async fn a_second_client_moves_nothing_and_changes_no_session_by_any_route_with_
     let after = scene.positions();
     sleep(Duration::from_millis(1200)).await;
     let audit = std::fs::read_to_string(scene.data.path().join("audit.jsonl")).unwrap();
-    // A test's heartbeats are late at times on a busy machine; fingers that were let go for that sink by themselves, and the
-    // arm, which has brakes, stays.
-    let was_let_go = audit.contains("heard of the operator");
+    // On a busy machine a test's heartbeats are late at times, and so is what the servos hear; fingers that were let go for that
+    // sink by themselves, and the arm, which has brakes, stays.
+    let was_let_go = ["heard of the operator", "the line was silent"]
+        .iter()
+        .any(|why| audit.contains(why) || live.reason.contains(why));
     assert!(was_let_go || live.phase == "armed", "{}", live.reason);
     let carrier = &scene.state.emulated_station().unwrap().station().carrier_dofs;
     for (dof, (before, after)) in positions.iter().zip(&after).enumerate() {

@@ -108,7 +108,7 @@ fn every_fault_is_named_by_itself() {
         (&|take| set_channel(take, 4, |time_s| (quiet(time_s), true)), "Root was active throughout; tare"),
         (
             &|take| set_channel(take, 2, |time_s| (200.0 + 40.0 * (time_s * 60.0).sin() as f32, false)),
-            "Tip 3 is noisy while nothing touches",
+            "Tip \u{b7} 2 is noisy while nothing touches",
         ),
         (
             &|take| {
@@ -117,7 +117,7 @@ fn every_fault_is_named_by_itself() {
                     (if touched { 4095.0 } else { quiet(time_s) }, touched)
                 });
             },
-            "Tip 1 is at the top of the range",
+            "Tip \u{b7} 0 is at the top of the range",
         ),
         (
             &|take| set_channel(take, 3, |time_s| (quiet(time_s), false)),
@@ -168,7 +168,7 @@ fn missed_channels_are_listed_and_unplanned_ones_need_not_be_touched() {
         }
     });
     assert_eq!(verdict.missed, ["tip.0", "pulp"]);
-    assert!(verdict.problems[0].starts_with("Tip 1 and Pulp were not touched"), "{verdict:#?}");
+    assert!(verdict.problems[0].starts_with("Tip \u{b7} 0 and Pulp were not touched"), "{verdict:#?}");
 }
 
 #[test]
