@@ -190,7 +190,8 @@ fn what_another_process_changes_is_noticed_and_uses_are_noted_to_a_minute() {
     studio.refresh(NOW_S + 60).unwrap();
     assert_eq!(last_used(&studio), Some(rfc3339(NOW_S + 60)));
 
-    // A token that was made elsewhere is good at once, although somebody guessed just now; what was revoked elsewhere ends with the next look.
+    // A token that was made elsewhere is good at once, although somebody guessed just now; what was revoked elsewhere ends
+    // with the next look.
     let guess = format!("plp_{}", "0".repeat(64));
     assert_eq!(studio.authenticate(Presented::Bearer(&guess), NOW_S), Err(Denied::Unknown));
     let (_, fresh) = command.create_token(&token_for("ada", None), NOW_S).unwrap();
