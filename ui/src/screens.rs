@@ -168,7 +168,8 @@ fn centered<R>(ui: &mut egui::Ui, add_contents: impl FnOnce(&mut egui::Ui) -> R)
     let space = (ui.available_height() * 0.3).min(240.0);
     ui.add_space(space);
     ui.vertical_centered(|ui| {
-        ui.set_max_width(480.0);
+        // More than there is would be cut on a phone.
+        ui.set_max_width(ui.available_width().min(480.0));
         add_contents(ui)
     })
     .inner

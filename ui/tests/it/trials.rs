@@ -225,6 +225,18 @@ fn a_campaign_is_planned_and_run_on_a_phone() {
 }
 
 #[test]
+fn what_an_empty_screen_says_is_not_cut_on_a_phone() {
+    let phone = [390.0, 844.0];
+    let api = full_api();
+    api.0.borrow_mut().answer(&Request::Campaigns, b"[]".to_vec());
+    let mut harness = page_of(&api, &FakeWindow::at("#/trials"), phone);
+    harness.run_steps(3);
+    let rect = harness.get_by_label_contains("A campaign tries policies on the hand").rect();
+    // The rail is on the left.
+    assert!(rect.left() >= 48.0 && rect.right() <= phone[0], "{rect:?}");
+}
+
+#[test]
 fn intervals_have_a_scale_and_names_are_not_cut_on_a_phone() {
     let api = with(&campaign(TrialState::Waiting));
     let rate = SuccessRate {
