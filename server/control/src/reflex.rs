@@ -97,6 +97,8 @@ pub(crate) fn step(gains: &Gains, state: &DigitState, seen: &DigitSeen, dt_s: f6
         Phase::Yielding => (-gains.yield_rad, gains.yield_rad_per_s),
     };
     let moved_rad = state.offset_rad + (goal_rad - state.offset_rad).clamp(-speed * dt_s, speed * dt_s);
+    // The sum may round to just beyond a limit.
+    let moved_rad = moved_rad.clamp(-gains.yield_rad, gains.tighten_rad);
     let is_pressing = seen.error_rad > gains.tighten_error_rad;
     let offset_rad = if is_pressing { moved_rad.min(state.offset_rad) } else { moved_rad };
     let is_new = phase != state.phase;
