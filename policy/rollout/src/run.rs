@@ -33,6 +33,10 @@ const NEAR_HAND_RAD: f64 = 0.12;
 const NEAR_ARM_RAD: f64 = 0.02;
 /// Targets of a motion to the start are told again this often.
 const TELL_AGAIN: Duration = Duration::from_millis(500);
+/// A station that lets go or comes up is done within this.
+const SETTLES: Duration = Duration::from_secs(3);
+/// It is asked this often meanwhile.
+const ASK_AGAIN: Duration = Duration::from_millis(100);
 /// Whether the object was placed is asked this often.
 const LOOK_AGAIN: Duration = Duration::from_millis(300);
 /// Joints that have arrived get this long to come to rest.
@@ -531,19 +535,35 @@ pub(crate) fn hold(link: &Link, station: &Station) {
     wait_until(link, Instant::now() + REST);
 }
 
+/// Arms the station. It is asked whatever the newest frame says: that may still show it as whoever had control before left it.
 fn arm(hand: &Hand<'_>) -> anyhow::Result<()> {
     let link = hand.link;
+    // One that has just been given back lets go first.
+    insist(link, "arming", || Request::Arm(Arm {}))?;
+    let asked = link.newest().map_or(0, |frame| frame.number);
     let is_armed = |frame: &Frame| match frame.live.control.as_ref().map(|control| control.phase()) {
-        Some(Phase::Armed) => Ok(()),
+        Some(Phase::Armed) if frame.number > asked => Ok(()),
         _ => {
             let reason = frame.live.control.as_ref().map(|control| control.reason.clone());
             Err(Not::Yet(reason.unwrap_or_default()))
         }
     };
-    if link.newest().is_none_or(|frame| is_armed(&frame).is_err()) {
-        link.must("arming", Request::Arm(Arm {}))?;
-    }
     wait_for(hand, "the station to be armed", is_armed).map(drop)
+}
+
+/// Asks for the same again for [`SETTLES`] while it is refused: what is refused in one moment may be right in the next.
+fn insist(link: &Link, what: &str, request: impl Fn() -> Request) -> anyhow::Result<()> {
+    let until = Instant::now() + SETTLES;
+    loop {
+        let reply = link.ask(request())?;
+        if reply.accepted {
+            return Ok(());
+        }
+        if Instant::now() >= until {
+            bail!("{what} was refused: {}", reply.problem);
+        }
+        wait_until(link, Instant::now() + ASK_AGAIN);
+    }
 }
 
 /// Moves all joints to `positions`, and waits until they are there, or until those of the arm are where the hand holds
@@ -552,7 +572,8 @@ fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -
     let link = hand.link;
     let is_arm = |dof: usize| station.carrier_dofs.contains(&dof);
     let wanted = within_limits(station, positions);
-    link.must("a motion to the start", targets(&wanted))?;
+    // A frame from before it was armed may have said that it is.
+    insist(link, "a motion to the start", || targets(&wanted))?;
     let told = Cell::new(Instant::now());
     let arrived = |frame: &Frame| {
         if told.get().elapsed() >= TELL_AGAIN {

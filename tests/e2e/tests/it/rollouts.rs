@@ -78,7 +78,7 @@ impl Scene {
             command.args(["--inject", &format!("{inject}={FAULT_S}")]);
         }
         let process = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn()?;
-        let rollout = Rollout { process, out };
+        let mut rollout = Rollout { process, out };
         rollout.wait_until_s(FAULT_S - 0.1)?;
         self.bench.control.log_motion(60_000);
         if inject.is_none() {
@@ -115,10 +115,13 @@ impl Rollout {
     }
 
     /// Waits until its trial has come so far.
-    fn wait_until_s(&self, time_s: f64) -> anyhow::Result<()> {
+    fn wait_until_s(&mut self, time_s: f64) -> anyhow::Result<()> {
         let begun = Instant::now();
         let is_there = |line: &Value| line["time_s"].as_f64().is_some_and(|at_s| at_s >= time_s);
         while !self.record().iter().any(is_there) {
+            if let Some(status) = self.process.try_wait()? {
+                bail!("the rollout ended before {time_s} s of its trial: {status}");
+            }
             if begun.elapsed() > PATIENCE {
                 bail!("the trial never came to {time_s} s");
             }
@@ -174,7 +177,7 @@ fn a_policy_that_is_killed_freezes_or_hangs_makes_the_robot_hold_and_go_limp() {
     let silent_ms = HEARTBEAT_MS + BRAKING_MS;
     let cases = [("-KILL", None, 150), ("-STOP", None, silent_ms), ("", Some("hang"), ALIVE_MS + silent_ms)];
     for (signal, inject, most_held_ms) in cases {
-        let rollout = scene.roll(inject).unwrap();
+        let mut rollout = scene.roll(inject).unwrap();
         let what = inject.unwrap_or(signal);
         if inject.is_some() {
             rollout.wait_until_s(FAULT_S - 0.05).unwrap();
