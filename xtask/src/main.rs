@@ -14,6 +14,7 @@ mod skip;
 mod slurm;
 mod studio;
 mod test;
+mod twice;
 mod wasm;
 
 use std::path::PathBuf;

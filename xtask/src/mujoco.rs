@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{Context as _, bail};
 
-use crate::{paths, python, shell};
+use crate::{paths, python, shell, twice};
 
 /// Where builds look for the library: the folder that holds `libmujoco.so`.
 const LINK_DIR: &str = "MUJOCO_DYNAMIC_LINK_DIR";
@@ -17,8 +17,14 @@ const VERSION: &str = "3.17.0";
 
 /// Crates with a `mujoco` feature, and the learners, which one of them uses: tested with the whole workspace instead, their
 /// tensor library would be built a second time.
-const CRATES: &[&str] =
-    &["palpate_encoder", "palpate_grasp", "palpate_ppo", "palpate_rollout", "palpate_train"];
+const CRATES: &[&str] = &[
+    "palpate_cloning",
+    "palpate_encoder",
+    "palpate_grasp",
+    "palpate_ppo",
+    "palpate_rollout",
+    "palpate_train",
+];
 
 /// The folder of the library: the one that `MUJOCO_DYNAMIC_LINK_DIR` names, or else one below `target/tools`, fetched
 /// from PyPI (pip checks the wheel's hash) unless it is there.
@@ -94,31 +100,32 @@ fn fetch(dir: &Path) -> anyhow::Result<()> {
 }
 
 /// A cargo that builds the crates of the grasp world with it.
-fn cargo(action: &[&str]) -> anyhow::Result<Command> {
-    let dir = link_dir()?;
+fn cargo(action: &str, link_dir: &Path) -> Command {
     let mut cargo = shell::cargo(&paths::root());
-    cargo.args(action).env(LINK_DIR, dir);
+    cargo.arg(action).env(LINK_DIR, link_dir);
     for name in CRATES {
         cargo.args(["--package", name]);
     }
     cargo.args(["--features", "mujoco"]);
-    Ok(cargo)
+    cargo
 }
 
 /// Lints of the grasp world, warnings denied.
 pub(crate) fn lint() -> anyhow::Result<()> {
-    shell::run(cargo(&["clippy", "--all-targets"])?.args(["--", "--deny", "warnings"]))
+    let mut cargo = cargo("clippy", &link_dir()?);
+    shell::run(cargo.args(["--all-targets", "--", "--deny", "warnings"]))
 }
 
 /// Tests of the grasp world; with `filter` only those whose name contains it.
 pub(crate) fn test(palpate: &Path, skipped: &Path, filter: Option<&str>) -> anyhow::Result<()> {
-    let mut cargo = cargo(&["test", "--no-fail-fast"])?;
-    // The physical station is driven by a studio.
-    cargo.env("PALPATE_BIN", palpate).env("PALPATE_SKIPPED", skipped);
-    // Test binaries know where the library is; those of documentation examples do not.
-    cargo.env("LD_LIBRARY_PATH", link_dir()?).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
-    if let Some(filter) = filter {
-        cargo.args(["--", filter]);
-    }
-    shell::run(&mut cargo)
+    let dir = link_dir()?;
+    let tests = || {
+        let mut cargo = cargo("test", &dir);
+        // The physical station is driven by a studio.
+        cargo.env("PALPATE_BIN", palpate).env("PALPATE_SKIPPED", skipped);
+        // Test binaries know where the library is; those of documentation examples do not.
+        cargo.env("LD_LIBRARY_PATH", &dir).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
+        cargo
+    };
+    twice::run(tests, filter)
 }

@@ -26,10 +26,18 @@ pub(crate) fn print_long_steps() {
 
 /// Runs `command`, showing its output; fails when it does.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
+    timed(command, run_line)
+}
+
+/// Shows `command`, runs it by `run`, which gets it as text too, and notes how long that took.
+pub(crate) fn timed<T>(
+    command: &mut Command,
+    run: impl Fn(&mut Command, &str) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
     let line = describe(command);
     eprintln!("$ {line}");
     let begun = Instant::now();
-    let result = run_line(command, &line);
+    let result = run(command, &line);
     let taken = begun.elapsed();
     if taken >= LONG {
         LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner).push((line, taken));

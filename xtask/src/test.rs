@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::{browser, build, mujoco, paths, python, shell, skip, slurm};
+use crate::{browser, build, mujoco, paths, python, shell, skip, slurm, twice};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 pub(crate) const PROPTEST_SEED: &str = "20261121";
@@ -34,29 +34,37 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         let mut cargo = shell::cargo(&paths::root());
         cargo
             .args(["test", "--workspace", "--exclude", "xtask"])
-            .args(["--exclude", "palpate_encoder", "--exclude", "palpate_ppo"])
+            .args([
+                "--exclude",
+                "palpate_cloning",
+                "--exclude",
+                "palpate_encoder",
+                "--exclude",
+                "palpate_ppo",
+            ])
             .env("PALPATE_UI_DIST", &page);
         cargo
     };
+    let xtask = std::env::current_exe()?;
     // A step of its own, so that one sees what building takes and what running takes.
     shell::run(cargo_test().arg("--no-run"))?;
-    let mut cargo = cargo_test();
-    cargo
-        .arg("--no-fail-fast")
-        .env("PALPATE_BIN", &palpate)
-        .env("PALPATE_PYTHON", python)
-        .env("PALPATE_BROWSER_TESTS", browser::folder())
-        .env("PALPATE_SKIPPED", &skipped)
-        .env("PALPATE_ARTIFACTS", &artifacts)
-        .env("PALPATE_XTASK", std::env::current_exe()?)
-        .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
-    if let Some(filter) = &args.filter {
-        cargo.args(["--", filter]);
-    }
-    let workspace = shell::run(&mut cargo);
+    let tests = || {
+        let mut cargo = cargo_test();
+        cargo
+            .env("PALPATE_BIN", &palpate)
+            .env("PALPATE_PYTHON", &python)
+            .env("PALPATE_BROWSER_TESTS", browser::folder())
+            .env("PALPATE_SKIPPED", &skipped)
+            .env("PALPATE_ARTIFACTS", &artifacts)
+            .env("PALPATE_XTASK", &xtask)
+            .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
+        cargo
+    };
+    let workspace = twice::run(tests, args.filter.as_deref());
     let grasping = mujoco::test(&palpate, &skipped, args.filter.as_deref());
     eprintln!("screenshots and reports: {}", artifacts.display());
     skip::report(&skipped);
+    twice::report();
     workspace.and(grasping)?;
     Ok(())
 }

@@ -10,8 +10,8 @@ use palpate_rollout::task::sha256;
 use palpate_sim::SensorModel;
 use serde_json::{Value, json};
 
-use super::palpate_train;
 use super::rollouts::{asset, station};
+use super::{palpate_train, turn};
 
 const MODEL: &str = "assets/models/demo_diagnosed.toml";
 const SEED: u64 = 5;
@@ -89,6 +89,7 @@ fn write(folder: &Path, number: u64, lines: &[Value]) {
 
 #[test]
 fn what_was_simulated_is_found_again_to_the_bit_and_what_cannot_be_compared_is_counted() {
+    let _turn = turn();
     let (hand, folder) = (MadeUp::new(), tempfile::tempdir().expect("a folder"));
     let rollout = folder.path().join("rollout");
     std::fs::create_dir(&rollout).expect("a folder");
@@ -109,7 +110,10 @@ fn what_was_simulated_is_found_again_to_the_bit_and_what_cannot_be_compared_is_c
     let (dir, out) = (rollout.to_str().expect("a path"), folder.path().join("compared.json"));
     let call =
         ["compare-rollout", "--rollout", dir, "--model", "nominal", "--model", MODEL, "--json", "--out"];
-    let output = palpate_train(&[&call[..], &[out.to_str().expect("a path")]].concat());
+    let output = palpate_train()
+        .args([&call[..], &[out.to_str().expect("a path")]].concat())
+        .output()
+        .expect("the command starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let found: Value = serde_json::from_slice(&output.stdout).expect("a document");
     assert_eq!((&found["recorded"], &found["compared"]), (&json!(6), &json!(2)));
@@ -139,6 +143,7 @@ fn what_was_simulated_is_found_again_to_the_bit_and_what_cannot_be_compared_is_c
 
 #[test]
 fn a_rollout_of_other_files_is_refused_by_name() {
+    let _turn = turn();
     let (hand, folder) = (MadeUp::new(), tempfile::tempdir().expect("a folder"));
     let refused = |spoil: &dyn Fn(&mut Value), expected: &str| {
         let rollout = folder.path().join("rollout");
@@ -147,7 +152,10 @@ fn a_rollout_of_other_files_is_refused_by_name() {
         let mut lines = hand.record(0);
         spoil(&mut lines[0]["trial"]);
         write(&rollout, 0, &lines);
-        let output = palpate_train(&["compare-rollout", "--rollout", rollout.to_str().expect("a path")]);
+        let output = palpate_train()
+            .args(["compare-rollout", "--rollout", rollout.to_str().expect("a path")])
+            .output()
+            .expect("the command starts");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && said.contains(expected), "{said}");
     };
@@ -162,7 +170,10 @@ fn a_rollout_of_other_files_is_refused_by_name() {
     refused(&|trial| trial["joints"][0] = json!("elbow"), "the rollout's joints");
     refused(&|trial| drop(trial["files"].as_array_mut().map(Vec::pop)), "neither a policy nor a script");
     refused(&|trial| trial["control_rate_hz"] = json!(30.0), "30 steps a second, its world file says 20");
-    let output = palpate_train(&["compare-rollout", "--rollout", "assets"]);
+    let output = palpate_train()
+        .args(["compare-rollout", "--rollout", "assets"])
+        .output()
+        .expect("the command starts");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && said.contains("holds no record of a trial"), "{said}");
 }

@@ -12,6 +12,7 @@ use palpate_wire::api::{Campaign, CampaignResults, TrialVerdict};
 use serde_json::{Value, json};
 
 use super::station::{Ready, palpate};
+use super::{palpate_train, root, turn};
 
 /// Whatever is waited for comes long before this, unless it never does.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -53,10 +54,11 @@ fn refused<T: std::fmt::Debug>(done: Result<T, RequestError>) -> (u16, String) {
 #[test]
 fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scored() {
     let Some(palpate) = palpate() else { return };
+    let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let (dir, data) = (folder.path().join("devices"), folder.path().join("data"));
     let station = Ready::start(
-        Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        palpate_train()
             .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
             .arg(&dir),
     );
@@ -89,12 +91,11 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
     let _: Campaign = operator.post("/campaigns", &plan).expect("a campaign");
 
     // Shorter trials, as what they come to is not what is looked at here; the hand is up again by then.
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let world = std::fs::read_to_string(root.join("assets/grasp/xarm6_leap.toml")).expect("a world");
+    let world = std::fs::read_to_string(root().join("assets/grasp/xarm6_leap.toml")).expect("a world");
     let short = folder.path().join("world.toml");
     std::fs::write(&short, world.replace("episode_s = 10.0", "episode_s = 6.0")).expect("a file");
     let out = folder.path().join("night");
-    let mut rollout = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+    let mut rollout = palpate_train()
         .args(["rollout", "--campaign", "night", "--url", url, "--operator"])
         .arg(found["operator"].as_str().expect("a socket"))
         .arg("--world")
@@ -102,7 +103,6 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
         .arg("--out")
         .arg(&out)
         .env("PALPATE_TOKEN", &operator_token)
-        .current_dir(&root)
         .stdout(Stdio::piped())
         .spawn()
         .expect("the command starts");

@@ -1,7 +1,7 @@
 //! Observations and targets of a rollout beside those of training.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use palpate_grasp::learn::{ActorTask, Conditions, LearnConfig, LearnEnv, LearnTask};
@@ -12,8 +12,10 @@ use palpate_rollout::policy::{LearnedPolicy, Policy as _, Seen};
 use palpate_sim::SensorModel;
 use serde_json::Value;
 
+use super::{root, turn};
+
 pub(crate) fn asset(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets").join(path)
+    root().join("assets").join(path)
 }
 
 fn text(path: &str) -> String {
@@ -76,6 +78,7 @@ fn bits64(values: &[f64]) -> Vec<u64> {
 
 #[test]
 fn a_rollout_sees_and_commands_the_bits_of_training() {
+    let _turn = turn();
     let cube = Cube::shipped();
     let (mut rolled, task) = (cube.rolled_out(), cube.trained());
     let mut env = LearnEnv::for_trials(Arc::clone(&task)).expect("an environment");

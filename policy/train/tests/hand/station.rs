@@ -2,12 +2,13 @@
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde_json::{Value, json};
 
 use super::rollouts::replay;
+use super::{palpate_train, root, turn};
 
 /// A process that prints a line when it is ready, and ends with its owner.
 pub(crate) struct Ready {
@@ -18,9 +19,8 @@ pub(crate) struct Ready {
 
 impl Ready {
     pub(crate) fn start(command: &mut Command) -> Self {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut process = command
-            .current_dir(root)
+            .current_dir(root())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .spawn()
@@ -88,10 +88,11 @@ fn most_pressed(frames: &[&Value]) -> f64 {
 #[test]
 fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     let Some(palpate) = palpate() else { return };
+    let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let dir = folder.path().join("devices");
     let station = Ready::start(
-        Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        palpate_train()
             .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
             .arg(&dir),
     );
@@ -121,12 +122,11 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     assert_eq!(ask(&operator, &json!({ "act": "state" }))["placements"], before["placements"]);
 
     let out = folder.path().join("rollout");
-    let output = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+    let output = palpate_train()
         .args(["rollout", "--json", "--policy", "assets/policies/cube.safetensors", "--seed", "5", "--url"])
         .arg(url["url"].as_str().expect("an address"))
         .args(["--operator", &operator, "--out"])
         .arg(&out)
-        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
         .output()
         .expect("the command starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -151,10 +151,9 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     assert!(replay(&record) > 40);
 
     // The trial is found again in the grasp world: it begins where it began, and its touch is compared.
-    let output = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+    let output = palpate_train()
         .args(["compare-rollout", "--json", "--truth", "assets/truth/demo.toml", "--rollout"])
         .arg(&out)
-        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
         .output()
         .expect("the command starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -1,14 +1,10 @@
 //! The command as people call it.
 #![cfg(feature = "mujoco")]
 
-mod against_hand;
-mod campaigns;
 mod comparisons;
 mod demonstrations;
 mod encoders;
 mod policies;
-mod rollouts;
-mod station;
 
 use std::path::Path;
 use std::process::{Command, Output};

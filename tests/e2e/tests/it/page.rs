@@ -5,7 +5,6 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::Command,
-    sync::atomic::{AtomicUsize, Ordering},
 };
 
 use e2e::{Studio, Tools, alone, demo_session, root, together};
@@ -23,29 +22,8 @@ fn own_data(tools: &Tools) -> anyhow::Result<tempfile::TempDir> {
     Ok(data)
 }
 
-/// Scripts that were run a second time in this run of the tests.
-static RETRIES: AtomicUsize = AtomicUsize::new(0);
-
-/// Retries that one run of the tests may need. A browser beside a station in real time on a busy machine may be late
-/// once; what fails more often is wrong.
-const MAX_RETRIES: usize = 1;
-
-/// Passes if `run` does, or does so a second time where this run of the tests has a retry left.
-fn pass_or_retry(script: &str, run: impl Fn() -> bool) {
-    if run() {
-        return;
-    }
-    let retries = RETRIES.fetch_add(1, Ordering::SeqCst) + 1;
-    assert!(
-        retries <= MAX_RETRIES,
-        "{script} failed, and the run has had its {MAX_RETRIES} retry; see above"
-    );
-    eprintln!("RETRY {retries} of {MAX_RETRIES}: {script} failed once, and is run again on a new studio");
-    assert!(run(), "{script} failed twice; see above and the pictures in target/e2e");
-}
-
-/// Runs a script of the browser tests on `studio`; whether it passed.
-fn run_script(tools: &Tools, studio: &Studio, script: &str) -> bool {
+/// Runs a script of the browser tests on `studio`.
+fn run_script(tools: &Tools, studio: &Studio, script: &str) {
     let status = Command::new("node")
         .arg(script)
         .arg(&studio.url)
@@ -53,18 +31,16 @@ fn run_script(tools: &Tools, studio: &Studio, script: &str) -> bool {
         .current_dir(&tools.browser_tests)
         .status()
         .expect("node");
-    status.success()
+    assert!(status.success(), "{script} failed; see above and the pictures in target/e2e");
 }
 
 /// Runs a script of the browser tests on a studio with the demonstration session.
 fn browser_test(script: &str) {
     let Some(tools) = Tools::find_with_browser() else { return };
     let _turn = together();
-    pass_or_retry(script, || {
-        let data = own_data(&tools).expect("the demonstration session");
-        let studio = Studio::start(&tools, data.path()).expect("a studio");
-        run_script(&tools, &studio, script)
-    });
+    let data = own_data(&tools).expect("the demonstration session");
+    let studio = Studio::start(&tools, data.path()).expect("a studio");
+    run_script(&tools, &studio, script);
 }
 
 /// Runs a script that commands the emulated station of `truth`. It comes first on the machine: a page that waits a moment
@@ -72,12 +48,10 @@ fn browser_test(script: &str) {
 fn station_test(script: &str, truth: &Path) {
     let Some(tools) = Tools::find_with_browser() else { return };
     let _turn = alone();
-    pass_or_retry(script, || {
-        let data = tempfile::tempdir().expect("a folder");
-        let arguments = [OsStr::new("--emulate"), truth.as_os_str()];
-        let studio = Studio::serve(&tools, data.path(), arguments).expect("a studio");
-        run_script(&tools, &studio, script)
-    });
+    let data = tempfile::tempdir().expect("a folder");
+    let arguments = [OsStr::new("--emulate"), truth.as_os_str()];
+    let studio = Studio::serve(&tools, data.path(), arguments).expect("a studio");
+    run_script(&tools, &studio, script);
 }
 
 /// The shipped station with a plan of short takes, which comes first among its plans; gives the folder and the truth file.
