@@ -3,7 +3,7 @@
 //! Both are Transformers that normalise before each part (pre-norm): x + attention(norm(x)), x + feed-forward(norm(x)).
 
 use burn_tensor::{Device, Tensor, TensorData, activation, module};
-use palpate_training::{Array, fill_normal, generator};
+use palpate_training::{Array, ArrayBuilder};
 
 use crate::sample::{FEATURES, POSE};
 use crate::statistics::Statistics;
@@ -33,73 +33,53 @@ pub(crate) struct Networks {
 }
 
 /// Adds arrays one after the other.
-struct Builder {
-    arrays: Vec<Array>,
-    seed: u64,
-}
+struct Builder(ArrayBuilder);
 
 impl Builder {
-    fn normal(&mut self, name: String, shape: [usize; 2], std: f32) {
-        let mut values = vec![0.0; shape[0] * shape[1]];
-        fill_normal(&mut generator(self.seed, WEIGHTS, self.arrays.len() as u64, 0), &mut values);
-        values.iter_mut().for_each(|value| *value *= std);
-        self.arrays.push(Array { name, shape, values });
-    }
-
-    fn constant(&mut self, name: String, len: usize, value: f32) {
-        self.arrays.push(Array { name, shape: [1, len], values: vec![value; len] });
-    }
-
-    fn linear(&mut self, name: &str, inputs: usize, outputs: usize) {
-        self.normal(format!("{name}.weight"), [inputs, outputs], (inputs as f32).sqrt().recip());
-        self.constant(format!("{name}.bias"), outputs, 0.0);
+    fn new(seed: u64) -> Self {
+        Self(ArrayBuilder::new(seed, WEIGHTS))
     }
 
     /// A head whose first outputs are about `bias`; several tokens share the weights of one, but not the biases.
     fn head(&mut self, name: &str, width: usize, outputs: usize, bias: Vec<f32>) {
-        self.normal(format!("{name}.weight"), [width, outputs], HEAD_SCALE / (width as f32).sqrt());
-        self.arrays.push(Array { name: format!("{name}.bias"), shape: [1, bias.len()], values: bias });
-    }
-
-    fn norm(&mut self, name: &str, width: usize) {
-        self.constant(format!("{name}.gain"), width, 1.0);
-        self.constant(format!("{name}.bias"), width, 0.0);
+        self.0.normal(format!("{name}.weight"), [width, outputs], HEAD_SCALE / (width as f32).sqrt());
+        self.0.row(format!("{name}.bias"), bias);
     }
 
     fn attention(&mut self, name: &str, width: usize) {
         for part in ["query", "key", "value", "output"] {
-            self.linear(&format!("{name}.{part}"), width, width);
+            self.0.linear(&format!("{name}.{part}"), width, width);
         }
     }
 
     fn feed_forward(&mut self, name: &str, config: &NetworkConfig) {
-        self.norm(&format!("{name}.norm"), config.width);
-        self.linear(&format!("{name}.0"), config.width, config.feed_forward);
-        self.linear(&format!("{name}.1"), config.feed_forward, config.width);
+        self.0.norm(&format!("{name}.norm"), config.width);
+        self.0.linear(&format!("{name}.0"), config.width, config.feed_forward);
+        self.0.linear(&format!("{name}.1"), config.feed_forward, config.width);
     }
 
     fn encoder(&mut self, config: &NetworkConfig, dims: Dims) {
-        self.linear("encoder.input", dims.channels * FEATURES, config.width);
-        self.normal("encoder.positions".to_owned(), [dims.history, config.width], POSITION_STD);
+        self.0.linear("encoder.input", dims.channels * FEATURES, config.width);
+        self.0.normal("encoder.positions".to_owned(), [dims.history, config.width], POSITION_STD);
         for layer in 0..config.layers {
-            self.norm(&format!("encoder.{layer}.norm"), config.width);
+            self.0.norm(&format!("encoder.{layer}.norm"), config.width);
             self.attention(&format!("encoder.{layer}.attention"), config.width);
             self.feed_forward(&format!("encoder.{layer}.feed_forward"), config);
         }
-        self.norm("encoder.norm", config.width);
+        self.0.norm("encoder.norm", config.width);
     }
 
     fn decoder(&mut self, config: &NetworkConfig, dims: Dims, means: &Statistics) {
         let width = config.width;
-        self.normal("decoder.queries".to_owned(), [Queries::new(config, dims).all(), width], QUERY_STD);
+        self.0.normal("decoder.queries".to_owned(), [Queries::new(config, dims).all(), width], QUERY_STD);
         for layer in 0..config.decoder_layers {
-            self.norm(&format!("decoder.{layer}.self_norm"), width);
+            self.0.norm(&format!("decoder.{layer}.self_norm"), width);
             self.attention(&format!("decoder.{layer}.self_attention"), width);
-            self.norm(&format!("decoder.{layer}.cross_norm"), width);
+            self.0.norm(&format!("decoder.{layer}.cross_norm"), width);
             self.attention(&format!("decoder.{layer}.cross_attention"), width);
             self.feed_forward(&format!("decoder.{layer}.feed_forward"), config);
         }
-        self.norm("decoder.norm", width);
+        self.0.norm("decoder.norm", width);
         let lengths = |values: &[f32]| values.iter().map(|value| value / LENGTH_UNIT_M as f32).collect();
         let point_numbers = 3 * config.points_per_query;
         self.head("decoder.hand", width, point_numbers, lengths(&means.mean.hand_points));
@@ -134,19 +114,19 @@ impl Networks {
     /// First parameters: weights normal with variance `1 / inputs`, biases zero but for those of the heads, which are the
     /// means of what is to be predicted.
     pub(crate) fn new(config: &NetworkConfig, dims: Dims, means: &Statistics, seed: u64) -> Self {
-        let mut builder = Builder { arrays: Vec::new(), seed };
+        let mut builder = Builder::new(seed);
         builder.encoder(config, dims);
-        let num_encoder_arrays = builder.arrays.len();
+        let num_encoder_arrays = builder.0.len();
         builder.decoder(config, dims, means);
-        Self { arrays: builder.arrays, num_encoder_arrays, config: config.clone(), dims }
+        Self { arrays: builder.0.into_arrays(), num_encoder_arrays, config: config.clone(), dims }
     }
 
     /// An encoder alone, whose parameters are yet to be filled in.
     pub(crate) fn of_encoder(config: &NetworkConfig, dims: Dims) -> Self {
-        let mut builder = Builder { arrays: Vec::new(), seed: 0 };
+        let mut builder = Builder::new(0);
         builder.encoder(config, dims);
-        let num_encoder_arrays = builder.arrays.len();
-        Self { arrays: builder.arrays, num_encoder_arrays, config: config.clone(), dims }
+        let num_encoder_arrays = builder.0.len();
+        Self { arrays: builder.0.into_arrays(), num_encoder_arrays, config: config.clone(), dims }
     }
 
     /// The encoder alone.

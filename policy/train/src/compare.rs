@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
+use palpate_cloning::Cloned;
 use palpate_grasp::controller::{Controller, Scripted};
 use palpate_grasp::learn::{Conditions, LearnEnv};
 use palpate_grasp::search::{Experience, Prior, Searcher, Senses};
@@ -19,6 +20,7 @@ use palpate_terminal::Bar;
 use rayon::prelude::*;
 
 use self::report::{Arm, Comparison, OfObject};
+use crate::clone::{self, Imitator};
 use crate::evaluate::EvaluateArgs;
 use crate::files::{self, OpenWorld, Sources};
 use crate::policy::Policy;
@@ -37,6 +39,8 @@ enum Mover {
     Oracle,
     /// A policy that was learned, in a file or folder.
     Learned(String),
+    /// A policy that imitates an expert, in a file or folder.
+    Cloned(String),
 }
 
 impl Mover {
@@ -49,14 +53,17 @@ impl Mover {
             // Which places come next then follows from the time alone.
             "search:none" | "repetition" => Self::Search(Senses::NONE),
             "oracle" => Self::Oracle,
-            path => Self::Learned(path.to_owned()),
+            path => match path.strip_prefix("clone:") {
+                Some(path) => Self::Cloned(path.to_owned()),
+                None => Self::Learned(path.to_owned()),
+            },
         }
     }
 
     /// What it gets to know when nothing is taken away.
     fn known(&self) -> Known {
         match self {
-            Self::Script | Self::Learned(_) => Known::ROBOT,
+            Self::Script | Self::Learned(_) | Self::Cloned(_) => Known::ROBOT,
             Self::Search(senses) => Known { touch: senses.touch, tracking: senses.tracking, place: false },
             Self::Oracle => Known { place: true, ..Known::ROBOT },
         }
@@ -107,6 +114,7 @@ enum Ready {
     Scripted(Arc<Script>),
     Searching { expert: Arc<Expert>, experience: Arc<Experience>, prior: Prior },
     Learned { policy: Box<Policy>, opened: OpenTask, tracking_hidden: bool },
+    Cloned(Arc<Cloned>),
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
@@ -118,7 +126,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
     }
     let sources = Sources::default();
-    let (name, mut protocol) = protocol(args, &sources)?;
+    let (name, mut protocol) = protocol(args.protocol.as_deref().unwrap_or_default(), &sources)?;
     protocol.trials = args.trials.unwrap_or(protocol.trials);
     protocol.seed = args.seed.unwrap_or(protocol.seed);
     let objects = files::objects(args.objects.as_deref().unwrap_or(&args.task.scene.object))?;
@@ -168,9 +176,8 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The protocol that the arguments name, and its name.
-fn protocol(args: &EvaluateArgs, sources: &Sources) -> anyhow::Result<(String, Protocol)> {
-    let given = args.protocol.as_deref().unwrap_or_default();
+/// The protocol that `given` names, a file or one of those that are shipped, and its name.
+pub(crate) fn protocol(given: &str, sources: &Sources) -> anyhow::Result<(String, Protocol)> {
     let file = PathBuf::from(given);
     let path = if file.is_file() { file } else { Path::new(PROTOCOLS).join(format!("{given}.toml")) };
     if !path.is_file() {
@@ -259,6 +266,11 @@ impl Bench {
                 self.sources.keep(source);
                 Ok(Ready::Learned { policy: Box::new(policy), opened, tracking_hidden: !known.tracking })
             }
+            Mover::Cloned(path) => {
+                let (policy, source) = clone::open(&path_for(path, &id), &self.world.station)?;
+                self.sources.keep(source);
+                Ok(Ready::Cloned(policy))
+            }
         }
     }
 
@@ -309,6 +321,11 @@ impl Ready {
             }
             Self::Searching { expert, experience, prior } => {
                 Box::new(Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior))
+            }
+            Self::Cloned(policy) => {
+                let mut imitator = Imitator::new(Arc::clone(policy), Arc::clone(scene.station()), trial);
+                let ending = conduct(scene, &mut imitator, known, seed, trial)?;
+                return imitator.problem.map_or(Ok(ending), |problem| Err(problem.into()));
             }
             Self::Learned { policy, opened, tracking_hidden } => {
                 let mut env = LearnEnv::for_trials(Arc::clone(&opened.task))?;

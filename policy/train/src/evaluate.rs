@@ -19,8 +19,8 @@ pub(crate) struct EvaluateArgs {
     #[command(flatten)]
     pub(crate) task: TaskArgs,
     /// A training's folder, a checkpoint or an exported policy; under a protocol also "search", "search:touch",
-    /// "search:tracking", "search:none", "script", "repetition" or "oracle", and {object} in a path stands for the object's
-    /// name
+    /// "search:tracking", "search:none", "script", "repetition", "oracle", or "clone:PATH" for a policy that imitates an expert, and
+    /// {object} in a path stands for the object's name
     #[arg(long)]
     pub(crate) policy: String,
     /// Number of trials [default: the protocol's, or 50]

@@ -1,9 +1,10 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, searches by touch, scores what was learned and keeps it as demonstrations, pretrains the tactile encoder on these, and
-//! measures the grasp world's speed.
+//! they, searches by touch, keeps what experts do and imitates it, scores what was learned, pretrains the tactile encoder, and measures
+//! the grasp world's speed.
 
 mod against_hand;
 mod bench;
+mod clone;
 mod compare;
 mod curves;
 mod demos;
@@ -11,6 +12,7 @@ mod encode;
 mod evaluate;
 mod export;
 mod files;
+mod gather;
 mod policy;
 mod ppo;
 mod script;
@@ -46,6 +48,10 @@ enum Command {
     Closings(search::ClosingsArgs),
     /// Roll out a policy, and keep the trials that succeed as files to learn from
     Demos(demos::DemosArgs),
+    /// Let the searching expert grasp, and keep every trial as files to learn from
+    Gather(gather::GatherArgs),
+    /// Learn to do what an expert did: by regression or by diffusion
+    Clone(clone::CloneArgs),
     /// Pretrain the tactile encoder with what demonstrations know beyond touch
     Encode(encode::EncodeArgs),
     /// Make a small file of a policy, for `evaluate` and `demos`, or of an encoder
@@ -105,6 +111,8 @@ fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Closings(args) => search::run(&args),
         Command::Demos(args) => demos::run(&args),
+        Command::Gather(args) => gather::run(&args),
+        Command::Clone(args) => clone::run(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Curves(args) => curves::run(&args),

@@ -12,9 +12,9 @@ mod folder;
 mod seed;
 
 pub use adam::{Adam, clip_norm};
-pub use array::Array;
+pub use array::{Array, ArrayBuilder};
 pub use config::{Expectation, check, difference, parse};
 pub use error::TrainingError;
 pub use file::{Encoded, TensorFile, encode};
 pub use folder::{CHECKPOINT_FILE, METRICS_FILE, MetricsLog, Start, file_error, write_in_one_move};
-pub use seed::{fill_normal, generator, permutation};
+pub use seed::{below, fill_normal, generator, permutation};

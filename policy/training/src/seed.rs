@@ -24,12 +24,17 @@ pub fn fill_normal(generator: &mut ChaCha8Rng, noise: &mut [f32]) {
     }
 }
 
+/// A number below `len`, each as likely as the others.
+pub fn below(generator: &mut ChaCha8Rng, len: usize) -> usize {
+    // The bias of a remainder of 64 bits is below 1e-12 for any number of things that fits into memory.
+    (generator.next_u64() % len as u64) as usize
+}
+
 /// Numbers `0..len` in random order (Fisher and Yates).
 pub fn permutation(generator: &mut ChaCha8Rng, len: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..len).collect();
     for last in (1..len).rev() {
-        // The bias of a remainder of 64 bits is below 1e-12 for any batch that fits into memory.
-        order.swap(last, (generator.next_u64() % (last as u64 + 1)) as usize);
+        order.swap(last, below(generator, last + 1));
     }
     order
 }

@@ -1,0 +1,194 @@
+//! The policy that comes out.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use burn_tensor::{Device, Tensor, TensorData};
+use palpate_training::{fill_normal, generator};
+
+use crate::network::{Network, values};
+use crate::schedule::Schedule;
+use crate::trainer::Scaling;
+use crate::{CloneConfig, CloneError, Head, History, Moment, Shape};
+
+/// What noise is for: chunks that are drawn.
+const DRAWN: u64 = 6;
+/// The claim that the object is held, 0 or 1, counts from here on.
+const CLAIM: f64 = 0.5;
+
+/// The robot that a policy is for, by the names of its parts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Robot {
+    /// Degrees of freedom, in the order of positions and commands.
+    pub joints: Vec<String>,
+    /// Touch channels, in their order.
+    pub channels: Vec<String>,
+}
+
+impl Robot {
+    /// Its sizes.
+    pub fn shape(&self) -> Shape {
+        Shape { dofs: self.joints.len(), channels: self.channels.len() }
+    }
+
+    /// Whether `other` has the same joints and channels in the same order.
+    ///
+    /// # Errors
+    /// The first that is another.
+    pub fn check(&self, other: &Self) -> Result<(), CloneError> {
+        for (what, own, theirs) in
+            [("joint", &self.joints, &other.joints), ("channel", &self.channels, &other.channels)]
+        {
+            if own.len() != theirs.len() {
+                return Err(CloneError::Shape(format!(
+                    "the policy knows {} {what}s, the robot has {}",
+                    own.len(),
+                    theirs.len()
+                )));
+            }
+            if let Some((own, theirs)) = own.iter().zip(theirs).find(|(own, theirs)| own != theirs) {
+                return Err(CloneError::Shape(format!(
+                    "the policy was made for the {what} {own:?} where the robot has {theirs:?}"
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One step of a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Where each joint goes, rad or m.
+    pub targets: Vec<f64>,
+    /// Whether the policy says that it holds the object.
+    pub claims_held: bool,
+}
+
+/// A policy that imitates an expert.
+#[derive(Clone, Debug)]
+pub struct Cloned {
+    pub(crate) config: CloneConfig,
+    pub(crate) robot: Robot,
+    pub(crate) inputs: Scaling,
+    pub(crate) chunks: Scaling,
+    pub(crate) network: Network,
+    pub(crate) updates: u64,
+    pub(crate) sources: BTreeMap<String, String>,
+    tensors: Vec<Tensor<2>>,
+    schedule: Schedule,
+}
+
+impl Cloned {
+    pub(crate) fn new(
+        config: CloneConfig,
+        robot: Robot,
+        [inputs, chunks]: [Scaling; 2],
+        network: Network,
+        updates: u64,
+        sources: BTreeMap<String, String>,
+    ) -> Self {
+        let tensors = network.tensors(&Device::flex());
+        let schedule = Schedule::cosine(config.diffusion.steps);
+        Self { config, robot, inputs, chunks, network, updates, sources, tensors, schedule }
+    }
+
+    /// How it was trained.
+    pub fn config(&self) -> &CloneConfig {
+        &self.config
+    }
+
+    /// The robot that it is for.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// Updates that it was trained for.
+    pub fn updates(&self) -> u64 {
+        self.updates
+    }
+
+    /// What its episodes were made from, by name.
+    pub fn sources(&self) -> &BTreeMap<String, String> {
+        &self.sources
+    }
+
+    /// A window in which nothing has been seen yet.
+    pub fn history(&self) -> History {
+        History::new(self.config.observation.clone(), self.robot.shape())
+    }
+
+    /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws it: `draw`
+    /// are two numbers, such as a trial and a step, that say which draw; the same numbers give the same chunk.
+    ///
+    /// # Errors
+    /// Predictions that are no numbers.
+    pub fn plan(&self, seen: &History, commands: &[f64], draw: [u64; 2]) -> Result<Vec<Plan>, CloneError> {
+        let device = Device::flex();
+        let row = |values: Vec<f32>| {
+            let len = values.len();
+            Tensor::<2>::from_data(TensorData::new(values, [1, len]), &device)
+        };
+        let input = self.inputs.apply(&seen.observation()).collect();
+        let features = self.network.trunk(&self.tensors, row(input));
+        let chunk = match self.network.head() {
+            Head::Regression => values(self.network.regress(&self.tensors, features)),
+            Head::Diffusion => {
+                let mut chunk = vec![0.0; self.network.chunk_len()];
+                fill_normal(&mut generator(self.config.seed, DRAWN, draw[0], draw[1]), &mut chunk);
+                let steps = self.schedule.sampled(self.config.diffusion.sampled_steps);
+                for (idx, &step) in steps.iter().enumerate() {
+                    let noisy = row(chunk.clone());
+                    let noise = self.network.noise(&self.tensors, features.clone(), noisy, &[step]);
+                    self.schedule.denoise(&mut chunk, &values(noise), step, steps.get(idx + 1).copied());
+                }
+                chunk
+            }
+        };
+        let chunk: Vec<f64> = self.chunks.undo(&chunk).collect();
+        if let Some(value) = chunk.iter().find(|value| !value.is_finite()) {
+            return Err(CloneError::Shape(format!("the policy predicts {value}, expected finite numbers")));
+        }
+        let step = |action: &[f64]| Plan {
+            targets: action.iter().zip(commands).map(|(off, command)| command + off).collect(),
+            claims_held: action.last().is_some_and(|&claim| claim > CLAIM),
+        };
+        Ok(chunk.chunks_exact(self.robot.shape().action_len()).map(step).collect())
+    }
+}
+
+/// A policy at work in one trial: it carries out a few steps of a chunk, then looks again.
+#[derive(Clone, Debug)]
+pub struct Run {
+    policy: Arc<Cloned>,
+    history: History,
+    /// What is left of the chunk, the next step last.
+    plan: Vec<Plan>,
+    trial: u64,
+    step: u64,
+}
+
+impl Run {
+    /// A trial begins. Diffusion draws other chunks in a trial with another number.
+    pub fn new(policy: Arc<Cloned>, trial: u64) -> Self {
+        Self { history: policy.history(), policy, plan: Vec::new(), trial, step: 0 }
+    }
+
+    /// What the robot does in the control step that begins now. Each step has to be asked for.
+    ///
+    /// # Errors
+    /// Predictions that are no numbers.
+    pub fn next(&mut self, now: &Moment<'_>) -> Result<Plan, CloneError> {
+        self.history.see(now);
+        let step = self.step;
+        self.step += 1;
+        if let Some(next) = self.plan.pop() {
+            return Ok(next);
+        }
+        let mut chunk = self.policy.plan(&self.history, now.commands, [self.trial, step])?;
+        chunk.truncate(self.policy.config.executed);
+        chunk.reverse();
+        let next = chunk.pop();
+        self.plan = chunk;
+        next.ok_or_else(|| CloneError::Shape("the policy predicts no step".to_owned()))
+    }
+}

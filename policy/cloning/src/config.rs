@@ -1,0 +1,285 @@
+//! How to learn, as a file.
+
+use palpate_training::{Expectation, TrainingError};
+use serde::{Deserialize, Serialize};
+
+use crate::CloneError;
+
+/// What turns an observation into a chunk of actions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Head {
+    /// Predicts the mean of what the expert does: mean squared error.
+    Regression,
+    /// Draws from what the expert does: a one-dimensional U-Net with FiLM that predicts noise.
+    Diffusion,
+}
+
+/// How to learn. Fields that a file leaves out have the values of the preset `small`, which are given here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CloneConfig {
+    /// Seed of weights, order and noise; 0.
+    pub seed: u64,
+    /// Updates, at least 1; 20000.
+    pub updates: u64,
+    /// Samples of an update, at least 1; 128.
+    pub batch_size: usize,
+    /// Step size of AdamW after the warm-up, in 0..=1; 3e-4. It falls along a half cosine to zero.
+    pub learning_rate: f64,
+    /// Updates over which the step size rises from zero; 500.
+    pub warmup_updates: u64,
+    /// What AdamW takes from each parameter, over the step size, 0 or more; 1e-6.
+    pub weight_decay: f64,
+    /// Longest gradient, over all parameters, above 0; 1.
+    pub max_gradient_norm: f64,
+    /// The policy's parameters are a moving average of those that are learned; its memory grows up to this share, below 1; 0.999.
+    pub average_decay: f64,
+    /// Updates between checkpoints, at least 1; 500. Held-out episodes are predicted then.
+    pub checkpoint_updates: u64,
+    /// Share of episodes that nothing is learned from, above 0, below 1; 0.05.
+    pub held_out_share: f64,
+    /// H: steps of a chunk, at least 1, for diffusion even; 8.
+    pub predicted: usize,
+    /// N_a: steps of a chunk that are carried out before the policy looks again, 1 to `predicted`; 3.
+    pub executed: usize,
+    /// What is seen.
+    pub observation: ObservationConfig,
+    /// Widths of the layers that every head begins with, at least one; 512, 512, 256.
+    pub trunk: Vec<usize>,
+    /// What predicts.
+    pub head: Head,
+    /// What only diffusion needs.
+    pub diffusion: DiffusionConfig,
+}
+
+/// What a policy sees.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ObservationConfig {
+    /// T_o: frames of a window, at least 1; 16.
+    pub frames: usize,
+    /// Steps from a frame to the next, at least 1; 8. What was felt some seconds ago says where not to look again.
+    pub stride: usize,
+    /// Which channels are on; yes.
+    pub touch: bool,
+    /// How far each joint is from where it was sent; yes.
+    pub tracking: bool,
+}
+
+/// Denoising diffusion (Ho et al. 2020), with the cosine schedule of Nichol and Dhariwal 2021.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DiffusionConfig {
+    /// Channels of the two levels of the U-Net, at least 1 each; 64 and 128.
+    pub channels: [usize; 2],
+    /// Taps of a convolution, odd; 3.
+    pub kernel: usize,
+    /// Steps in which noise is added, at least 2; 50.
+    pub steps: usize,
+    /// Steps in which it is taken away (DDIM, Song et al. 2021), 1 to `steps`; 10.
+    pub sampled_steps: usize,
+}
+
+impl Default for CloneConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            updates: 20_000,
+            batch_size: 128,
+            learning_rate: 3e-4,
+            warmup_updates: 500,
+            weight_decay: 1e-6,
+            max_gradient_norm: 1.0,
+            average_decay: 0.999,
+            checkpoint_updates: 500,
+            held_out_share: 0.05,
+            predicted: 8,
+            executed: 3,
+            observation: ObservationConfig::default(),
+            trunk: vec![512, 512, 256],
+            head: Head::Regression,
+            diffusion: DiffusionConfig::default(),
+        }
+    }
+}
+
+impl Default for ObservationConfig {
+    fn default() -> Self {
+        Self { frames: 16, stride: 8, touch: true, tracking: true }
+    }
+}
+
+impl Default for DiffusionConfig {
+    fn default() -> Self {
+        Self { channels: [64, 128], kernel: 3, steps: 50, sampled_steps: 10 }
+    }
+}
+
+impl CloneConfig {
+    /// Preset `small` (two cores, an evening) or `paper` (the method's numbers).
+    ///
+    /// # Errors
+    /// Any other name.
+    pub fn preset(name: &str) -> Result<Self, CloneError> {
+        match name {
+            "small" => Self::from_toml("preset small", include_str!("../presets/small.toml")),
+            "paper" => Self::from_toml("preset paper", include_str!("../presets/paper.toml")),
+            other => Err(CloneError::Shape(format!("the preset is {other:?}, expected small or paper"))),
+        }
+    }
+
+    /// Reads `text`; `file` names it in errors.
+    ///
+    /// # Errors
+    /// Unknown fields, wrong types and values that make no sense, each with its line.
+    ///
+    /// ```
+    /// # use palpate_cloning::{CloneConfig, Head};
+    /// let config = CloneConfig::from_toml("run.toml", "head = \"diffusion\"")?;
+    /// assert_eq!((config.head, config.predicted), (Head::Diffusion, 8));
+    /// let err = CloneConfig::from_toml("run.toml", "seed = 1\nexecuted = 9").unwrap_err();
+    /// assert_eq!(err.to_string(), "run.toml:2: executed is 9, expected 1 to predicted");
+    /// # Ok::<(), palpate_cloning::CloneError>(())
+    /// ```
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, CloneError> {
+        let config: Self = palpate_training::parse(file, text)?;
+        palpate_training::check(file, text, config.expectations())?;
+        Ok(config)
+    }
+
+    /// This configuration as a file with every field.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("numbers, tables and names are TOML")
+    }
+
+    /// Whether every value makes sense.
+    ///
+    /// # Errors
+    /// The first field that does not.
+    pub fn validate(&self) -> Result<(), TrainingError> {
+        palpate_training::check("configuration", "", self.expectations())
+    }
+
+    fn expectations(&self) -> Vec<Expectation> {
+        let (count, share) = (Expectation::count, Expectation::share);
+        let below_one = |path, value: f64, least: bool| Expectation {
+            path,
+            value: value.to_string(),
+            holds: (value > 0.0 || (least && value == 0.0)) && value < 1.0,
+            expected: if least { "a number in 0..1" } else { "a number above 0 and below 1" },
+        };
+        let within = |path, value: usize, most: usize, expected| Expectation {
+            path,
+            value: value.to_string(),
+            holds: (1..=most).contains(&value),
+            expected,
+        };
+        let diffusion = &self.diffusion;
+        vec![
+            count(&["updates"], self.updates),
+            count(&["batch_size"], self.batch_size as u64),
+            share(&["learning_rate"], self.learning_rate),
+            Expectation::not_negative(&["weight_decay"], self.weight_decay),
+            Expectation::positive(&["max_gradient_norm"], self.max_gradient_norm),
+            below_one(&["average_decay"], self.average_decay, true),
+            count(&["checkpoint_updates"], self.checkpoint_updates),
+            below_one(&["held_out_share"], self.held_out_share, false),
+            count(&["predicted"], self.predicted as u64),
+            Expectation {
+                path: &["predicted"],
+                value: self.predicted.to_string(),
+                holds: self.head == Head::Regression || self.predicted.is_multiple_of(2),
+                expected: "an even number for diffusion",
+            },
+            within(&["executed"], self.executed, self.predicted, "1 to predicted"),
+            count(&["observation", "frames"], self.observation.frames as u64),
+            count(&["observation", "stride"], self.observation.stride as u64),
+            Expectation {
+                path: &["trunk"],
+                value: format!("{:?}", self.trunk),
+                holds: !self.trunk.is_empty() && self.trunk.iter().all(|&width| width >= 1),
+                expected: "one width or more, each 1 or more",
+            },
+            Expectation {
+                path: &["diffusion", "channels"],
+                value: format!("{:?}", diffusion.channels),
+                holds: diffusion.channels.iter().all(|&width| width >= 1),
+                expected: "two numbers, each 1 or more",
+            },
+            Expectation {
+                path: &["diffusion", "kernel"],
+                value: diffusion.kernel.to_string(),
+                holds: !diffusion.kernel.is_multiple_of(2),
+                expected: "an odd number",
+            },
+            Expectation {
+                path: &["diffusion", "steps"],
+                value: diffusion.steps.to_string(),
+                holds: diffusion.steps >= 2,
+                expected: "2 or more",
+            },
+            within(
+                &["diffusion", "sampled_steps"],
+                diffusion.sampled_steps,
+                diffusion.steps,
+                "1 to diffusion.steps",
+            ),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(text: &str) -> String {
+        CloneConfig::from_toml("run.toml", text).expect_err(text).to_string()
+    }
+
+    #[test]
+    fn the_paper_preset_is_the_papers_numbers() {
+        let paper = CloneConfig::preset("paper").expect("a preset");
+        assert_eq!((paper.observation.frames, paper.predicted, paper.executed), (5, 8, 3));
+        assert_eq!((paper.learning_rate, paper.weight_decay, paper.warmup_updates), (1e-4, 1e-6, 2000));
+        assert_eq!((paper.batch_size, paper.diffusion.channels), (512, [256, 512]));
+        assert_eq!((paper.head, paper.observation.stride), (Head::Diffusion, 1));
+    }
+
+    #[test]
+    fn presets_survive_their_own_file_and_the_small_one_is_what_is_left_out() {
+        for name in ["small", "paper"] {
+            let config = CloneConfig::preset(name).expect("a preset");
+            assert_eq!(CloneConfig::from_toml("again", &config.to_toml()).expect("its own file"), config);
+        }
+        assert_eq!(CloneConfig::preset("small").expect("a preset"), CloneConfig::default());
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_line_and_field() {
+        for (text, expected) in [
+            ("seed = 1\nupdates = 0", "run.toml:2: updates is 0, expected 1 or more"),
+            ("learning_rate = nan", "run.toml:1: learning_rate is NaN, expected a number in 0..=1"),
+            ("held_out_share = 0.0", "held_out_share is 0, expected a number above 0 and below 1"),
+            ("average_decay = 1.0", "average_decay is 1, expected a number in 0..1"),
+            ("executed = 0", "executed is 0, expected 1 to predicted"),
+            (
+                "head = \"diffusion\"\npredicted = 7",
+                "run.toml:2: predicted is 7, expected an even number for diffusion",
+            ),
+            ("trunk = []", "trunk is [], expected one width or more, each 1 or more"),
+            ("[diffusion]\nkernel = 4", "run.toml:2: diffusion.kernel is 4, expected an odd number"),
+            (
+                "[diffusion]\nsampled_steps = 51",
+                "diffusion.sampled_steps is 51, expected 1 to diffusion.steps",
+            ),
+            ("[observation]\nframe = 3", "unknown field `frame`"),
+            ("head = \"transformer\"", "unknown variant `transformer`"),
+        ] {
+            let refusal = refusal(text);
+            assert!(refusal.contains(expected), "{text}: {refusal}");
+        }
+        let refusal = CloneConfig::preset("fast").expect_err("no preset").to_string();
+        assert_eq!(refusal, "the preset is \"fast\", expected small or paper");
+    }
+}

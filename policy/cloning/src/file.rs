@@ -1,0 +1,189 @@
+//! A training, or the policy that came out of it, as bytes of a safetensors file.
+//!
+//! Parameters have their names; in a checkpoint the optimiser's memory is `adam.first.NAME` and `adam.second.NAME`, the moving
+//! average `average.NAME`. The scalings are `inputs.mean`, `inputs.factor`, `chunks.mean`, `chunks.factor` in 64 bits. A policy's
+//! file has the averaged parameters alone, in 16 bits.
+
+use std::{collections::BTreeMap, path::Path};
+
+use palpate_training::{Adam, Array, Encoded, TensorFile, encode};
+use serde::{Deserialize, Serialize};
+
+use crate::cloned::{Cloned, Robot};
+use crate::episodes::Episodes;
+use crate::network::Network;
+use crate::trainer::{Scaling, Trainer};
+use crate::{CloneConfig, CloneError};
+
+/// Version of the file; another one is refused.
+const FORMAT: u32 = 1;
+
+#[derive(Serialize, Deserialize)]
+struct State {
+    format: u32,
+    joints: Vec<String>,
+    channels: Vec<String>,
+    /// The configuration's file.
+    config: String,
+    updates: u64,
+    /// What the episodes were made from, by name.
+    sources: BTreeMap<String, String>,
+    /// CRC-32 of the bytes of each tensor.
+    checksums: BTreeMap<String, u32>,
+    /// Nothing in a policy's file.
+    #[serde(flatten)]
+    training: Option<TrainingState>,
+}
+
+/// What it takes to go on.
+#[derive(Serialize, Deserialize)]
+struct TrainingState {
+    samples: usize,
+    adam_steps: u64,
+}
+
+type File<'a> = TensorFile<'a, State>;
+
+impl State {
+    fn robot(&self) -> Robot {
+        Robot { joints: self.joints.clone(), channels: self.channels.clone() }
+    }
+}
+
+impl Trainer {
+    /// This training as the bytes of a checkpoint.
+    pub fn to_checkpoint(&self) -> Vec<u8> {
+        let mut tensors = Vec::new();
+        for (idx, Array { name, shape, values }) in self.network.arrays.iter().enumerate() {
+            tensors.push(Encoded::floats(name.clone(), *shape, values));
+            tensors.push(Encoded::floats(format!("average.{name}"), *shape, &self.average[idx]));
+            tensors.push(Encoded::floats(format!("adam.first.{name}"), *shape, &self.adam.first[idx]));
+            tensors.push(Encoded::floats(format!("adam.second.{name}"), *shape, &self.adam.second[idx]));
+        }
+        encode_scaling(&mut tensors, "inputs", &self.inputs);
+        encode_scaling(&mut tensors, "chunks", &self.chunks);
+        encode(tensors, |checksums| State {
+            format: FORMAT,
+            joints: self.robot.joints.clone(),
+            channels: self.robot.channels.clone(),
+            config: self.config.to_toml(),
+            updates: self.updates,
+            sources: self.sources.clone(),
+            checksums,
+            training: Some(TrainingState { samples: self.num_samples, adam_steps: self.adam.steps }),
+        })
+    }
+
+    /// The training that `bytes` hold, to go on with `config` on `episodes` of `robot`, which were made from `sources`. `path`
+    /// names the file in errors.
+    ///
+    /// # Errors
+    /// Files that are cut off, altered, of another format, configuration, robot or episodes, naming what differs.
+    pub fn from_checkpoint(
+        config: CloneConfig,
+        robot: Robot,
+        episodes: &Episodes,
+        sources: BTreeMap<String, String>,
+        path: &Path,
+        bytes: &[u8],
+    ) -> Result<Self, CloneError> {
+        let file = File::open(path, bytes, FORMAT)?;
+        let Some(training) = &file.state.training else {
+            let problem = "it holds a policy alone, without the training to go on with";
+            return Err(file.error(problem.to_owned()).into());
+        };
+        if let Some((field, found, expected)) = palpate_training::difference(&read_config(&file)?, &config) {
+            let problem = format!("{field} is {found}, that of the configuration is {expected}");
+            return Err(file.error(problem).into());
+        }
+        file.state.robot().check(&robot).map_err(|err| file.error(err.to_string()))?;
+        if file.state.sources != sources {
+            return Err(file.error("its episodes are others than this call's".to_owned()).into());
+        }
+        let mut trainer = Self::new(config, robot, episodes, sources)?;
+        if training.samples != trainer.num_samples {
+            let (found, expected) = (training.samples, trainer.num_samples);
+            return Err(file
+                .error(format!("it learned from {found} steps, this call has {expected}"))
+                .into());
+        }
+        let Adam { steps, first, second } = &mut trainer.adam;
+        let memory = first.iter_mut().zip(second).zip(&mut trainer.average);
+        for (array, ((first, second), average)) in trainer.network.arrays.iter_mut().zip(memory) {
+            let Array { name, shape, values } = array;
+            *values = file.floats(name, *shape)?;
+            *average = file.floats(&format!("average.{name}"), *shape)?;
+            *first = file.floats(&format!("adam.first.{name}"), *shape)?;
+            *second = file.floats(&format!("adam.second.{name}"), *shape)?;
+        }
+        *steps = training.adam_steps;
+        trainer.inputs = scaling(&file, "inputs", trainer.inputs.mean.len())?;
+        trainer.chunks = scaling(&file, "chunks", trainer.chunks.mean.len())?;
+        trainer.updates = file.state.updates;
+        Ok(trainer)
+    }
+}
+
+impl Cloned {
+    /// The policy of the checkpoint, or of the policy's file, that `bytes` hold. `path` names the file in errors.
+    ///
+    /// # Errors
+    /// Files that are cut off, altered or of another format, naming the field.
+    pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, CloneError> {
+        let file = File::open(path, bytes, FORMAT)?;
+        let (config, robot) = (read_config(&file)?, file.state.robot());
+        let shape = robot.shape();
+        let mut network = Network::new(&config, shape);
+        for Array { name, shape, values } in &mut network.arrays {
+            *values = match file.state.training {
+                Some(_) => file.floats(&format!("average.{name}"), *shape)?,
+                None => file.halves(name, *shape)?,
+            };
+        }
+        let inputs = scaling(&file, "inputs", shape.input_len(&config.observation))?;
+        let chunks = scaling(&file, "chunks", network.chunk_len())?;
+        let State { updates, sources, .. } = file.state;
+        Ok(Self::new(config, robot, [inputs, chunks], network, updates, sources))
+    }
+
+    /// This policy as the bytes of a file of its own: parameters are rounded to 16 bits, and nothing goes on from it. The policy
+    /// that is read from it has the same file again.
+    ///
+    /// # Errors
+    /// Parameters too large for 16 bits, by name.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CloneError> {
+        let mut tensors = Vec::new();
+        for array in &self.network.arrays {
+            tensors.push(Encoded::halves(array).map_err(CloneError::Shape)?);
+        }
+        encode_scaling(&mut tensors, "inputs", &self.inputs);
+        encode_scaling(&mut tensors, "chunks", &self.chunks);
+        Ok(encode(tensors, |checksums| State {
+            format: FORMAT,
+            joints: self.robot.joints.clone(),
+            channels: self.robot.channels.clone(),
+            config: self.config.to_toml(),
+            updates: self.updates,
+            sources: self.sources.clone(),
+            checksums,
+            training: None,
+        }))
+    }
+}
+
+fn encode_scaling(tensors: &mut Vec<Encoded>, name: &str, scaling: &Scaling) {
+    tensors.push(Encoded::doubles(format!("{name}.mean"), &scaling.mean));
+    tensors.push(Encoded::doubles(format!("{name}.factor"), &scaling.factor));
+}
+
+fn scaling(file: &File<'_>, name: &str, len: usize) -> Result<Scaling, CloneError> {
+    Ok(Scaling {
+        mean: file.doubles(&format!("{name}.mean"), len)?,
+        factor: file.doubles(&format!("{name}.factor"), len)?,
+    })
+}
+
+fn read_config(file: &File<'_>) -> Result<CloneConfig, CloneError> {
+    let config = CloneConfig::from_toml("config", &file.state.config);
+    config.map_err(|err| file.error(err.to_string()).into())
+}

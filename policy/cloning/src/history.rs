@@ -1,0 +1,165 @@
+//! What a policy sees: the same in training, in evaluation and on the robot.
+
+use std::collections::VecDeque;
+
+use crate::ObservationConfig;
+
+/// Time that counts as 1, s.
+const TIME_UNIT_S: f64 = 10.0;
+
+/// Sizes of a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Degrees of freedom.
+    pub dofs: usize,
+    /// Touch channels.
+    pub channels: usize,
+}
+
+impl Shape {
+    /// Numbers of one frame: commands, how far joints are from them, channels.
+    pub(crate) fn frame_len(self) -> usize {
+        2 * self.dofs + self.channels
+    }
+
+    /// What is kept of a moment: commands, how far joints are from them, touch.
+    ///
+    /// # Panics
+    /// If its numbers are not as many as the shape says: a caller's bug.
+    pub(crate) fn frame(self, now: &Moment<'_>) -> Vec<f32> {
+        assert_eq!(
+            [now.positions.len(), now.commands.len(), now.active.len()],
+            [self.dofs, self.dofs, self.channels],
+            "one number per joint and channel"
+        );
+        let tracking = now.commands.iter().zip(now.positions).map(|(command, read)| command - read);
+        let touch = now.active.iter().map(|&on| f64::from(u8::from(on)));
+        let frame = now.commands.iter().copied().chain(tracking).chain(touch);
+        frame.map(|value| value as f32).collect()
+    }
+
+    /// Numbers of one step of a chunk: differences to the last command, and the claim that the object is held.
+    pub(crate) fn action_len(self) -> usize {
+        self.dofs + 1
+    }
+
+    /// Numbers of an observation: the frames, the newest first, then the time.
+    pub(crate) fn input_len(self, config: &ObservationConfig) -> usize {
+        config.frames * self.frame_len() + 1
+    }
+}
+
+/// What a robot knows at the beginning of a control step.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// Time since the trial began, s.
+    pub time_s: f64,
+    /// Joint positions as they are read, rad or m.
+    pub positions: &'a [f64],
+    /// Where each joint was sent last, rad or m.
+    pub commands: &'a [f64],
+    /// Whether each channel is on.
+    pub active: &'a [bool],
+}
+
+/// The window of moments that a policy looks back on.
+#[derive(Clone, Debug)]
+pub struct History {
+    config: ObservationConfig,
+    shape: Shape,
+    /// The newest first.
+    frames: VecDeque<Vec<f32>>,
+    time_s: f64,
+}
+
+impl History {
+    /// Nothing has been seen yet.
+    pub fn new(config: ObservationConfig, shape: Shape) -> Self {
+        Self { config, shape, frames: VecDeque::new(), time_s: 0.0 }
+    }
+
+    /// Sees the moment of the next control step. Each step must be seen, whether the policy plans in it or not.
+    ///
+    /// # Panics
+    /// If its numbers are not as many as the shape says: a caller's bug.
+    pub fn see(&mut self, now: &Moment<'_>) {
+        let frame = self.shape.frame(now);
+        self.frames.push_front(frame);
+        self.frames.truncate((self.config.frames - 1) * self.config.stride + 1);
+        self.time_s = now.time_s;
+    }
+
+    /// The observation now; before a window is full, its oldest frames are the first that was seen.
+    ///
+    /// # Panics
+    /// If nothing has been seen: a caller's bug.
+    pub fn observation(&self) -> Vec<f32> {
+        let last = self.frames.len().checked_sub(1).expect("something has been seen");
+        observation(&self.config, self.shape, self.time_s, |back| &self.frames[back.min(last)][..])
+    }
+}
+
+/// The observation at `time_s`, of frames that lie some steps back.
+pub(crate) fn observation<'a>(
+    config: &ObservationConfig,
+    shape: Shape,
+    time_s: f64,
+    frame: impl Fn(usize) -> &'a [f32],
+) -> Vec<f32> {
+    let mut observation = Vec::with_capacity(shape.input_len(config));
+    for back in (0..config.frames).map(|frame| frame * config.stride) {
+        let (commands, rest) = frame(back).split_at(shape.dofs);
+        let (tracking, touch) = rest.split_at(shape.dofs);
+        observation.extend_from_slice(commands);
+        let mut sense = |values: &[f32], is_told: bool| {
+            observation.extend(values.iter().map(|&value| if is_told { value } else { 0.0 }));
+        };
+        sense(tracking, config.tracking);
+        sense(touch, config.touch);
+    }
+    observation.push((time_s / TIME_UNIT_S) as f32);
+    observation
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: Shape = Shape { dofs: 1, channels: 2 };
+
+    fn see(history: &mut History, step: u32) {
+        let value = f64::from(step);
+        let active = [step.is_multiple_of(2), false];
+        history.see(&Moment {
+            time_s: value,
+            positions: &[value - 0.5],
+            commands: &[value],
+            active: &active,
+        });
+    }
+
+    #[test]
+    fn a_window_holds_every_stride_th_frame_and_begins_with_the_first() {
+        let config = ObservationConfig { frames: 3, stride: 2, ..ObservationConfig::default() };
+        let mut history = History::new(config, SHAPE);
+        see(&mut history, 0);
+        assert_eq!(
+            history.observation(),
+            [[0.0, 0.5, 1.0, 0.0]; 3].concat().into_iter().chain([0.0]).collect::<Vec<_>>()
+        );
+        for step in 1..=5 {
+            see(&mut history, step);
+        }
+        let expected = [[5.0, 0.5, 0.0, 0.0], [3.0, 0.5, 0.0, 0.0], [1.0, 0.5, 0.0, 0.0]].concat();
+        assert_eq!(history.observation()[..12], expected);
+        assert_eq!(history.observation()[12..], [0.5]);
+    }
+
+    #[test]
+    fn what_is_hidden_is_zero() {
+        let config = ObservationConfig { frames: 1, stride: 1, touch: false, tracking: false };
+        let mut history = History::new(config, SHAPE);
+        see(&mut history, 2);
+        assert_eq!(history.observation(), [2.0, 0.0, 0.0, 0.0, 0.2]);
+    }
+}

@@ -1,0 +1,31 @@
+//! Policies that imitate an expert: regression (behaviour cloning) and diffusion (Chi et al. 2023).
+//!
+//! A policy sees a window of what the robot knew lately ([`History`]) and predicts a chunk of the next commands, of which it
+//! carries out a few before it looks again. [`Episodes`] are what an expert did; [`CloneConfig`] is the file that says how to learn;
+//! [`Trainer`] learns, [`train`] does that in a folder with checkpoints and metrics; [`Cloned`] is the policy that comes out.
+//!
+//! Actions are differences to the last *command* and not to the measured position: gravity and contact would otherwise take a
+//! part of every action away. Commands are part of what is seen.
+//!
+//! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of fixed
+//! size whose gradients are added in order. Nothing here knows a robot or a simulator.
+
+mod cloned;
+mod config;
+mod episodes;
+mod error;
+mod file;
+mod history;
+mod network;
+mod run;
+mod schedule;
+mod trainer;
+
+pub use cloned::{Cloned, Plan, Robot, Run};
+pub use config::{CloneConfig, DiffusionConfig, Head, ObservationConfig};
+pub use episodes::{Episode, Episodes, Step};
+pub use error::CloneError;
+pub use history::{History, Moment, Shape};
+pub use palpate_training::{CHECKPOINT_FILE, METRICS_FILE, Start};
+pub use run::{CONFIG_FILE, Data, Finish, Progress, train};
+pub use trainer::Trainer;

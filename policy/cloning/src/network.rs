@@ -1,0 +1,257 @@
+//! The networks: their parameters as plain arrays, and the same as tensors that compute.
+
+use burn_tensor::{Device, Tensor, TensorData, activation, module};
+use palpate_training::{Array, ArrayBuilder};
+
+use crate::{CloneConfig, Head, Shape};
+
+/// Samples that one thread computes at a time. Fixed, because the order of a sum is part of its bits.
+pub(crate) const CHUNK_SAMPLES: usize = 32;
+
+const NORM_EPSILON: f64 = 1e-5;
+/// What noise is for: first weights.
+const WEIGHTS: u64 = 1;
+/// First weights of what comes out, against those of other layers: the first predictions are about zero.
+const OUTPUT_SCALE: f32 = 0.1;
+/// Numbers that say which step of the diffusion it is.
+const STEP_DIM: usize = 64;
+/// Longest period of these, steps.
+const MAX_PERIOD: f64 = 10_000.0;
+
+/// Every parameter, in the order in which a pass needs them; those of the trunk come first.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Network {
+    pub(crate) arrays: Vec<Array>,
+    num_trunk_arrays: usize,
+    head: Head,
+    trunk_layers: usize,
+    predicted: usize,
+    action_len: usize,
+    channels: [usize; 2],
+    kernel: usize,
+}
+
+impl Network {
+    /// First parameters for `config` and a robot of this `shape`.
+    pub(crate) fn new(config: &CloneConfig, shape: Shape) -> Self {
+        let mut builder = ArrayBuilder::new(config.seed, WEIGHTS);
+        let mut width = shape.input_len(&config.observation);
+        for (layer, &next) in config.trunk.iter().enumerate() {
+            builder.linear(&format!("trunk.{layer}"), width, next);
+            width = next;
+        }
+        let num_trunk_arrays = builder.len();
+        let (action_len, predicted) = (shape.action_len(), config.predicted);
+        match config.head {
+            Head::Regression => output(&mut builder, "head", width, predicted * action_len),
+            Head::Diffusion => {
+                builder.linear("step.0", STEP_DIM, 4 * STEP_DIM);
+                builder.linear("step.1", 4 * STEP_DIM, STEP_DIM);
+                let unet = UNet { condition: width + STEP_DIM, kernel: config.diffusion.kernel };
+                unet.build(&mut builder, action_len, config.diffusion.channels);
+            }
+        }
+        Self {
+            arrays: builder.into_arrays(),
+            num_trunk_arrays,
+            head: config.head,
+            trunk_layers: config.trunk.len(),
+            predicted,
+            action_len,
+            channels: config.diffusion.channels,
+            kernel: config.diffusion.kernel,
+        }
+    }
+
+    /// Every parameter as a tensor on `device`, in the order of `arrays`; with gradients where the device has them.
+    pub(crate) fn tensors(&self, device: &Device) -> Vec<Tensor<2>> {
+        let tensor = |array: &Array| {
+            let tensor = Tensor::from_data(TensorData::new(array.values.clone(), array.shape), device);
+            if device.is_autodiff() { tensor.require_grad() } else { tensor }
+        };
+        self.arrays.iter().map(tensor).collect()
+    }
+
+    /// Features `[samples, width]` of observations `[samples, input_len]`, normalised.
+    pub(crate) fn trunk(&self, tensors: &[Tensor<2>], inputs: Tensor<2>) -> Tensor<2> {
+        let mut pass = Pass(tensors[..self.num_trunk_arrays].iter());
+        (0..self.trunk_layers).fold(inputs, |rows, _| activation::silu(pass.linear(rows)))
+    }
+
+    /// Chunks `[samples, predicted * action_len]`, normalised, of features.
+    pub(crate) fn regress(&self, tensors: &[Tensor<2>], features: Tensor<2>) -> Tensor<2> {
+        Pass(tensors[self.num_trunk_arrays..].iter()).linear(features)
+    }
+
+    /// The noise in `noisy` chunks `[samples, predicted * action_len]`, which are after these `steps`, one for each sample.
+    pub(crate) fn noise(
+        &self,
+        tensors: &[Tensor<2>],
+        features: Tensor<2>,
+        noisy: Tensor<2>,
+        steps: &[usize],
+    ) -> Tensor<2> {
+        let mut pass = Pass(tensors[self.num_trunk_arrays..].iter());
+        let (samples, device) = (steps.len(), features.device());
+        let embedded = TensorData::new(embedding(steps), [samples, STEP_DIM]);
+        let embedded = activation::silu(pass.linear(Tensor::from_data(embedded, &device)));
+        let condition = Tensor::cat(vec![features, pass.linear(embedded)], 1);
+        let signal = Signal { rows: noisy.reshape([samples * self.predicted, self.action_len]), samples };
+        let [outer, inner] = self.channels;
+        let unet = UNet { condition: 0, kernel: self.kernel };
+        let mut block = |signal: Signal, out: usize| unet.block(&mut pass, signal, out, condition.clone());
+        let fine = block(signal, outer);
+        let fine = block(fine, outer);
+        let coarse = unet.halve(&mut pass, fine);
+        let mut block = |signal: Signal, out: usize| unet.block(&mut pass, signal, out, condition.clone());
+        let coarse = block(coarse, inner);
+        let skipped = block(coarse, inner);
+        let middle = block(skipped.clone(), inner);
+        let middle = block(middle, inner);
+        let joined = Signal { rows: Tensor::cat(vec![middle.rows, skipped.rows], 1), samples };
+        let joined = block(joined, outer);
+        let joined = block(joined, outer);
+        let fine = unet.double(&mut pass, joined);
+        let last = unet.convolve(&mut pass, &fine);
+        let last = activation::silu(pass.norm(last));
+        pass.linear(last).reshape([samples, self.predicted * self.action_len])
+    }
+
+    /// What this network predicts with.
+    pub(crate) fn head(&self) -> Head {
+        self.head
+    }
+
+    /// Numbers of a chunk.
+    pub(crate) fn chunk_len(&self) -> usize {
+        self.predicted * self.action_len
+    }
+}
+
+fn output(builder: &mut ArrayBuilder, name: &str, inputs: usize, outputs: usize) {
+    builder.normal(format!("{name}.weight"), [inputs, outputs], OUTPUT_SCALE / (inputs as f32).sqrt());
+    builder.constant(format!("{name}.bias"), outputs, 0.0);
+}
+
+/// Sines and cosines of each step, `[steps, STEP_DIM]` (Vaswani et al. 2017, section 3.5).
+fn embedding(steps: &[usize]) -> Vec<f32> {
+    let half = STEP_DIM / 2;
+    let angle = |step: usize, idx: usize| step as f64 * MAX_PERIOD.powf(-(idx as f64) / (half - 1) as f64);
+    let of = |&step: &usize| (0..half).flat_map(move |idx| [angle(step, idx).sin(), angle(step, idx).cos()]);
+    steps.iter().flat_map(of).map(|value| value as f32).collect()
+}
+
+/// A signal over the steps of a chunk: rows `[samples * steps, channels]`.
+#[derive(Clone)]
+struct Signal {
+    rows: Tensor<2>,
+    samples: usize,
+}
+
+impl Signal {
+    fn steps(&self) -> usize {
+        self.rows.dims()[0] / self.samples
+    }
+}
+
+/// A one-dimensional U-Net of two levels whose blocks are told the condition by FiLM (Perez et al. 2018), as in Diffusion Policy;
+/// but each step is normalised by itself, where that normalises groups of channels over all steps.
+struct UNet {
+    /// Numbers of the condition.
+    condition: usize,
+    kernel: usize,
+}
+
+impl UNet {
+    fn build(&self, builder: &mut ArrayBuilder, action_len: usize, [outer, inner]: [usize; 2]) {
+        self.build_block(builder, "fine.0", action_len, outer);
+        self.build_block(builder, "fine.1", outer, outer);
+        builder.linear("halve", 2 * outer, outer);
+        self.build_block(builder, "coarse.0", outer, inner);
+        self.build_block(builder, "coarse.1", inner, inner);
+        self.build_block(builder, "middle.0", inner, inner);
+        self.build_block(builder, "middle.1", inner, inner);
+        self.build_block(builder, "joined.0", 2 * inner, outer);
+        self.build_block(builder, "joined.1", outer, outer);
+        builder.linear("double", outer, 2 * outer);
+        builder.linear("last", self.kernel * outer, outer);
+        builder.norm("last.norm", outer);
+        output(builder, "output", outer, action_len);
+    }
+
+    fn build_block(&self, builder: &mut ArrayBuilder, name: &str, inputs: usize, outputs: usize) {
+        builder.linear(&format!("{name}.0"), self.kernel * inputs, outputs);
+        builder.norm(&format!("{name}.0.norm"), outputs);
+        builder.linear(&format!("{name}.film"), self.condition, 2 * outputs);
+        builder.linear(&format!("{name}.1"), self.kernel * outputs, outputs);
+        builder.norm(&format!("{name}.1.norm"), outputs);
+        if inputs != outputs {
+            builder.linear(&format!("{name}.residual"), inputs, outputs);
+        }
+    }
+
+    fn block(&self, pass: &mut Pass<'_>, signal: Signal, outputs: usize, condition: Tensor<2>) -> Signal {
+        let (samples, steps) = (signal.samples, signal.steps());
+        let [_, inputs] = signal.rows.dims();
+        let rows = self.convolve(pass, &signal);
+        let rows = activation::silu(pass.norm(rows));
+        let film = pass.linear(activation::silu(condition));
+        let part = |first| film.clone().narrow(1, first, outputs).reshape([samples, 1, outputs]);
+        let rows = rows.reshape([samples, steps, outputs]);
+        let rows = rows.clone() + rows * part(0) + part(outputs);
+        let told = Signal { rows: rows.reshape([samples * steps, outputs]), samples };
+        let rows = self.convolve(pass, &told);
+        let rows = activation::silu(pass.norm(rows));
+        let residual = if inputs == outputs { signal.rows } else { pass.linear(signal.rows) };
+        Signal { rows: rows + residual, samples }
+    }
+
+    /// A convolution with zeros around: the steps that each output sees, side by side, times one matrix.
+    fn convolve(&self, pass: &mut Pass<'_>, signal: &Signal) -> Tensor<2> {
+        let (samples, steps) = (signal.samples, signal.steps());
+        let [_, channels] = signal.rows.dims();
+        let around = self.kernel / 2;
+        let zeros = || Tensor::<3>::zeros([samples, around, channels], &signal.rows.device());
+        let inside = signal.rows.clone().reshape([samples, steps, channels]);
+        let padded = if around == 0 { inside } else { Tensor::cat(vec![zeros(), inside, zeros()], 1) };
+        let taps = (0..self.kernel).map(|tap| padded.clone().narrow(1, tap, steps)).collect();
+        pass.linear(Tensor::cat(taps, 2).reshape([samples * steps, self.kernel * channels]))
+    }
+
+    /// Every two steps become one.
+    fn halve(&self, pass: &mut Pass<'_>, signal: Signal) -> Signal {
+        let [rows, channels] = signal.rows.dims();
+        Signal { rows: pass.linear(signal.rows.reshape([rows / 2, 2 * channels])), samples: signal.samples }
+    }
+
+    /// Every step becomes two.
+    fn double(&self, pass: &mut Pass<'_>, signal: Signal) -> Signal {
+        let doubled = pass.linear(signal.rows);
+        let [rows, channels] = doubled.dims();
+        Signal { rows: doubled.reshape([2 * rows, channels / 2]), samples: signal.samples }
+    }
+}
+
+/// One way through the parameters.
+struct Pass<'a>(std::slice::Iter<'a, Tensor<2>>);
+
+impl Pass<'_> {
+    fn next(&mut self) -> Tensor<2> {
+        self.0.next().expect("a pass takes what was built").clone()
+    }
+
+    fn linear(&mut self, rows: Tensor<2>) -> Tensor<2> {
+        rows.matmul(self.next()) + self.next()
+    }
+
+    fn norm(&mut self, rows: Tensor<2>) -> Tensor<2> {
+        let (gain, bias) = (self.next(), self.next());
+        let [_, width] = gain.dims();
+        module::layer_norm(rows, gain.reshape([width]), Some(bias.reshape([width])), NORM_EPSILON)
+    }
+}
+
+/// The numbers of a tensor, row by row.
+pub(crate) fn values(tensor: Tensor<2>) -> Vec<f32> {
+    tensor.into_data().try_into_vec().expect("networks are made of 32-bit floats")
+}

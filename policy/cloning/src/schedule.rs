@@ -1,0 +1,110 @@
+//! How much noise there is at each step of a diffusion, and how it is taken away again.
+
+/// How far the cosine schedule begins from no noise at all (Nichol and Dhariwal 2021, equation 17).
+const OFFSET: f64 = 0.008;
+/// Most of what is left of the signal that one step may take away (there, section 3.2).
+const MAX_BETA: f64 = 0.999;
+/// Denoised chunks stay within this many standard deviations of what the expert did.
+const CLIP: f64 = 6.0;
+
+/// The share of the signal's variance that is left after each step, falling from nearly 1 to nearly 0: alpha bar.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Schedule {
+    kept: Vec<f64>,
+}
+
+impl Schedule {
+    /// The cosine schedule with this many `steps`.
+    pub(crate) fn cosine(steps: usize) -> Self {
+        let of = |time: f64| ((time + OFFSET) / (1.0 + OFFSET) * std::f64::consts::FRAC_PI_2).cos().powi(2);
+        let mut left = 1.0;
+        let kept = (0..steps).map(|step| {
+            let [before, after] = [step, step + 1].map(|step| of(step as f64 / steps as f64));
+            left *= 1.0 - (1.0 - after / before).min(MAX_BETA);
+            left
+        });
+        Self { kept: kept.collect() }
+    }
+
+    /// Number of steps.
+    pub(crate) fn len(&self) -> usize {
+        self.kept.len()
+    }
+
+    /// What signal and noise count after `step`: x = signal * x0 + noise * epsilon.
+    pub(crate) fn shares(&self, step: usize) -> [f64; 2] {
+        [self.kept[step].sqrt(), (1.0 - self.kept[step]).sqrt()]
+    }
+
+    /// The steps of a sampling in `count` steps, from the noisiest on, evenly spread.
+    pub(crate) fn sampled(&self, count: usize) -> Vec<usize> {
+        (1..=count).rev().map(|idx| idx * self.len() / count - 1).collect()
+    }
+
+    /// DDIM without noise (Song et al. 2021, equation 12 with sigma = 0): `noisy` as it is after `step`, with the noise that was
+    /// predicted in it, becomes what it was after `next`, or the chunk itself.
+    pub(crate) fn denoise(&self, noisy: &mut [f32], predicted: &[f32], step: usize, next: Option<usize>) {
+        let [signal, noise] = self.shares(step);
+        let [next_signal, next_noise] = next.map_or([1.0, 0.0], |next| self.shares(next));
+        for (value, &epsilon) in noisy.iter_mut().zip(predicted) {
+            let clean = ((f64::from(*value) - noise * f64::from(epsilon)) / signal).clamp(-CLIP, CLIP);
+            // The noise that belongs to the clipped value.
+            let epsilon = (f64::from(*value) - signal * clean) / noise;
+            *value = (next_signal * clean + next_noise * epsilon) as f32;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn the_signal_fades_from_all_to_nothing() {
+        let schedule = Schedule::cosine(50);
+        assert!(schedule.kept.windows(2).all(|pair| pair[1] < pair[0]));
+        assert!(schedule.kept[0] > 0.99 && schedule.kept[49] < 1e-4, "{:?}", schedule.kept);
+        // Half way: cos^2 of (0.5 + s) / (1 + s) * 90 degrees, against the same at 0.
+        let of = |time: f64| ((time + 0.008) / 1.008 * std::f64::consts::FRAC_PI_2).cos().powi(2);
+        assert!((schedule.kept[24] - of(0.5) / of(0.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn sampling_goes_from_the_last_step_to_the_first_with_even_gaps() {
+        let schedule = Schedule::cosine(50);
+        assert_eq!(schedule.sampled(10), [49, 44, 39, 34, 29, 24, 19, 14, 9, 4]);
+        assert_eq!(schedule.sampled(1), [49]);
+        assert_eq!(schedule.sampled(50), (0..50).rev().collect::<Vec<_>>());
+    }
+
+    proptest! {
+        /// Whoever predicts the noise exactly gets the chunk back, in any number of steps.
+        #[test]
+        fn exact_predictions_give_the_chunk_back(
+            chunk in prop::collection::vec(-3.0_f32..3.0, 1..8),
+            epsilon in prop::collection::vec(-3.0_f32..3.0, 8),
+            count in 1_usize..=20,
+        ) {
+            let schedule = Schedule::cosine(20);
+            let steps = schedule.sampled(count);
+            let [signal, noise] = schedule.shares(steps[0]);
+            let mix = |(&clean, &epsilon): (&f32, &f32)| (signal * f64::from(clean) + noise * f64::from(epsilon)) as f32;
+            let mut noisy: Vec<f32> = chunk.iter().zip(&epsilon).map(mix).collect();
+            // The first step has so little signal that its rounding shows: what counts is the second.
+            for (idx, &step) in steps.iter().enumerate() {
+                let [signal, noise] = schedule.shares(step);
+                let exact: Vec<f32> = noisy
+                    .iter()
+                    .zip(&chunk)
+                    .map(|(&value, &clean)| ((f64::from(value) - signal * f64::from(clean)) / noise) as f32)
+                    .collect();
+                schedule.denoise(&mut noisy, &exact, step, steps.get(idx + 1).copied());
+            }
+            for (found, expected) in noisy.iter().zip(&chunk) {
+                prop_assert!((found - expected).abs() < 2e-2 || count == 1, "{found} {expected}");
+            }
+        }
+    }
+}

@@ -1,0 +1,345 @@
+//! Learning: episodes in, a better policy out.
+
+use std::collections::BTreeMap;
+
+use burn_tensor::{Device, Tensor, TensorData};
+use palpate_training::{Adam, clip_norm, fill_normal, generator, permutation};
+use rayon::prelude::*;
+
+use crate::cloned::{Cloned, Robot};
+use crate::episodes::{Episodes, Sample};
+use crate::network::{CHUNK_SAMPLES, Network, values};
+use crate::schedule::Schedule;
+use crate::{CloneConfig, CloneError, Head};
+
+/// What noise is for: the order of samples; what is added to chunks; the same for held-out ones.
+const SHUFFLE: u64 = 2;
+const NOISE: u64 = 4;
+const HELD_OUT_NOISE: u64 = 5;
+/// Samples that means and deviations are taken of, at most; and those that held-out episodes are judged by.
+const MAX_MEASURED: usize = 20_000;
+const MAX_JUDGED: usize = 2_048;
+/// Deviations below these count as these: joints that hardly moved, and actions of which there were hardly any.
+const MIN_INPUT_STD: f64 = 0.01;
+const MIN_ACTION_STD: f64 = 1e-3;
+/// Normalised numbers stay within this.
+const MAX_INPUT: f64 = 10.0;
+
+/// Means and factors that make numbers about one.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Scaling {
+    pub(crate) mean: Vec<f64>,
+    pub(crate) factor: Vec<f64>,
+}
+
+impl Scaling {
+    fn of<'a>(rows: impl Iterator<Item = &'a Vec<f32>> + Clone, min_std: f64) -> Self {
+        let count = rows.clone().count().max(1) as f64;
+        let len = rows.clone().next().map_or(0, Vec::len);
+        let (mut mean, mut square) = (vec![0.0; len], vec![0.0; len]);
+        for row in rows.clone() {
+            mean.iter_mut().zip(row).for_each(|(mean, &value)| *mean += f64::from(value) / count);
+        }
+        for row in rows {
+            let of_row = square.iter_mut().zip(&mean).zip(row);
+            of_row.for_each(|((square, mean), &value)| *square += (f64::from(value) - mean).powi(2) / count);
+        }
+        let factor = square.iter().map(|square: &f64| square.sqrt().max(min_std).recip()).collect();
+        Self { mean, factor }
+    }
+
+    /// `values` made about one.
+    pub(crate) fn apply(&self, values: &[f32]) -> impl Iterator<Item = f32> {
+        values.iter().zip(&self.mean).zip(&self.factor).map(|((&value, mean), factor)| {
+            (((f64::from(value) - mean) * factor).clamp(-MAX_INPUT, MAX_INPUT)) as f32
+        })
+    }
+
+    /// The way back.
+    pub(crate) fn undo(&self, values: &[f32]) -> impl Iterator<Item = f64> {
+        let scaled = values.iter().zip(&self.mean).zip(&self.factor);
+        scaled.map(|((&value, mean), factor)| f64::from(value) / factor + mean)
+    }
+}
+
+/// A training under way.
+#[derive(Clone, Debug)]
+pub struct Trainer {
+    pub(crate) config: CloneConfig,
+    pub(crate) robot: Robot,
+    /// Number of steps to learn from.
+    pub(crate) num_samples: usize,
+    pub(crate) inputs: Scaling,
+    pub(crate) chunks: Scaling,
+    pub(crate) network: Network,
+    /// The moving average of the parameters.
+    pub(crate) average: Vec<Vec<f32>>,
+    pub(crate) adam: Adam,
+    pub(crate) updates: u64,
+    /// What the episodes were made from, by name.
+    pub(crate) sources: BTreeMap<String, String>,
+    schedule: Schedule,
+    moments: Vec<(usize, usize)>,
+    /// An epoch, and the order of its samples: drawn once for all of its updates.
+    order: Option<(u64, Vec<usize>)>,
+}
+
+impl Trainer {
+    /// A training that begins, on `episodes` of `robot`, which were made from `sources`: names with something that changes where
+    /// the source does, such as a file's SHA-256.
+    ///
+    /// # Errors
+    /// A configuration that makes no sense, or episodes that do not fit it.
+    pub fn new(
+        config: CloneConfig,
+        robot: Robot,
+        episodes: &Episodes,
+        sources: BTreeMap<String, String>,
+    ) -> Result<Self, CloneError> {
+        config.validate()?;
+        let shape = episodes.shape();
+        if robot.shape() != shape {
+            let Robot { joints, channels } = &robot;
+            return Err(CloneError::Shape(format!(
+                "the episodes have {} joints and {} channels, the robot {} and {}",
+                shape.dofs,
+                shape.channels,
+                joints.len(),
+                channels.len()
+            )));
+        }
+        let moments = episodes.moments();
+        if moments.len() < config.batch_size {
+            let (found, expected) = (moments.len(), config.batch_size);
+            return Err(CloneError::Shape(format!(
+                "there are {found} steps to learn from, expected at least the configuration's batch_size of {expected}"
+            )));
+        }
+        let measured: Vec<Sample> =
+            spread(&moments, MAX_MEASURED).par_iter().map(|&at| episodes.sample(&config, at)).collect();
+        let network = Network::new(&config, shape);
+        let average: Vec<Vec<f32>> = network.arrays.iter().map(|array| array.values.clone()).collect();
+        Ok(Self {
+            inputs: Scaling::of(measured.iter().map(|sample| &sample.input), MIN_INPUT_STD),
+            chunks: Scaling::of(measured.iter().map(|sample| &sample.chunk), MIN_ACTION_STD),
+            adam: Adam::new(average.iter().map(Vec::len)),
+            schedule: Schedule::cosine(config.diffusion.steps),
+            num_samples: moments.len(),
+            updates: 0,
+            order: None,
+            robot,
+            network,
+            average,
+            moments,
+            sources,
+            config,
+        })
+    }
+
+    /// How to learn.
+    pub fn config(&self) -> &CloneConfig {
+        &self.config
+    }
+
+    /// Updates done.
+    pub fn updates(&self) -> u64 {
+        self.updates
+    }
+
+    /// Step size of the next update.
+    pub fn learning_rate(&self) -> f64 {
+        let CloneConfig { updates, warmup_updates, learning_rate, .. } = self.config;
+        if self.updates < warmup_updates {
+            return learning_rate * (self.updates + 1) as f64 / warmup_updates as f64;
+        }
+        let left = updates.saturating_sub(warmup_updates).max(1) as f64;
+        let share = ((self.updates - warmup_updates) as f64 / left).min(1.0);
+        0.5 * learning_rate * (1.0 + (std::f64::consts::PI * share).cos())
+    }
+
+    /// Learns from the next batch of `episodes`, those that it was made with; gives its loss (the mean squared error of what is
+    /// predicted, normalised) and the norm of the gradient.
+    ///
+    /// # Errors
+    /// Predictions or gradients that are no numbers. Parameters are then those before.
+    pub fn update(&mut self, episodes: &Episodes) -> Result<(f64, f64), CloneError> {
+        let size = self.config.batch_size;
+        let per_epoch = (self.num_samples / size) as u64;
+        let (epoch, batch) = (self.updates / per_epoch, self.updates % per_epoch);
+        let order = match self.order.take() {
+            Some((drawn, order)) if drawn == epoch => order,
+            _ => permutation(&mut generator(self.config.seed, SHUFFLE, epoch, 0), self.num_samples),
+        };
+        let numbers: Vec<(usize, usize)> =
+            order[batch as usize * size..][..size].iter().map(|&idx| self.moments[idx]).collect();
+        let parts: Vec<_> = numbers
+            .par_chunks(CHUNK_SAMPLES)
+            .enumerate()
+            .map(|(part, moments)| {
+                let samples: Vec<Sample> =
+                    moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
+                self.gradients(&samples, NOISE, [self.updates, part as u64], size)
+            })
+            .collect::<Result<_, CloneError>>()?;
+        let mut parts = parts.into_iter();
+        let (mut total, mut loss) = parts.next().expect("a batch has samples");
+        for (part, part_loss) in parts {
+            loss += part_loss;
+            for (total, part) in total.iter_mut().flatten().zip(part.iter().flatten()) {
+                *total += part;
+            }
+        }
+        let norm = clip_norm(&mut total, self.config.max_gradient_norm);
+        if !norm.is_finite() {
+            return Err(CloneError::Diverged { what: "a gradient", update: self.updates });
+        }
+        let rate = self.learning_rate();
+        let parameters = self.network.arrays.iter_mut().map(|array| &mut array.values);
+        self.adam.step(parameters, &total, rate, self.config.weight_decay);
+        self.updates += 1;
+        self.order = Some((epoch, order));
+        // A short memory at first, or the average would hold on to the first weights.
+        let updates = self.updates as f64;
+        let decay = self.config.average_decay.min((1.0 + updates) / (10.0 + updates)) as f32;
+        let of_arrays = self.average.iter_mut().zip(&self.network.arrays);
+        for (average, array) in of_arrays {
+            let both = average.iter_mut().zip(&array.values);
+            both.for_each(|(average, &value)| *average += (1.0 - decay) * (value - *average));
+        }
+        Ok((loss, norm))
+    }
+
+    /// The loss of the policy so far, with its averaged parameters, on `episodes`.
+    ///
+    /// # Errors
+    /// Predictions that are no numbers.
+    pub fn judge(&self, episodes: &Episodes) -> Result<f64, CloneError> {
+        let moments = spread(&episodes.moments(), MAX_JUDGED);
+        let network = self.averaged();
+        let losses: Vec<f64> = moments
+            .par_chunks(CHUNK_SAMPLES)
+            .enumerate()
+            .map(|(part, moments)| {
+                let samples: Vec<Sample> =
+                    moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
+                let device = Device::flex();
+                let tensors = network.tensors(&device);
+                let (rows, wanted) =
+                    self.predictions(&network, &tensors, &samples, HELD_OUT_NOISE, [0, part as u64], &device);
+                self.errors(&values(rows), &wanted, moments.len())
+                    .map(|(_, loss)| loss * moments.len() as f64)
+            })
+            .collect::<Result<_, CloneError>>()?;
+        Ok(losses.iter().sum::<f64>() / moments.len().max(1) as f64)
+    }
+
+    /// The policy so far.
+    pub fn cloned(&self) -> Cloned {
+        Cloned::new(
+            self.config.clone(),
+            self.robot.clone(),
+            [self.inputs.clone(), self.chunks.clone()],
+            self.averaged(),
+            self.updates,
+            self.sources.clone(),
+        )
+    }
+
+    fn averaged(&self) -> Network {
+        let mut network = self.network.clone();
+        network
+            .arrays
+            .iter_mut()
+            .zip(&self.average)
+            .for_each(|(array, average)| array.values.clone_from(average));
+        network
+    }
+
+    /// What is predicted of `samples`, and what is wanted: chunks, or the noise in them.
+    fn predictions(
+        &self,
+        network: &Network,
+        tensors: &[Tensor<2>],
+        samples: &[Sample],
+        purpose: u64,
+        [first, second]: [u64; 2],
+        device: &Device,
+    ) -> (Tensor<2>, Vec<f32>) {
+        let rows = |values: Vec<f32>| {
+            let len = values.len() / samples.len();
+            Tensor::<2>::from_data(TensorData::new(values, [samples.len(), len]), device)
+        };
+        let inputs = samples.iter().flat_map(|sample| self.inputs.apply(&sample.input)).collect();
+        let chunks: Vec<f32> = samples.iter().flat_map(|sample| self.chunks.apply(&sample.chunk)).collect();
+        let features = network.trunk(tensors, rows(inputs));
+        if self.config.head == Head::Regression {
+            return (network.regress(tensors, features), chunks);
+        }
+        let mut rng = generator(self.config.seed, purpose, first, second);
+        let steps: Vec<usize> =
+            samples.iter().map(|_| palpate_training::below(&mut rng, self.schedule.len())).collect();
+        let mut noise = vec![0.0; chunks.len()];
+        fill_normal(&mut rng, &mut noise);
+        let len = network.chunk_len();
+        let noisy = chunks.iter().zip(&noise).enumerate().map(|(idx, (&chunk, &noise))| {
+            let [signal_share, noise_share] = self.schedule.shares(steps[idx / len]);
+            (signal_share * f64::from(chunk) + noise_share * f64::from(noise)) as f32
+        });
+        let noisy = rows(noisy.collect());
+        (network.noise(tensors, features, noisy, &steps), noise)
+    }
+
+    /// Slopes of the mean squared error of a batch of `batch_size`, and this part's share of it.
+    fn errors(
+        &self,
+        predicted: &[f32],
+        wanted: &[f32],
+        batch_size: usize,
+    ) -> Result<(Vec<f32>, f64), CloneError> {
+        if predicted.iter().any(|value| !value.is_finite()) {
+            return Err(CloneError::Diverged { what: "a prediction", update: self.updates });
+        }
+        let count = (batch_size * self.network.chunk_len()) as f64;
+        let off = |(&found, &wanted): (&f32, &f32)| f64::from(found) - f64::from(wanted);
+        let loss = predicted.iter().zip(wanted).map(|pair| off(pair).powi(2)).sum::<f64>() / count;
+        let slopes = predicted.iter().zip(wanted).map(|pair| (2.0 * off(pair) / count) as f32);
+        Ok((slopes.collect(), loss))
+    }
+
+    /// Gradients of the loss of `samples`, a part of a batch of `batch_size`, so that those of all parts add up to the gradient of
+    /// the batch's mean. One array for each of the network's arrays.
+    fn gradients(
+        &self,
+        samples: &[Sample],
+        purpose: u64,
+        numbers: [u64; 2],
+        batch_size: usize,
+    ) -> Result<(Vec<Vec<f32>>, f64), CloneError> {
+        let device = Device::flex().autodiff();
+        let tensors = self.network.tensors(&device);
+        let (rows, wanted) = self.predictions(&self.network, &tensors, samples, purpose, numbers, &device);
+        let (slopes, loss) = self.errors(&values(rows.clone().inner()), &wanted, batch_size)?;
+        // The loss' gradient in the predictions is known: what has that gradient is as good as the loss.
+        let slopes =
+            Tensor::from_data(TensorData::new(slopes, [samples.len(), self.network.chunk_len()]), &device);
+        let mut gradients = (rows * slopes).sum().backward();
+        let gradients = tensors
+            .iter()
+            .map(|tensor| {
+                values(
+                    tensor.grad_remove(&mut gradients).expect("every parameter is part of the predictions"),
+                )
+            })
+            .collect();
+        Ok((gradients, loss))
+    }
+}
+
+/// At most `most` of `moments`, evenly spread.
+fn spread(moments: &[(usize, usize)], most: usize) -> Vec<(usize, usize)> {
+    let stride = moments.len().div_ceil(most).max(1);
+    moments.iter().copied().step_by(stride).collect()
+}
+
+#[cfg(test)]
+mod tests;

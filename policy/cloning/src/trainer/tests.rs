@@ -1,0 +1,203 @@
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::*;
+use crate::episodes::tests::reaching;
+use crate::{Data, DiffusionConfig, Finish, Moment, ObservationConfig, Run, Start, train};
+
+fn robot() -> Robot {
+    Robot { joints: vec!["slide".to_owned()], channels: vec!["tip".to_owned()] }
+}
+
+fn config(head: Head) -> CloneConfig {
+    CloneConfig {
+        updates: 300,
+        batch_size: 48,
+        learning_rate: 3e-3,
+        warmup_updates: 10,
+        average_decay: 0.95,
+        checkpoint_updates: 20,
+        held_out_share: 0.2,
+        predicted: 4,
+        executed: 2,
+        observation: ObservationConfig { frames: 3, stride: 2, ..ObservationConfig::default() },
+        trunk: vec![32, 24],
+        head,
+        diffusion: DiffusionConfig { channels: [8, 12], kernel: 3, steps: 12, sampled_steps: 6 },
+        ..CloneConfig::default()
+    }
+}
+
+fn paces() -> Vec<f64> {
+    (0..20).map(|idx| 0.05 + 0.005 * f64::from(idx)).collect()
+}
+
+fn trained(head: Head) -> Trainer {
+    let [learned, _] = reaching(&paces(), 25).split(&config(head));
+    let mut trainer = Trainer::new(config(head), robot(), &learned, BTreeMap::new()).expect("it fits");
+    while trainer.updates() < trainer.config().updates {
+        trainer.update(&learned).expect("an update");
+    }
+    trainer
+}
+
+/// Where the joint is after `steps` of the policy, and whether it claims to be there.
+fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
+    let (mut run, mut command, mut claims) = (Run::new(Arc::new(policy), 0), 0.0, false);
+    for step in 0..steps {
+        let time_s = 0.05 * step as f64;
+        let (positions, active) = ([command - 0.1 * pace], [command >= 0.99]);
+        let now = Moment { time_s, positions: &positions, commands: &[command], active: &active };
+        let next = run.next(&now).expect("a step");
+        (command, claims) = (next.targets[0], next.claims_held);
+    }
+    (command, claims)
+}
+
+#[test]
+fn both_heads_learn_to_reach_and_to_say_so() {
+    for head in [Head::Regression, Head::Diffusion] {
+        let trainer = trained(head);
+        let [_, held_out] = reaching(&paces(), 25).split(&config(head));
+        let untrained =
+            Trainer::new(config(head), robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits");
+        let [before, after] = [&untrained, &trainer].map(|trainer| trainer.judge(&held_out).expect("a loss"));
+        assert!(after < 0.5 * before, "{head:?}: {before} became {after}");
+        let (reached, claims) = rolled_out(trainer.cloned(), 0.1, 25);
+        assert!((reached - 1.0).abs() < 0.15 && claims, "{head:?}: at {reached}, claims: {claims}");
+    }
+}
+
+#[test]
+fn gradients_are_those_of_finite_differences() {
+    for head in [Head::Regression, Head::Diffusion] {
+        let episodes = reaching(&paces(), 25);
+        let trainer = Trainer::new(config(head), robot(), &episodes, BTreeMap::new()).expect("it fits");
+        let samples: Vec<Sample> =
+            [(0, 3), (4, 9), (7, 20)].map(|at| episodes.sample(trainer.config(), at)).into();
+        let loss = |trainer: &Trainer| trainer.gradients(&samples, NOISE, [0, 0], 3).expect("a loss").1;
+        let (gradients, _) = trainer.gradients(&samples, NOISE, [0, 0], 3).expect("gradients");
+        let mut num_checked = 0;
+        for (idx, array) in trainer.network.arrays.iter().enumerate() {
+            // The steepest of each array: rounding is small beside it.
+            let of_array = gradients[idx].iter().enumerate();
+            let (at, &slope) = of_array.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).expect("numbers");
+            if slope.abs() < 1e-3 {
+                continue;
+            }
+            let moved = |by: f32| {
+                let mut trainer = trainer.clone();
+                trainer.network.arrays[idx].values[at] += by;
+                loss(&trainer)
+            };
+            let found = (moved(1e-2) - moved(-1e-2)) / 2e-2;
+            let expected = f64::from(slope);
+            assert!(
+                (found - expected).abs() < 0.05 * expected.abs() + 1e-4,
+                "{}: {found}, {expected}",
+                array.name
+            );
+            num_checked += 1;
+        }
+        assert!(num_checked >= 6, "{head:?}: {num_checked} arrays");
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let episodes = reaching(&paces(), 25);
+            let config = CloneConfig { batch_size: 80, ..config(Head::Diffusion) };
+            let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
+            for _ in 0..5 {
+                trainer.update(&episodes).expect("an update");
+            }
+            trainer.to_checkpoint()
+        })
+    };
+    assert!(run(1) == run(3));
+}
+
+#[test]
+fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
+    let config = CloneConfig { updates: 60, ..config(Head::Diffusion) };
+    let episodes = reaching(&paces(), 25);
+    let [learned, held_out] = episodes.split(&config);
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = |name: &str, start, stop_at: u64| {
+        let data = Data { robot: robot(), train: &learned, held_out: &held_out, sources: BTreeMap::new() };
+        let mut watch = |progress: &crate::Progress| match progress.update == stop_at {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        train(&folder.path().join(name), start, config.clone(), data, &mut watch).expect("a run")
+    };
+    let (whole, finish) = run("whole", Start::Fresh, u64::MAX);
+    assert_eq!(finish, Finish::Updates);
+    assert_eq!(run("parts", Start::Fresh, 33).1, Finish::Cancelled);
+    let (parts, _) = run("parts", Start::Resume, u64::MAX);
+    assert!(whole.to_checkpoint() == parts.to_checkpoint());
+    let lines = |name: &str| {
+        std::fs::read_to_string(folder.path().join(name).join("metrics.jsonl")).expect("metrics")
+    };
+    assert_eq!(lines("whole").lines().count(), 3);
+    assert_eq!(lines("parts").lines().count(), 3);
+}
+
+#[test]
+fn files_are_read_back_and_what_does_not_belong_together_is_named() {
+    let trainer = trained(Head::Diffusion);
+    let path = Path::new("policy.safetensors");
+    let bytes = trainer.cloned().to_bytes().expect("a file");
+    let read = Cloned::from_bytes(path, &bytes).expect("the policy");
+    assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
+    assert_eq!(read.updates(), 300);
+    let mut altered = bytes.clone();
+    *altered.last_mut().expect("bytes") ^= 1;
+    let problem = Cloned::from_bytes(path, &altered).expect_err("it was altered").to_string();
+    assert!(problem.contains("policy.safetensors") && problem.contains("checksum"), "{problem}");
+    let other = Robot { channels: vec!["palm".to_owned()], ..robot() };
+    assert_eq!(
+        read.robot().check(&other).expect_err("another robot").to_string(),
+        "the policy was made for the channel \"tip\" where the robot has \"palm\""
+    );
+    let [learned, _] = reaching(&paces(), 25).split(trainer.config());
+    let going_on = |config, robot, bytes: &[u8]| {
+        Trainer::from_checkpoint(config, robot, &learned, BTreeMap::new(), path, bytes)
+            .map(|_| ())
+            .map_err(|err| err.to_string())
+    };
+    let checkpoint = trainer.to_checkpoint();
+    let config = trainer.config().clone();
+    assert_eq!(going_on(config.clone(), robot(), &checkpoint), Ok(()));
+    let problem =
+        going_on(CloneConfig { predicted: 6, ..config.clone() }, robot(), &checkpoint).expect_err("differs");
+    assert!(problem.contains("predicted is 4, that of the configuration is 6"), "{problem}");
+    let problem = going_on(config.clone(), other, &checkpoint).expect_err("differs");
+    assert!(problem.contains("\"palm\""), "{problem}");
+    let problem = going_on(config, robot(), &bytes).expect_err("no training");
+    assert!(problem.contains("a policy alone"), "{problem}");
+}
+
+#[test]
+fn what_a_policy_may_not_feel_changes_nothing() {
+    let config = CloneConfig {
+        observation: ObservationConfig {
+            touch: false,
+            tracking: false,
+            ..config(Head::Regression).observation
+        },
+        ..config(Head::Regression)
+    };
+    let policy =
+        Trainer::new(config, robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits").cloned();
+    let planned = |position: f64, active: bool| {
+        let mut history = policy.history();
+        history.see(&Moment { time_s: 0.1, positions: &[position], commands: &[0.3], active: &[active] });
+        policy.plan(&history, &[0.3], [0, 0]).expect("a plan")
+    };
+    assert_eq!(planned(0.3, false), planned(0.1, true));
+}

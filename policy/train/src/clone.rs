@@ -1,0 +1,229 @@
+//! Learns to do what an expert did.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use palpate_cloning::{
+    CHECKPOINT_FILE, CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, Robot, Run, Start,
+};
+use palpate_grasp::controller::{Command, Controller, Observation};
+use palpate_grasp::trial::Outcome;
+use palpate_robot_model::Station;
+use palpate_sim::job::{Cancel, Progress as _};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use serde::Serialize;
+
+use crate::files::{self, Source};
+use crate::gather;
+
+/// The policy that came out, in the folder of its training.
+const POLICY_FILE: &str = "policy.safetensors";
+
+#[derive(clap::Args)]
+pub(crate) struct CloneArgs {
+    /// Folders of `palpate-train gather`
+    #[arg(long, required = true, num_args = 1..)]
+    data: Vec<PathBuf>,
+    /// How to learn: "small" (two cores, an evening) or "paper" (the method's numbers)
+    #[arg(long, default_value = "small")]
+    preset: String,
+    /// The same from a file
+    #[arg(long, conflicts_with = "preset")]
+    config: Option<PathBuf>,
+    /// What predicts: "regression" or "diffusion" [default: the configuration's]
+    #[arg(long, value_parser = head)]
+    head: Option<Head>,
+    /// Seed of weights, order and noise [default: the configuration's]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Updates [default: the configuration's]
+    #[arg(long, allow_negative_numbers = true)]
+    updates: Option<u64>,
+    /// The policy does not feel touch
+    #[arg(long)]
+    silence_touch: bool,
+    /// The policy does not see how far joints are from where they were sent
+    #[arg(long)]
+    hide_tracking: bool,
+    /// Learn from the trials that were won, and not from the others
+    #[arg(long)]
+    only_won: bool,
+    /// Folder of the training
+    #[arg(long)]
+    out: PathBuf,
+    /// Go on from the folder's checkpoint
+    #[arg(long)]
+    resume: bool,
+    /// Threads [default: all cores]
+    #[arg(long)]
+    threads: Option<usize>,
+    /// One JSON document on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+fn head(text: &str) -> Result<Head, String> {
+    match text {
+        "regression" => Ok(Head::Regression),
+        "diffusion" => Ok(Head::Diffusion),
+        other => Err(format!("{other:?} is neither regression nor diffusion")),
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    updates: u64,
+    episodes: usize,
+    steps: usize,
+    held_out_episodes: usize,
+    /// Mean squared error of the averaged policy on held-out episodes, normalised.
+    held_out_loss: f64,
+}
+
+pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
+    let mut config = match &args.config {
+        Some(path) => CloneConfig::from_toml(&files::shown(path), &files::text(path)?)?,
+        None => CloneConfig::preset(&args.preset)?,
+    };
+    config.head = args.head.unwrap_or(config.head);
+    config.seed = args.seed.unwrap_or(config.seed);
+    config.updates = args.updates.unwrap_or(config.updates);
+    config.observation.touch &= !args.silence_touch;
+    config.observation.tracking &= !args.hide_tracking;
+    config.validate()?;
+    files::start_threads(args.threads)?;
+    let (robot, episodes, sources) = learned_from(args)?;
+    let [train, held_out] = Episodes::new(robot.shape(), episodes)?.split(&config);
+    eprintln!(
+        "{} trials with {} steps to learn from, {} held out",
+        train.len(),
+        train.num_steps(),
+        held_out.len()
+    );
+    let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
+    let mut watch = |progress: &palpate_cloning::Progress| {
+        bar.report(progress.fraction, "learning");
+        if let Some([train, held_out]) = progress.losses {
+            bar.line(&format!(
+                "{} updates: loss {train:.4}, held out {held_out:.4}, about {:.0} s left",
+                progress.update, progress.eta_s
+            ));
+        }
+        if Cancel::is_cancelled(&cancel) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    let start = if args.resume { Start::Resume } else { Start::Fresh };
+    let data = Data { robot, train: &train, held_out: &held_out, sources };
+    let result = palpate_cloning::train(&args.out, start, config, data, &mut watch);
+    drop(bar);
+    let (trainer, finish) = result?;
+    if finish == Finish::Cancelled {
+        eprintln!("stopped; `--resume` goes on from the last checkpoint in {}", args.out.display());
+        return Ok(());
+    }
+    let policy = args.out.join(POLICY_FILE);
+    files::write_in_one_move(&policy, &trainer.cloned().to_bytes()?)?;
+    let report = Report {
+        updates: trainer.updates(),
+        episodes: train.len(),
+        steps: train.num_steps(),
+        held_out_episodes: held_out.len(),
+        held_out_loss: trainer.judge(&held_out)?,
+    };
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    }
+    eprintln!(
+        "{} updates, held-out loss {:.4}; {} holds the policy",
+        report.updates,
+        report.held_out_loss,
+        policy.display()
+    );
+    Ok(())
+}
+
+/// The robot, the trials and what they were made from.
+fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeMap<String, String>)> {
+    let mut robot: Option<Robot> = None;
+    let (mut episodes, mut sources) = (Vec::new(), BTreeMap::new());
+    for (path, digest, gathered) in gather::read_all(&args.data)? {
+        let of_file =
+            Robot { joints: gathered.record.joints.clone(), channels: gathered.record.channels.clone() };
+        match &robot {
+            None => robot = Some(of_file),
+            Some(robot) if *robot == of_file => {}
+            Some(_) => bail!("{path} was made with another robot than the files before it"),
+        }
+        sources.insert(path, digest);
+        let is_kept = |outcome: Outcome| {
+            outcome == Outcome::Success || !(args.only_won || outcome == Outcome::EmergencyStop)
+        };
+        let kept = gathered.episodes.into_iter().filter(|(outcome, _)| is_kept(*outcome));
+        episodes.extend(kept.map(|(_, episode)| episode));
+    }
+    let robot = robot.context("--data names no folder")?;
+    if episodes.len() < 2 {
+        bail!("there are {} trials to learn from, expected 2 or more: one is held out", episodes.len());
+    }
+    Ok((robot, episodes, sources))
+}
+
+/// The policy of a training's folder or of a file, if it is for the robot of `station`; and its file.
+pub(crate) fn open(path: &Path, station: &Station) -> anyhow::Result<(Arc<Cloned>, Source)> {
+    let file = match path.is_dir() {
+        true if path.join(POLICY_FILE).is_file() => path.join(POLICY_FILE),
+        true => path.join(CHECKPOINT_FILE),
+        false => path.to_owned(),
+    };
+    let bytes = std::fs::read(&file).with_context(|| {
+        format!(
+            "failed to read {file:?}; clone:PATH is a folder of `palpate-train clone` or its {POLICY_FILE}"
+        )
+    })?;
+    let source =
+        Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
+    let policy = Cloned::from_bytes(&file, &bytes)?;
+    policy.robot().check(&gather::robot(station)).with_context(|| format!("{file:?} does not fit"))?;
+    Ok((Arc::new(policy), source))
+}
+
+/// A policy as what moves the robot in a trial.
+pub(crate) struct Imitator {
+    run: Run,
+    station: Arc<Station>,
+    /// Why it stopped, if it did: a controller cannot fail.
+    pub(crate) problem: Option<palpate_cloning::CloneError>,
+}
+
+impl Imitator {
+    pub(crate) fn new(policy: Arc<Cloned>, station: Arc<Station>, trial: u64) -> Self {
+        Self { run: Run::new(policy, trial), station, problem: None }
+    }
+}
+
+impl Controller for Imitator {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        let moment = Moment {
+            time_s: now.time_s,
+            positions: now.positions,
+            commands: now.commands,
+            active: now.active,
+        };
+        match self.run.next(&moment) {
+            Ok(plan) => {
+                let joints = plan.targets.into_iter().zip(self.station.robot.dofs());
+                let within = joints.map(|(target, joint)| match joint.limits {
+                    Some(limits) => target.clamp(limits.lower, limits.upper),
+                    None => target,
+                });
+                Command { targets: within.collect(), claims_held: plan.claims_held }
+            }
+            Err(err) => {
+                self.problem.get_or_insert(err);
+                Command { targets: now.commands.to_vec(), claims_held: false }
+            }
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! Keeps what the searching expert does, trial by trial, as files to learn from.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use anyhow::{Context as _, bail};
+use palpate_cloning::{Episode, Moment, Robot, Step};
+use palpate_grasp::controller::{Command, Controller, Observation};
+use palpate_grasp::search::{Prior, Searcher, Senses};
+use palpate_grasp::trial::{Known, Outcome, Score, conduct};
+use palpate_robot_model::Station;
+use palpate_sim::job::{Cancel, Progress as _};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use rayon::prelude::*;
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::files::{self, Source, Sources};
+use crate::search::{CLOSINGS, Expert, SEARCH};
+use crate::{SceneArgs, compare};
+
+/// What the names of all files end with.
+const ENDING: &str = ".safetensors.zst";
+const ZSTD_LEVEL: i32 = 6;
+
+#[derive(clap::Args)]
+pub(crate) struct GatherArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Where objects begin, and for how long the expert may search: a file, or a name in `assets/grasp/protocols`
+    #[arg(long, default_value = "wide")]
+    protocol: String,
+    /// Objects: "seen", "unseen", "all", or names or files with commas between
+    #[arg(long, default_value = "seen")]
+    objects: String,
+    /// Trials on each object
+    #[arg(long, allow_negative_numbers = true, default_value_t = 300)]
+    count: u64,
+    /// Seed of places, randomised physics and noise; not the protocol's, or policies would be judged by what they learned from
+    #[arg(long, default_value_t = 101)]
+    seed: u64,
+    /// How the searching expert tries to grasp
+    #[arg(long, default_value = SEARCH)]
+    search: PathBuf,
+    /// Closings that it has learned from
+    #[arg(long, default_value = CLOSINGS)]
+    closings: PathBuf,
+    /// Folder for the files, one an object; those that are there already are not made again
+    #[arg(long)]
+    out: PathBuf,
+}
+
+/// What a file says of itself.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+pub(crate) struct Record {
+    pub(crate) object: String,
+    protocol: String,
+    seed: u64,
+    count: u64,
+    pub(crate) joints: Vec<String>,
+    pub(crate) channels: Vec<String>,
+    /// Every file that the trials were made from.
+    sources: Vec<Source>,
+}
+
+/// One file.
+pub(crate) struct Gathered {
+    pub(crate) record: Record,
+    /// By trial.
+    pub(crate) episodes: Vec<(Outcome, Episode)>,
+}
+
+pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
+    if args.count == 0 {
+        bail!("--count is 0, expected at least 1");
+    }
+    let sources = Sources::default();
+    let (protocol_name, protocol) = compare::protocol(&args.protocol, &sources)?;
+    if protocol.seed == args.seed {
+        bail!(
+            "--seed is {}, the seed of the protocol {protocol_name:?}: what is learned would be judged on the same starts",
+            args.seed
+        );
+    }
+    files::start_threads(args.scene.threads)?;
+    let objects = files::objects(&args.objects)?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("failed to create {:?}", args.out))?;
+    let mut world = files::open_world(&args.scene, &sources)?;
+    protocol.apply(&mut world.config);
+    let expert = Expert::open(&args.search, &args.closings, &world.station, &world.config, &sources)?;
+    let experience = expert.experience(Senses::BOTH)?;
+    let (bar, cancel, done) = (Bar::new(), cancel_on_ctrl_c(), AtomicU64::new(0));
+    let all = args.count * objects.len() as u64;
+    for name in &objects {
+        let of_object = Sources::default();
+        sources.list().into_iter().for_each(|source| of_object.keep(source));
+        let scene = Arc::new(world.scene(&files::object(name, &of_object)?)?);
+        let robot = robot(&world.station);
+        let record = Record {
+            object: scene.object().id.clone(),
+            protocol: protocol_name.clone(),
+            seed: args.seed,
+            count: args.count,
+            joints: robot.joints.clone(),
+            channels: robot.channels.clone(),
+            sources: of_object.into_list(),
+        };
+        let path = args.out.join(format!("{}{ENDING}", record.object));
+        if path.exists() {
+            let found = read(&path)?.record;
+            if found != record {
+                bail!(
+                    "{path:?} holds other trials (another count, seed, protocol or file); take another --out"
+                );
+            }
+            done.fetch_add(args.count, Ordering::Relaxed);
+            bar.line(&format!("{}: {} trials are there already", record.object, record.count));
+            continue;
+        }
+        let trial = |trial: u64| -> anyhow::Result<Option<(Outcome, Episode)>> {
+            if Cancel::is_cancelled(&cancel) {
+                return Ok(None);
+            }
+            let prior = Prior { half_width_m: protocol.half_width_m, shape: None };
+            let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(&experience), &prior);
+            let mut recorder = Recorder { controller: searcher, robot: &robot, episode: Episode::default() };
+            let ending = conduct(&scene, &mut recorder, Known::ROBOT, args.seed, trial)?;
+            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+            bar.report(done as f64 / all as f64, "trials");
+            Ok(Some((ending.outcome, recorder.episode)))
+        };
+        let trials: Option<Vec<_>> =
+            (0..args.count).into_par_iter().map(trial).collect::<anyhow::Result<_>>()?;
+        let Some(episodes) = trials else {
+            drop(bar);
+            eprintln!(
+                "stopped; the same command goes on after the objects that are in {}",
+                args.out.display()
+            );
+            return Ok(());
+        };
+        let score = Score::of(&episodes.iter().map(|(outcome, _)| *outcome).collect::<Vec<_>>());
+        let bytes = to_bytes(&Gathered { record, episodes })?;
+        files::write_in_one_move(&path, &bytes)?;
+        let line = format!("{name}: {} of {} held, {} kB", score.successes, score.trials, bytes.len() / 1000);
+        if args.scene.json {
+            let score = serde_json::to_value(&score)?;
+            println!("{}", serde_json::json!({ "object": name, "score": score, "bytes": bytes.len() }));
+        } else {
+            bar.line(&line);
+        }
+    }
+    Ok(())
+}
+
+/// Names of a station's joints and channels.
+pub(crate) fn robot(station: &Station) -> Robot {
+    Robot {
+        joints: station.robot.dofs().map(|joint| joint.name.clone()).collect(),
+        channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
+    }
+}
+
+/// Writes down what a controller knows and does.
+struct Recorder<'a, C> {
+    controller: C,
+    robot: &'a Robot,
+    episode: Episode,
+}
+
+impl<C: Controller> Controller for Recorder<'_, C> {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        let command = self.controller.control(now);
+        let moment = Moment {
+            time_s: now.time_s,
+            positions: now.positions,
+            commands: now.commands,
+            active: now.active,
+        };
+        let step = Step { moment, targets: &command.targets, claims_held: command.claims_held };
+        self.episode.push(self.robot.shape(), &step);
+        command
+    }
+}
+
+/// A safetensors file, compressed as a whole: `frames`, `targets` and `times_s` of all steps one after the other, `first_steps`
+/// where each trial begins, and how it ended.
+fn to_bytes(gathered: &Gathered) -> anyhow::Result<Vec<u8>> {
+    let episodes = &gathered.episodes;
+    let column = |of: &dyn Fn(&Episode) -> &[f32]| -> Vec<u8> {
+        episodes.iter().flat_map(|(_, episode)| of(episode)).flat_map(|value| value.to_le_bytes()).collect()
+    };
+    let columns = [
+        ("frames", column(&|episode| &episode.frames)),
+        ("targets", column(&|episode| &episode.targets)),
+        ("times_s", column(&|episode| &episode.times_s)),
+    ];
+    let mut first = 0;
+    let mut first_steps: Vec<u8> = 0_u64.to_le_bytes().to_vec();
+    for (_, episode) in episodes {
+        first += episode.len() as u64;
+        first_steps.extend(first.to_le_bytes());
+    }
+    let steps = first as usize;
+    let outcomes: Vec<u8> = episodes.iter().map(|(outcome, _)| code(*outcome)).collect();
+    let mut tensors = vec![
+        ("first_steps", TensorView::new(Dtype::U64, vec![episodes.len() + 1], &first_steps)?),
+        ("outcomes", TensorView::new(Dtype::U8, vec![episodes.len()], &outcomes)?),
+    ];
+    for (name, bytes) in &columns {
+        let width = bytes.len() / 4 / steps.max(1);
+        tensors.push((*name, TensorView::new(Dtype::F32, vec![steps, width], bytes)?));
+    }
+    let metadata = [("gathered".to_owned(), serde_json::to_string(&gathered.record)?)].into();
+    Ok(zstd::encode_all(&*safetensors::serialize(tensors, Some(metadata))?, ZSTD_LEVEL)?)
+}
+
+/// Outcomes in files.
+const OUTCOMES: [Outcome; 4] = [Outcome::Success, Outcome::EmptyGrasp, Outcome::Slip, Outcome::EmergencyStop];
+
+fn code(outcome: Outcome) -> u8 {
+    OUTCOMES.iter().zip(0..).find_map(|(one, code)| (*one == outcome).then_some(code)).unwrap_or_default()
+}
+
+/// The file at `path`.
+///
+/// # Errors
+/// Files that cannot be read, or are no trials of an expert.
+pub(crate) fn read(path: &Path) -> anyhow::Result<Gathered> {
+    let bytes = std::fs::read(path).with_context(|| format!("failed to read {path:?}"))?;
+    from_bytes(&bytes).with_context(|| format!("{path:?} holds no trials of an expert that can be used"))
+}
+
+fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
+    let bytes = zstd::decode_all(compressed)?;
+    let (_, header) = SafeTensors::read_metadata(&bytes)?;
+    let record = header.metadata().as_ref().and_then(|metadata| metadata.get("gathered"));
+    let record: Record = serde_json::from_str(record.context("it does not say that it holds any")?)?;
+    let file = SafeTensors::deserialize(&bytes)?;
+    let bytes = |name: &str, dtype: Dtype| -> anyhow::Result<&[u8]> {
+        let tensor = file.tensor(name)?;
+        if tensor.dtype() != dtype {
+            bail!("{name} holds {:?}, expected {dtype:?}", tensor.dtype());
+        }
+        Ok(tensor.data())
+    };
+    let floats = |name: &str| -> anyhow::Result<Vec<f32>> {
+        Ok(bytes(name, Dtype::F32)?.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
+    };
+    let (frames, targets, times_s) = (floats("frames")?, floats("targets")?, floats("times_s")?);
+    let first_steps: Vec<usize> = bytes("first_steps", Dtype::U64)?
+        .as_chunks()
+        .0
+        .iter()
+        .map(|bytes| u64::from_le_bytes(*bytes) as usize)
+        .collect();
+    let outcomes = bytes("outcomes", Dtype::U8)?;
+    let robot = Robot { joints: record.joints.clone(), channels: record.channels.clone() };
+    let (frame_len, action_len) = (2 * robot.joints.len() + robot.channels.len(), robot.joints.len() + 1);
+    let steps = times_s.len();
+    let is_whole = first_steps.len() == outcomes.len() + 1
+        && first_steps.first() == Some(&0)
+        && first_steps.last() == Some(&steps)
+        && first_steps.windows(2).all(|pair| pair[0] <= pair[1])
+        && frames.len() == steps * frame_len
+        && targets.len() == steps * action_len;
+    if !is_whole {
+        bail!("its tensors do not have the sizes that its joints, channels and trials say");
+    }
+    let mut episodes = Vec::with_capacity(outcomes.len());
+    for (pair, &outcome) in first_steps.windows(2).zip(outcomes) {
+        let outcome = OUTCOMES.get(usize::from(outcome)).context("an outcome is none of the four")?;
+        let episode = Episode {
+            frames: frames[pair[0] * frame_len..pair[1] * frame_len].to_vec(),
+            targets: targets[pair[0] * action_len..pair[1] * action_len].to_vec(),
+            times_s: times_s[pair[0]..pair[1]].to_vec(),
+        };
+        episodes.push((*outcome, episode));
+    }
+    Ok(Gathered { record, episodes })
+}
+
+/// All files of `folders`, in the order of their paths, and the digest of each by its path.
+pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<(String, String, Gathered)>> {
+    let mut all = Vec::new();
+    for folder in folders {
+        let entries = std::fs::read_dir(folder).with_context(|| format!("failed to read {folder:?}"))?;
+        let mut paths: Vec<PathBuf> =
+            entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>()?;
+        paths.retain(|path| path.to_string_lossy().ends_with(ENDING));
+        paths.sort();
+        if paths.is_empty() {
+            bail!("{folder:?} holds no file *{ENDING}; `palpate-train gather` makes such files");
+        }
+        for path in paths {
+            let bytes = std::fs::read(&path).with_context(|| format!("failed to read {path:?}"))?;
+            all.push((files::shown(&path), files::sha256(&bytes), read(&path)?));
+        }
+    }
+    Ok(all)
+}
