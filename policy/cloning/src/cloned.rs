@@ -16,12 +16,14 @@ const DRAWN: u64 = 6;
 const CLAIM: f64 = 0.5;
 
 /// The robot that a policy is for, by the names of its parts.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
     /// Degrees of freedom, in the order of positions and commands.
     pub joints: Vec<String>,
     /// Touch channels, in their order.
     pub channels: Vec<String>,
+    /// Control steps a second, Hz: a step of a chunk lasts as long.
+    pub control_rate_hz: f64,
 }
 
 impl Robot {
@@ -30,7 +32,7 @@ impl Robot {
         Shape { dofs: self.joints.len(), channels: self.channels.len() }
     }
 
-    /// Whether `other` has the same joints and channels in the same order.
+    /// Whether `other` has the same joints and channels in the same order, and is controlled as often.
     ///
     /// # Errors
     /// The first that is another.
@@ -50,6 +52,12 @@ impl Robot {
                     "the policy was made for the {what} {own:?} where the robot has {theirs:?}"
                 )));
             }
+        }
+        if self.control_rate_hz != other.control_rate_hz {
+            return Err(CloneError::Shape(format!(
+                "the policy was made for {} control steps a second, the robot has {}",
+                self.control_rate_hz, other.control_rate_hz
+            )));
         }
         Ok(())
     }

@@ -4,9 +4,12 @@
 //! average `average.NAME`. The scalings are `inputs.mean`, `inputs.factor`, `chunks.mean`, `chunks.factor` in 64 bits. A policy's
 //! file has the averaged parameters alone, in 16 bits.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
-use palpate_training::{Adam, Array, Encoded, TensorFile, encode};
+use palpate_training::{Adam, Array, CHECKPOINT_FILE, Encoded, TensorFile, encode, file_error};
 use serde::{Deserialize, Serialize};
 
 use crate::cloned::{Cloned, Robot};
@@ -14,6 +17,9 @@ use crate::episodes::Episodes;
 use crate::network::Network;
 use crate::trainer::{Scaling, Trainer};
 use crate::{CloneConfig, CloneError};
+
+/// The policy that came out of a training, in its folder.
+pub const POLICY_FILE: &str = "policy.safetensors";
 
 /// Version of the file; another one is refused.
 const FORMAT: u32 = 1;
@@ -23,6 +29,7 @@ struct State {
     format: u32,
     joints: Vec<String>,
     channels: Vec<String>,
+    control_rate_hz: f64,
     /// The configuration's file.
     config: String,
     updates: u64,
@@ -46,7 +53,11 @@ type File<'a> = TensorFile<'a, State>;
 
 impl State {
     fn robot(&self) -> Robot {
-        Robot { joints: self.joints.clone(), channels: self.channels.clone() }
+        Robot {
+            joints: self.joints.clone(),
+            channels: self.channels.clone(),
+            control_rate_hz: self.control_rate_hz,
+        }
     }
 }
 
@@ -66,6 +77,7 @@ impl Trainer {
             format: FORMAT,
             joints: self.robot.joints.clone(),
             channels: self.robot.channels.clone(),
+            control_rate_hz: self.robot.control_rate_hz,
             config: self.config.to_toml(),
             updates: self.updates,
             sources: self.sources.clone(),
@@ -125,6 +137,21 @@ impl Trainer {
 }
 
 impl Cloned {
+    /// The policy of a training's folder or of a file, and the file and bytes that it was read from.
+    ///
+    /// # Errors
+    /// A file that cannot be read; see [`Self::from_bytes`].
+    pub fn read(path: &Path) -> Result<(PathBuf, Vec<u8>, Self), CloneError> {
+        let file = match path.is_dir() {
+            true if path.join(POLICY_FILE).is_file() => path.join(POLICY_FILE),
+            true => path.join(CHECKPOINT_FILE),
+            false => path.to_owned(),
+        };
+        let bytes = std::fs::read(&file).map_err(file_error("read", &file))?;
+        let policy = Self::from_bytes(&file, &bytes)?;
+        Ok((file, bytes, policy))
+    }
+
     /// The policy of the checkpoint, or of the policy's file, that `bytes` hold. `path` names the file in errors.
     ///
     /// # Errors
@@ -162,6 +189,7 @@ impl Cloned {
             format: FORMAT,
             joints: self.robot.joints.clone(),
             channels: self.robot.channels.clone(),
+            control_rate_hz: self.robot.control_rate_hz,
             config: self.config.to_toml(),
             updates: self.updates,
             sources: self.sources.clone(),

@@ -25,6 +25,7 @@ pub use cloned::{Cloned, Plan, Robot, Run};
 pub use config::{CloneConfig, DiffusionConfig, Head, ObservationConfig};
 pub use episodes::{Episode, Episodes, Step};
 pub use error::CloneError;
+pub use file::POLICY_FILE;
 pub use history::{History, Moment, Shape};
 pub use palpate_training::{CHECKPOINT_FILE, METRICS_FILE, Start};
 pub use run::{CONFIG_FILE, Data, Finish, Progress, train};

@@ -99,7 +99,7 @@ impl Trainer {
         config.validate()?;
         let shape = episodes.shape();
         if robot.shape() != shape {
-            let Robot { joints, channels } = &robot;
+            let Robot { joints, channels, .. } = &robot;
             return Err(CloneError::Shape(format!(
                 "the episodes have {} joints and {} channels, the robot {} and {}",
                 shape.dofs,

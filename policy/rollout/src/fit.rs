@@ -21,6 +21,8 @@ use crate::task::{Source, sha256};
 const OBJECTS: &str = "assets/objects";
 /// Where scripts are, by the name of their object.
 pub(crate) const SCRIPTS: &str = "assets/grasp/scripts";
+/// What stands before the path of a policy that imitates an expert.
+pub(crate) const CLONE: &str = "clone:";
 /// How much faster than the safety layer lets a joint a script may be before that is said; rounding is no reason.
 const FASTER: f64 = 1.01;
 
@@ -81,8 +83,8 @@ impl Sources {
     }
 }
 
-/// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; without one the script alone runs) among
-/// it, and refuses what does not belong together by the name of what differs.
+/// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; `clone:PATH` for one that imitates an expert;
+/// without one the script alone runs) among it, and refuses what does not belong together by the name of what differs.
 ///
 /// # Errors
 /// A studio without a station, files that cannot be read or do not fit the station's robot, a policy of another task.
@@ -97,7 +99,8 @@ pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Re
             })?;
     let object_path = named(&args.object, OBJECTS, "--object")?;
     let object = object(&object_path, &sources)?;
-    let script = match args.without_script {
+    let is_cloned = policy.is_some_and(|policy| cloned_path(policy).is_some());
+    let script = match args.without_script || is_cloned {
         true => None,
         false => {
             let name = args.script.as_ref().unwrap_or(&args.object);
@@ -164,12 +167,20 @@ fn not_built(path: &Path) -> anyhow::Error {
     )
 }
 
+/// Where a policy is that imitates an expert, if `policy` names one.
+fn cloned_path(policy: &Path) -> Option<PathBuf> {
+    policy.to_str()?.strip_prefix(CLONE).map(PathBuf::from)
+}
+
 /// Whether the policy at `path` says that it was learned without a script.
 ///
 /// # Errors
 /// A file that cannot be read or is no policy.
 #[cfg(feature = "learned")]
 pub fn is_without_script(path: &Path) -> anyhow::Result<bool> {
+    if cloned_path(path).is_some() {
+        return Ok(true);
+    }
     let (file, _, actor) = actor(path)?;
     let memory = crate::task::Memory::from_toml(actor.memory());
     let memory = memory.map_err(|problem| anyhow::anyhow!("policy {file:?}: {problem}"))?;
@@ -202,9 +213,19 @@ fn learned(
 ) -> anyhow::Result<Box<dyn Policy>> {
     use palpate_grasp::learn::{ActorTask, LearnConfig};
 
-    use crate::policy::LearnedPolicy;
+    use crate::policy::{ClonedPolicy, LearnedPolicy};
     use crate::task::{Memory, TaskRecord};
 
+    if let Some(path) = cloned_path(path) {
+        let (file, bytes, cloned) = palpate_cloning::Cloned::read(&path)?;
+        sources.add("policy", &file, &bytes);
+        let robot = crate::task::robot(station, world);
+        cloned
+            .robot()
+            .check(&robot)
+            .with_context(|| format!("{file:?} does not fit the station {:?}", station.id))?;
+        return Ok(Box::new(ClonedPolicy::new(Arc::new(cloned), Arc::clone(station))));
+    }
     let text = sources.text("learning", &args.learning)?;
     let learning = LearnConfig::from_toml(&shown(&args.learning), &text, &station.robot)
         .with_context(|| format!("the learning file does not fit the station {:?}", station.id))?;

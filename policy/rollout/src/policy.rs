@@ -8,8 +8,12 @@ use palpate_grasp::{GraspConfig, Script, ScriptRun, Sensed};
 use palpate_robot_model::Station;
 
 #[cfg(feature = "learned")]
+mod cloned;
+#[cfg(feature = "learned")]
 mod learned;
 
+#[cfg(feature = "learned")]
+pub use cloned::ClonedPolicy;
 #[cfg(feature = "learned")]
 pub use learned::LearnedPolicy;
 

@@ -20,6 +20,19 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// What a policy that imitates an expert has to know of a station in a world.
+#[cfg(feature = "learned")]
+pub fn robot(
+    station: &palpate_robot_model::Station,
+    world: &palpate_grasp::GraspConfig,
+) -> palpate_cloning::Robot {
+    palpate_cloning::Robot {
+        joints: station.robot.dofs().map(|joint| joint.name.clone()).collect(),
+        channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
+        control_rate_hz: world.control_rate_hz,
+    }
+}
+
 /// What a policy is tied to: it fits no other object, script, learning file or layout than it was trained with.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TaskRecord {

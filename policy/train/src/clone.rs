@@ -7,20 +7,19 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
-    CHECKPOINT_FILE, CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, Robot, Run, Start,
+    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, POLICY_FILE, Robot, Run, Start,
 };
+use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::trial::Outcome;
 use palpate_robot_model::Station;
+use palpate_rollout::task::robot;
 use palpate_sim::job::{Cancel, Progress as _};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use serde::Serialize;
 
 use crate::files::{self, Source};
 use crate::gather;
-
-/// The policy that came out, in the folder of its training.
-const POLICY_FILE: &str = "policy.safetensors";
 
 #[derive(clap::Args)]
 pub(crate) struct CloneArgs {
@@ -149,8 +148,7 @@ fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeM
     let mut robot: Option<Robot> = None;
     let (mut episodes, mut sources) = (Vec::new(), BTreeMap::new());
     for (path, digest, gathered) in gather::read_all(&args.data)? {
-        let of_file =
-            Robot { joints: gathered.record.joints.clone(), channels: gathered.record.channels.clone() };
+        let of_file = gathered.record.robot();
         match &robot {
             None => robot = Some(of_file),
             Some(robot) if *robot == of_file => {}
@@ -171,21 +169,15 @@ fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeM
 }
 
 /// The policy of a training's folder or of a file, if it is for the robot of `station`; and its file.
-pub(crate) fn open(path: &Path, station: &Station) -> anyhow::Result<(Arc<Cloned>, Source)> {
-    let file = match path.is_dir() {
-        true if path.join(POLICY_FILE).is_file() => path.join(POLICY_FILE),
-        true => path.join(CHECKPOINT_FILE),
-        false => path.to_owned(),
-    };
-    let bytes = std::fs::read(&file).with_context(|| {
-        format!(
-            "failed to read {file:?}; clone:PATH is a folder of `palpate-train clone` or its {POLICY_FILE}"
-        )
-    })?;
+pub(crate) fn open(
+    path: &Path,
+    station: &Station,
+    world: &GraspConfig,
+) -> anyhow::Result<(Arc<Cloned>, Source)> {
+    let (file, bytes, policy) = Cloned::read(path)?;
     let source =
         Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
-    let policy = Cloned::from_bytes(&file, &bytes)?;
-    policy.robot().check(&gather::robot(station)).with_context(|| format!("{file:?} does not fit"))?;
+    policy.robot().check(&robot(station, world)).with_context(|| format!("{file:?} does not fit"))?;
     Ok((Arc::new(policy), source))
 }
 

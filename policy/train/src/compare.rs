@@ -267,7 +267,8 @@ impl Bench {
                 Ok(Ready::Learned { policy: Box::new(policy), opened, tracking_hidden: !known.tracking })
             }
             Mover::Cloned(path) => {
-                let (policy, source) = clone::open(&path_for(path, &id), &self.world.station)?;
+                let (policy, source) =
+                    clone::open(&path_for(path, &id), &self.world.station, &self.world.config)?;
                 self.sources.keep(source);
                 Ok(Ready::Cloned(policy))
             }

@@ -9,7 +9,7 @@ use palpate_cloning::{Episode, Moment, Robot, Step};
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::search::{Prior, Searcher, Senses};
 use palpate_grasp::trial::{Known, Outcome, Score, conduct};
-use palpate_robot_model::Station;
+use palpate_rollout::task::robot;
 use palpate_sim::job::{Cancel, Progress as _};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use rayon::prelude::*;
@@ -55,14 +55,26 @@ pub(crate) struct GatherArgs {
 /// What a file says of itself.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub(crate) struct Record {
-    pub(crate) object: String,
+    object: String,
     protocol: String,
     seed: u64,
     count: u64,
-    pub(crate) joints: Vec<String>,
-    pub(crate) channels: Vec<String>,
+    joints: Vec<String>,
+    channels: Vec<String>,
+    control_rate_hz: f64,
     /// Every file that the trials were made from.
     sources: Vec<Source>,
+}
+
+impl Record {
+    /// Whose trials these are.
+    pub(crate) fn robot(&self) -> Robot {
+        Robot {
+            joints: self.joints.clone(),
+            channels: self.channels.clone(),
+            control_rate_hz: self.control_rate_hz,
+        }
+    }
 }
 
 /// One file.
@@ -97,7 +109,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         let of_object = Sources::default();
         sources.list().into_iter().for_each(|source| of_object.keep(source));
         let scene = Arc::new(world.scene(&files::object(name, &of_object)?)?);
-        let robot = robot(&world.station);
+        let robot = robot(&world.station, &world.config);
         let record = Record {
             object: scene.object().id.clone(),
             protocol: protocol_name.clone(),
@@ -105,6 +117,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             count: args.count,
             joints: robot.joints.clone(),
             channels: robot.channels.clone(),
+            control_rate_hz: robot.control_rate_hz,
             sources: of_object.into_list(),
         };
         let path = args.out.join(format!("{}{ENDING}", record.object));
@@ -153,14 +166,6 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Names of a station's joints and channels.
-pub(crate) fn robot(station: &Station) -> Robot {
-    Robot {
-        joints: station.robot.dofs().map(|joint| joint.name.clone()).collect(),
-        channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
-    }
 }
 
 /// Writes down what a controller knows and does.
@@ -257,7 +262,7 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         .map(|bytes| u64::from_le_bytes(*bytes) as usize)
         .collect();
     let outcomes = bytes("outcomes", Dtype::U8)?;
-    let robot = Robot { joints: record.joints.clone(), channels: record.channels.clone() };
+    let robot = record.robot();
     let (frame_len, action_len) = (2 * robot.joints.len() + robot.channels.len(), robot.joints.len() + 1);
     let steps = times_s.len();
     let is_whole = first_steps.len() == outcomes.len() + 1

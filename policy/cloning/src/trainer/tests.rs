@@ -7,7 +7,7 @@ use crate::episodes::tests::reaching;
 use crate::{Data, DiffusionConfig, Finish, Moment, ObservationConfig, Run, Start, train};
 
 fn robot() -> Robot {
-    Robot { joints: vec!["slide".to_owned()], channels: vec!["tip".to_owned()] }
+    Robot { joints: vec!["slide".to_owned()], channels: vec!["tip".to_owned()], control_rate_hz: 20.0 }
 }
 
 fn config(head: Head) -> CloneConfig {
@@ -163,6 +163,13 @@ fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     assert_eq!(
         read.robot().check(&other).expect_err("another robot").to_string(),
         "the policy was made for the channel \"tip\" where the robot has \"palm\""
+    );
+    assert_eq!(
+        read.robot()
+            .check(&Robot { control_rate_hz: 30.0, ..robot() })
+            .expect_err("another rate")
+            .to_string(),
+        "the policy was made for 20 control steps a second, the robot has 30"
     );
     let [learned, _] = reaching(&paces(), 25).split(trainer.config());
     let going_on = |config, robot, bytes: &[u8]| {

@@ -1,6 +1,7 @@
 //! The command as people call it.
 #![cfg(feature = "mujoco")]
 
+mod cloning;
 mod comparisons;
 mod demonstrations;
 mod encoders;

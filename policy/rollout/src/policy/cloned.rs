@@ -1,0 +1,77 @@
+//! Policies that imitate an expert.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use palpate_cloning::{Cloned, History, Moment};
+use palpate_robot_model::Station;
+
+use super::{Horizon, Policy, Seen, Step, newest};
+
+/// A policy that imitates an expert: it plans a chunk of steps from a window of what was seen.
+pub struct ClonedPolicy {
+    policy: Arc<Cloned>,
+    station: Arc<Station>,
+    history: History,
+    /// Where the robot was sent in each step that the history has not seen yet; the last is where it was sent last.
+    commands: VecDeque<Vec<f64>>,
+    trial: u64,
+    num_seen: u64,
+}
+
+impl ClonedPolicy {
+    /// `policy` for the robot of `station`.
+    pub fn new(policy: Arc<Cloned>, station: Arc<Station>) -> Self {
+        let history = policy.history();
+        Self { policy, station, history, commands: VecDeque::new(), trial: 0, num_seen: 0 }
+    }
+}
+
+impl Policy for ClonedPolicy {
+    fn horizon(&self) -> Horizon {
+        let config = self.policy.config();
+        Horizon { observations: config.executed, predicted: config.predicted, executed: config.executed }
+    }
+
+    fn begin(&mut self, positions: &[f64]) {
+        self.history = self.policy.history();
+        self.commands = VecDeque::from([positions.to_vec()]);
+        self.num_seen = 0;
+        self.trial += 1;
+    }
+
+    fn plan(&mut self, seen: &VecDeque<Seen>) -> anyhow::Result<Vec<Step>> {
+        newest(seen)?;
+        // What was seen since the last plan, each beside the command that was in force; the window itself is the history's.
+        let num_new = self.commands.len().min(seen.len());
+        let skipped = self.commands.len() - num_new;
+        self.commands.drain(..skipped);
+        for now in seen.iter().skip(seen.len() - num_new) {
+            let commands = match self.commands.len() {
+                0 | 1 => self.commands.front().cloned(),
+                _ => self.commands.pop_front(),
+            };
+            let commands = commands.unwrap_or_else(|| now.positions.clone());
+            self.history.see(&Moment {
+                time_s: now.time_s,
+                positions: &now.positions,
+                commands: &commands,
+                active: &now.active,
+            });
+            self.num_seen += 1;
+        }
+        let commands = self.commands.pop_back().unwrap_or_default();
+        let chunk = self.policy.plan(&self.history, &commands, [self.trial, self.num_seen])?;
+        let within = |targets: Vec<f64>| -> Vec<f64> {
+            let joints = targets.into_iter().zip(&self.station.safety.joints);
+            joints.map(|(target, limits)| target.clamp(limits.lower, limits.upper)).collect()
+        };
+        let steps: Vec<Step> = chunk
+            .into_iter()
+            .take(self.policy.config().executed)
+            .map(|step| Step { action: Vec::new(), targets: within(step.targets) })
+            .collect();
+        self.commands = steps.iter().map(|step| step.targets.clone()).collect();
+        Ok(steps)
+    }
+}

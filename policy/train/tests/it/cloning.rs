@@ -1,0 +1,96 @@
+//! What the searching expert does, kept, learned from and tried.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::palpate_train;
+use super::policies::printed;
+
+fn refused(args: &[&str]) -> String {
+    let output = palpate_train(args);
+    assert!(!output.status.success(), "{args:?} must be refused");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path")
+}
+
+/// A policy so small and so little trained that it knows nothing.
+const CONFIG: &str = "updates = 4\nbatch_size = 32\ncheckpoint_updates = 2\ntrunk = [16]\nhead = \"diffusion\"\n\
+    [observation]\nframes = 2\nstride = 4\n[diffusion]\nchannels = [4, 8]\nsteps = 8\nsampled_steps = 2\n";
+
+#[test]
+fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let gathered = folder.path().join("gathered");
+    let gather = |out: &Path, more: &[&str]| -> Vec<String> {
+        let fixed = ["gather", "--objects", "cube,ball", "--count", "3", "--json", "--out", text(out)];
+        [&fixed[..], more].concat().into_iter().map(str::to_owned).collect()
+    };
+    let call = |args: &[String]| printed(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let said = call(&gather(&gathered, &["--threads", "1"]));
+    let lines: Vec<Value> = said.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert_eq!((&lines[0]["object"], &lines[1]["score"]["trials"]), (&"cube".into(), &3.into()));
+
+    // What is there is not made again, and other threads make the same bytes.
+    let cube = gathered.join("cube.safetensors.zst");
+    let first = std::fs::read(&cube).expect("a file");
+    assert_eq!(call(&gather(&gathered, &[])), "");
+    std::fs::remove_file(&cube).expect("it is gone");
+    call(&gather(&gathered, &["--threads", "2"]));
+    assert!(std::fs::read(&cube).expect("a file") == first, "other bytes");
+    let other = gather(&gathered, &["--seed", "7"]);
+    let problem = refused(&other.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(problem.contains("cube.safetensors.zst") && problem.contains("another --out"), "{problem}");
+
+    let config = folder.path().join("tiny.toml");
+    std::fs::write(&config, CONFIG).expect("a file");
+    let out = folder.path().join("run");
+    let clone =
+        ["clone", "--data", text(&gathered), "--config", text(&config), "--json", "--out", text(&out)];
+    let report: Value = serde_json::from_str(&printed(&clone)).expect("a report");
+    assert_eq!(
+        (&report["updates"], &report["episodes"], &report["held_out_episodes"]),
+        (&4.into(), &5.into(), &1.into())
+    );
+    assert!(report["held_out_loss"].as_f64().is_some_and(|loss| loss > 0.0));
+    assert!(refused(&clone).contains("checkpoint"), "a folder that holds a training is not written over");
+
+    let policy = format!("clone:{}", text(&out));
+    let evaluate = |threads: &str| -> Value {
+        let args =
+            ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy"];
+        let said = printed(&[&args[..], &[&policy, "--controls", "--threads", threads]].concat());
+        let mut document: Value = serde_json::from_str(&said).expect("a comparison");
+        document["seconds"] = Value::Null;
+        document
+    };
+    let compared = evaluate("1");
+    assert_eq!(compared, evaluate("2"), "a trial draws the same chunks on any number of threads");
+    assert_eq!(compared["controls"].as_object().map(serde_json::Map::len), Some(6), "{compared}");
+}
+
+#[test]
+fn what_cannot_be_learned_from_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (empty, out) = (folder.path().join("empty"), folder.path().join("out"));
+    std::fs::create_dir(&empty).expect("a folder");
+    let clone = |more: &[&str]| {
+        let fixed = ["clone", "--data", text(&empty), "--out", text(&out)];
+        refused(&[&fixed[..], more].concat())
+    };
+    assert!(clone(&[]).contains("holds no file *.safetensors.zst; `palpate-train gather` makes such files"));
+    assert!(clone(&["--preset", "fast"]).contains("the preset is \"fast\", expected small or paper"));
+    assert!(clone(&["--head", "act"]).contains("neither regression nor diffusion"));
+    assert!(clone(&["--updates", "0"]).contains("updates is 0, expected 1 or more"));
+    std::fs::write(empty.join("cube.safetensors.zst"), b"not compressed").expect("a file");
+    assert!(clone(&[]).contains("cube.safetensors.zst\" holds no trials of an expert"));
+    assert!(!out.exists(), "nothing was begun");
+    let gather = ["gather", "--out", text(&out), "--objects", "cube", "--count", "1", "--seed", "2"];
+    assert!(refused(&gather).contains("the seed of the protocol \"wide\""));
+    let evaluate = ["evaluate", "--protocol", "wide", "--trials", "1", "--policy", "clone:no_such_folder"];
+    let problem = refused(&evaluate);
+    assert!(problem.contains("no_such_folder"), "{problem}");
+}
