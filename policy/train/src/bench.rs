@@ -14,6 +14,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use rustix::time::{ClockId, clock_gettime};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::files::Sources;
@@ -94,7 +95,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let (scene, script) = files::open(&args.scene, &Sources::default())?;
     let bench = Bench::new(scene, &script, args);
     let mut peer =
-        args.python.as_ref().map(|python| Peer::start(python, &bench.peer_inputs()?)).transpose()?;
+        args.python.as_ref().map(|python| Peer::start(python, PEER, &bench.peer_inputs()?)).transpose()?;
     let mut worlds = bench.worlds()?;
     let mut batch = GraspBatch::new(Arc::clone(&bench.scene), args.envs, 1)?;
     let mut learn = bench.learn(args, script)?;
@@ -104,7 +105,8 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     for _ in 0..args.rounds.max(1) {
         fastest[0].keep_least(bench.physics(&mut worlds)?);
         if let (Some(peer), Some(differs_m)) = (&mut peer, &mut peer_differs_m) {
-            let round = peer.round()?;
+            let round: PeerRound =
+                peer.ask("round", "the Python package mujoco of the version linked here")?;
             fastest[1].keep_least(Spent { clock_s: round.seconds, cpu_s: round.cpu_seconds });
             for (world, theirs) in worlds.iter().zip(round.objects_m) {
                 let ours = world.base_from_object().translation.vector;
@@ -305,16 +307,17 @@ impl Bench {
 }
 
 /// The peer's process: it runs a round whenever it gets a line, and answers with one.
-struct Peer {
+pub(crate) struct Peer {
     child: Child,
     to: ChildStdin,
     from: BufReader<ChildStdout>,
 }
 
 impl Peer {
-    fn start(python: &PathBuf, inputs: &str) -> anyhow::Result<Self> {
+    /// Starts `program` in `python`, and tells it its `inputs`, one line.
+    pub(crate) fn start(python: &PathBuf, program: &str, inputs: &str) -> anyhow::Result<Self> {
         let mut child = Command::new(python)
-            .args(["-c", PEER])
+            .args(["-c", program])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -326,15 +329,13 @@ impl Peer {
         Ok(Self { child, to, from: BufReader::new(from) })
     }
 
-    fn round(&mut self) -> anyhow::Result<PeerRound> {
-        writeln!(self.to, "round").context("the peer has ended; its own message is above")?;
-        let mut line = String::new();
-        self.from.read_line(&mut line)?;
-        serde_json::from_str(&line).with_context(|| {
-            format!(
-                "the peer answered {line:?}; it needs the Python package mujoco of the version linked here"
-            )
-        })
+    /// What it answers to a line; `needs` says what its Python has to have.
+    pub(crate) fn ask<T: DeserializeOwned>(&mut self, line: &str, needs: &str) -> anyhow::Result<T> {
+        writeln!(self.to, "{line}").context("the peer has ended; its own message is above")?;
+        let mut answer = String::new();
+        self.from.read_line(&mut answer)?;
+        serde_json::from_str(&answer)
+            .with_context(|| format!("the peer answered {answer:?}; it needs {needs}"))
     }
 }
 

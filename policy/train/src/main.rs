@@ -4,6 +4,7 @@
 
 mod against_hand;
 mod bench;
+mod bench_policy;
 mod clone;
 mod compare;
 mod curves;
@@ -60,6 +61,8 @@ enum Command {
     Curves(curves::CurvesArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
     Bench(bench::BenchArgs),
+    /// Measure a policy's networks beside PyTorch: from an observation to an action, and steps of learning
+    BenchPolicy(bench_policy::BenchPolicyArgs),
     /// Run trials of a policy on the hand that a studio drives
     Rollout(palpate_rollout::RolloutArgs),
     /// Compare a rollout with the same policy and the same commands in the grasp world, by sensor model
@@ -117,6 +120,7 @@ fn main() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::BenchPolicy(args) => bench_policy::run(&args),
         Command::Rollout(args) => palpate_rollout::run(&args),
         Command::CompareRollout(args) => against_hand::run(&args),
         Command::Station(args) => station::run(&args),
