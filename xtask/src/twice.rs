@@ -1,5 +1,6 @@
-//! Tests that fail are run a second time, alone: a station in real time on a busy machine may be late once. What fails twice
-//! is wrong, and so is a run in which more than a few fail. A test that needed its second time is named at the end.
+//! Tests that fail are run a second time, alone: a station in real time on a busy machine may be late once. What fails
+//! twice is wrong, and so is a run in which more than a few fail. A test that needed its second time is named at the
+//! end.
 
 use std::{
     collections::BTreeSet,
@@ -19,8 +20,8 @@ const MAX_RETRIES: usize = 2;
 /// Tests that passed at their second time in this run.
 static LATE: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Runs the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves; only those whose
-/// name contains `filter`.
+/// Runs the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves; only those
+/// whose name contains `filter`.
 pub(crate) fn run(cargo: impl Fn() -> Command, filter: Option<&str>) -> anyhow::Result<()> {
     let mut first = cargo();
     first.arg("--no-fail-fast").arg("--").args(filter);

@@ -125,8 +125,9 @@ impl Cloned {
         History::new(self.config.observation.clone(), self.robot.shape())
     }
 
-    /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws it: `draw`
-    /// are two numbers, such as a trial and a step, that say which draw; the same numbers give the same chunk.
+    /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws
+    /// it: `draw` are two numbers, such as a trial and a step, that say which draw; the same numbers give the same
+    /// chunk.
     ///
     /// # Errors
     /// Predictions that are no numbers.

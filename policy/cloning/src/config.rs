@@ -33,7 +33,8 @@ pub struct CloneConfig {
     pub weight_decay: f64,
     /// Longest gradient, over all parameters, above 0; 1.
     pub max_gradient_norm: f64,
-    /// The policy's parameters are a moving average of those that are learned; its memory grows up to this share, below 1; 0.999.
+    /// The policy's parameters are a moving average of those that are learned; its memory grows up to this share, below
+    /// 1; 0.999.
     pub average_decay: f64,
     /// Updates between checkpoints, at least 1; 500. Held-out episodes are predicted then.
     pub checkpoint_updates: u64,

@@ -24,7 +24,8 @@ pub struct Step<'a> {
 pub struct Episode {
     /// `[steps, 2 * dofs + channels]`: commands, how far joints are from them (rad or m), channels (0 or 1).
     pub frames: Vec<f32>,
-    /// `[steps, dofs + 1]`: where each joint was sent (rad or m), and whether the expert claimed to hold the object (0 or 1).
+    /// `[steps, dofs + 1]`: where each joint was sent (rad or m), and whether the expert claimed to hold the object (0
+    /// or 1).
     pub targets: Vec<f32>,
     /// `[steps]`: time since the trial began, s.
     pub times_s: Vec<f32>,
@@ -160,7 +161,8 @@ pub(crate) mod tests {
     use super::*;
     use crate::{History, ObservationConfig};
 
-    /// Episodes of a robot of one joint and one channel that goes to 1 in steps of `pace`, and feels something at the end.
+    /// Episodes of a robot of one joint and one channel that goes to 1 in steps of `pace`, and feels something at the
+    /// end.
     pub(crate) fn reaching(paces: &[f64], steps: usize) -> Episodes {
         let shape = Shape { dofs: 1, channels: 1 };
         let episode = |&pace: &f64| {

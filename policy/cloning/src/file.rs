@@ -1,8 +1,8 @@
 //! A training, or the policy that came out of it, as bytes of a safetensors file.
 //!
-//! Parameters have their names; in a checkpoint the optimiser's memory is `adam.first.NAME` and `adam.second.NAME`, the moving
-//! average `average.NAME`. The scalings are `inputs.mean`, `inputs.factor`, `chunks.mean`, `chunks.factor` in 64 bits. A policy's
-//! file has the averaged parameters alone, in 16 bits.
+//! Parameters have their names; in a checkpoint the optimiser's memory is `adam.first.NAME` and `adam.second.NAME`, the
+//! moving average `average.NAME`. The scalings are `inputs.mean`, `inputs.factor`, `chunks.mean`, `chunks.factor` in 64
+//! bits. A policy's file has the averaged parameters alone, in 16 bits.
 
 use std::{
     collections::BTreeMap,
@@ -86,8 +86,8 @@ impl Trainer {
         })
     }
 
-    /// The training that `bytes` hold, to go on with `config` on `episodes` of `robot`, which were made from `sources`. `path`
-    /// names the file in errors.
+    /// The training that `bytes` hold, to go on with `config` on `episodes` of `robot`, which were made from `sources`.
+    /// `path` names the file in errors.
     ///
     /// # Errors
     /// Files that are cut off, altered, of another format, configuration, robot or episodes, naming what differs.
@@ -173,8 +173,8 @@ impl Cloned {
         Ok(Self::new(config, robot, [inputs, chunks], network, updates, sources))
     }
 
-    /// This policy as the bytes of a file of its own: parameters are rounded to 16 bits, and nothing goes on from it. The policy
-    /// that is read from it has the same file again.
+    /// This policy as the bytes of a file of its own: parameters are rounded to 16 bits, and nothing goes on from it.
+    /// The policy that is read from it has the same file again.
     ///
     /// # Errors
     /// Parameters too large for 16 bits, by name.

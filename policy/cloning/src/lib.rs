@@ -1,14 +1,15 @@
 //! Policies that imitate an expert: regression (behaviour cloning) and diffusion (Chi et al. 2023).
 //!
-//! A policy sees a window of what the robot knew lately ([`History`]) and predicts a chunk of the next commands, of which it
-//! carries out a few before it looks again. [`Episodes`] are what an expert did; [`CloneConfig`] is the file that says how to learn;
-//! [`Trainer`] learns, [`train`] does that in a folder with checkpoints and metrics; [`Cloned`] is the policy that comes out.
+//! A policy sees a window of what the robot knew lately ([`History`]) and predicts a chunk of the next commands, of
+//! which it carries out a few before it looks again. [`Episodes`] are what an expert did; [`CloneConfig`] is the file
+//! that says how to learn; [`Trainer`] learns, [`train`] does that in a folder with checkpoints and metrics; [`Cloned`]
+//! is the policy that comes out.
 //!
-//! Actions are differences to the last *command* and not to the measured position: gravity and contact would otherwise take a
-//! part of every action away. Commands are part of what is seen.
+//! Actions are differences to the last *command* and not to the measured position: gravity and contact would otherwise
+//! take a part of every action away. Commands are part of what is seen.
 //!
-//! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of fixed
-//! size whose gradients are added in order. Nothing here knows a robot or a simulator.
+//! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of
+//! fixed size whose gradients are added in order. Nothing here knows a robot or a simulator.
 
 mod cloned;
 mod config;

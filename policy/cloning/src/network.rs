@@ -83,7 +83,8 @@ impl Network {
         Pass(tensors[self.num_trunk_arrays..].iter()).linear(features)
     }
 
-    /// The noise in `noisy` chunks `[samples, predicted * action_len]`, which are after these `steps`, one for each sample.
+    /// The noise in `noisy` chunks `[samples, predicted * action_len]`, which are after these `steps`, one for each
+    /// sample.
     pub(crate) fn noise(
         &self,
         tensors: &[Tensor<2>],
@@ -154,8 +155,8 @@ impl Signal {
     }
 }
 
-/// A one-dimensional U-Net of two levels whose blocks are told the condition by FiLM (Perez et al. 2018), as in Diffusion Policy;
-/// but each step is normalised by itself, where that normalises groups of channels over all steps.
+/// A one-dimensional U-Net of two levels whose blocks are told the condition by FiLM (Perez et al. 2018), as in
+/// Diffusion Policy; but each step is normalised by itself, where that normalises groups of channels over all steps.
 struct UNet {
     /// Numbers of the condition.
     condition: usize,

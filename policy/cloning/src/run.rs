@@ -41,7 +41,8 @@ pub struct Progress {
     pub fraction: f64,
     /// Time until they are all done, as fast as since this run began or resumed, s.
     pub eta_s: f64,
-    /// Mean loss of the updates since the last checkpoint, and of held-out episodes, after an update that ends with one.
+    /// Mean loss of the updates since the last checkpoint, and of held-out episodes, after an update that ends with
+    /// one.
     pub losses: Option<[f64; 2]>,
 }
 

@@ -41,8 +41,8 @@ impl Schedule {
         (1..=count).rev().map(|idx| idx * self.len() / count - 1).collect()
     }
 
-    /// DDIM without noise (Song et al. 2021, equation 12 with sigma = 0): `noisy` as it is after `step`, with the noise that was
-    /// predicted in it, becomes what it was after `next`, or the chunk itself.
+    /// DDIM without noise (Song et al. 2021, equation 12 with sigma = 0): `noisy` as it is after `step`, with the noise
+    /// that was predicted in it, becomes what it was after `next`, or the chunk itself.
     pub(crate) fn denoise(&self, noisy: &mut [f32], predicted: &[f32], step: usize, next: Option<usize>) {
         let [signal, noise] = self.shares(step);
         let [next_signal, next_noise] = next.map_or([1.0, 0.0], |next| self.shares(next));

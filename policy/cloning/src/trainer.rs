@@ -85,8 +85,8 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A training that begins, on `episodes` of `robot`, which were made from `sources`: names with something that changes where
-    /// the source does, such as a file's SHA-256.
+    /// A training that begins, on `episodes` of `robot`, which were made from `sources`: names with something that
+    /// changes where the source does, such as a file's SHA-256.
     ///
     /// # Errors
     /// A configuration that makes no sense, or episodes that do not fit it.
@@ -157,8 +157,8 @@ impl Trainer {
         0.5 * learning_rate * (1.0 + (std::f64::consts::PI * share).cos())
     }
 
-    /// Learns from the next batch of `episodes`, those that it was made with; gives its loss (the mean squared error of what is
-    /// predicted, normalised) and the norm of the gradient.
+    /// Learns from the next batch of `episodes`, those that it was made with; gives its loss (the mean squared error of
+    /// what is predicted, normalised) and the norm of the gradient.
     ///
     /// # Errors
     /// Predictions or gradients that are no numbers. Parameters are then those before.
@@ -306,8 +306,8 @@ impl Trainer {
         Ok((slopes.collect(), loss))
     }
 
-    /// Gradients of the loss of `samples`, a part of a batch of `batch_size`, so that those of all parts add up to the gradient of
-    /// the batch's mean. One array for each of the network's arrays.
+    /// Gradients of the loss of `samples`, a part of a batch of `batch_size`, so that those of all parts add up to the
+    /// gradient of the batch's mean. One array for each of the network's arrays.
     fn gradients(
         &self,
         samples: &[Sample],

@@ -1,12 +1,14 @@
-//! Measures the networks of a policy on one core, in turns with PyTorch: from an observation to an action, and steps of learning.
+//! Measures the networks of a policy on one core, in turns with PyTorch: from an observation to an action, and steps of
+//! learning.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Moment, Robot, Step};
+use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Moment, Robot, Shape, Step};
 use palpate_encoder::{Dataset, EncoderConfig, Sample};
+use palpate_robot_model::Station;
 use serde::{Deserialize, Serialize};
 
 use crate::bench::Peer;
@@ -15,12 +17,11 @@ use crate::bench::Peer;
 const PEER: &str = include_str!("../../../tests/peers/torch_policy.py");
 /// Observations between turns.
 const BLOCK: usize = 10;
-/// Sizes of the shipped robot.
-const DOFS: usize = 22;
-const CHANNELS: usize = 44;
-
 #[derive(clap::Args)]
 pub(crate) struct BenchPolicyArgs {
+    /// Station file: its joints and channels count
+    #[arg(long, default_value = "assets/stations/xarm6_leap.toml")]
+    station: PathBuf,
     /// Sizes of the policy: "small" or "paper"
     #[arg(long, default_value = "paper")]
     preset: String,
@@ -103,27 +104,26 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
     // Neither is part of an inference, and both make data that are not needed.
     (encoding.batch_size, encoding.hand_points, encoding.object_points) =
         (1, encoding.network.points_per_query, encoding.network.points_per_query);
-    let inputs = peer_inputs(args, &config, &encoding);
+    let robot = robot(&args.station)?;
+    let shape = robot.shape();
+    let inputs = peer_inputs(args, &config, &encoding, shape);
     let mut peer = match &args.python {
         None => None,
         Some(python) => Some(Peer::start(python, PEER, &serde_json::to_string(&inputs)?)?),
     };
     // One core each: the peer keeps to one thread as well.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().context("failed to start a thread")?;
-    let episodes = made_up();
-    let robot = Robot {
-        joints: (0..DOFS).map(|dof| format!("joint{dof}")).collect(),
-        channels: (0..CHANNELS).map(|channel| format!("channel{channel}")).collect(),
-        control_rate_hz: 20.0,
-    };
+    let episodes = made_up(shape)?;
     let mut trainer = palpate_cloning::Trainer::new(config, robot, &episodes, BTreeMap::new())?;
     let policy = trainer.cloned();
     let encoder =
-        palpate_encoder::Trainer::new(encoding.clone(), &Windows(&encoding), BTreeMap::new())?.encoder();
-    let window = Windows(&encoding).sample(0).input;
+        palpate_encoder::Trainer::new(encoding.clone(), &Windows(&encoding, shape), BTreeMap::new())?
+            .encoder();
+    let window = Windows(&encoding, shape).sample(0).input;
 
     let (mut ours, mut theirs) = (Times::default(), Times::default());
-    let (positions, commands, active) = ([0.1; DOFS], [0.11; DOFS], [true; CHANNELS]);
+    let (positions, commands) = (vec![0.1; shape.dofs], vec![0.11; shape.dofs]);
+    let active = vec![true; shape.channels];
     while ours.policy.len() < args.inferences {
         for _ in 0..BLOCK.min(args.inferences - ours.policy.len()) {
             let began = Instant::now();
@@ -167,18 +167,23 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn peer_inputs(args: &BenchPolicyArgs, config: &CloneConfig, encoding: &EncoderConfig) -> PeerInputs {
+fn peer_inputs(
+    args: &BenchPolicyArgs,
+    config: &CloneConfig,
+    encoding: &EncoderConfig,
+    shape: Shape,
+) -> PeerInputs {
     PeerInputs {
         batch_size: args.batch_size,
-        input_len: config.observation.frames * (2 * DOFS + CHANNELS) + 1,
-        action_len: DOFS + 1,
+        input_len: config.observation.frames * (2 * shape.dofs + shape.channels) + 1,
+        action_len: shape.dofs + 1,
         predicted: config.predicted,
         trunk: config.trunk.clone(),
         unet: config.diffusion.channels,
         kernel: config.diffusion.kernel,
         sampled_steps: config.diffusion.sampled_steps,
         history: encoding.history,
-        channels: CHANNELS,
+        channels: shape.channels,
         width: encoding.network.width,
         layers: encoding.network.layers,
         heads: encoding.network.heads,
@@ -186,17 +191,30 @@ fn peer_inputs(args: &BenchPolicyArgs, config: &CloneConfig, encoding: &EncoderC
     }
 }
 
+/// The robot of a station file, as if it were controlled 20 times a second: the rate is only compared.
+fn robot(path: &Path) -> anyhow::Result<Robot> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let name = path.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
+    let station =
+        Station::read(name, |name| std::fs::read(folder.join(name)).map_err(|err| err.to_string()))?;
+    Ok(Robot {
+        joints: station.robot.dofs().map(|joint| joint.name.clone()).collect(),
+        channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
+        control_rate_hz: 20.0,
+    })
+}
+
 /// Motions of no meaning: what is measured does not depend on what is learned.
-fn made_up() -> Episodes {
-    let shape = palpate_cloning::Shape { dofs: DOFS, channels: CHANNELS };
+fn made_up(shape: Shape) -> anyhow::Result<Episodes> {
     let mut episodes = Vec::new();
     for number in 0..4 {
         let mut episode = Episode::default();
         for step in 0..150 {
             let at = |ahead: usize| -> Vec<f64> {
-                (0..DOFS).map(|dof| (0.05 * (step + ahead + 7 * number + dof) as f64).sin()).collect()
+                (0..shape.dofs).map(|dof| (0.05 * (step + ahead + 7 * number + dof) as f64).sin()).collect()
             };
-            let active: Vec<bool> = (0..CHANNELS).map(|channel| (step / 5 + channel) % 7 == 0).collect();
+            let active: Vec<bool> =
+                (0..shape.channels).map(|channel| (step / 5 + channel) % 7 == 0).collect();
             let (positions, commands, targets) = (at(0), at(1), at(2));
             let time_s = 0.05 * step as f64;
             let moment = Moment { time_s, positions: &positions, commands: &commands, active: &active };
@@ -204,11 +222,11 @@ fn made_up() -> Episodes {
         }
         episodes.push(episode);
     }
-    Episodes::new(shape, episodes).expect("every step has the shape's numbers")
+    Ok(Episodes::new(shape, episodes)?)
 }
 
 /// Windows of no meaning.
-struct Windows<'a>(&'a EncoderConfig);
+struct Windows<'a>(&'a EncoderConfig, Shape);
 
 impl Dataset for Windows<'_> {
     fn len(&self) -> usize {
@@ -216,22 +234,22 @@ impl Dataset for Windows<'_> {
     }
 
     fn num_channels(&self) -> usize {
-        CHANNELS
+        self.1.channels
     }
 
     fn num_joints(&self) -> usize {
-        DOFS
+        self.1.dofs
     }
 
     fn sample(&self, idx: usize) -> Sample {
         let wave = |len: usize| -> Vec<f32> { (0..len).map(|at| 0.1 * ((at + idx) as f32).sin()).collect() };
         Sample {
-            input: wave(self.0.history * CHANNELS * 4),
+            input: wave(self.0.history * self.1.channels * 4),
             hand_points: wave(3 * self.0.hand_points),
             object_points: wave(3 * self.0.object_points),
             pose: [0.1, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0],
-            joints: wave(DOFS),
-            contacts: (0..CHANNELS).map(|channel| ((channel + idx) % 2) as f32).collect(),
+            joints: wave(self.1.dofs),
+            contacts: (0..self.1.channels).map(|channel| ((channel + idx) % 2) as f32).collect(),
         }
     }
 }

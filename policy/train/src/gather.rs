@@ -38,7 +38,8 @@ pub(crate) struct GatherArgs {
     /// Trials on each object
     #[arg(long, allow_negative_numbers = true, default_value_t = 300)]
     count: u64,
-    /// Seed of places, randomised physics and noise; not the protocol's, or policies would be judged by what they learned from
+    /// Seed of places, randomised physics and noise; not the protocol's, or policies would be judged by what they
+    /// learned from
     #[arg(long, default_value_t = 101)]
     seed: u64,
     /// How the searching expert tries to grasp
@@ -190,8 +191,8 @@ impl<C: Controller> Controller for Recorder<'_, C> {
     }
 }
 
-/// A safetensors file, compressed as a whole: `frames`, `targets` and `times_s` of all steps one after the other, `first_steps`
-/// where each trial begins, and how it ended.
+/// A safetensors file, compressed as a whole: `frames`, `targets` and `times_s` of all steps one after the other,
+/// `first_steps` where each trial begins, and how it ended.
 fn to_bytes(gathered: &Gathered) -> anyhow::Result<Vec<u8>> {
     let episodes = &gathered.episodes;
     let column = |of: &dyn Fn(&Episode) -> &[f32]| -> Vec<u8> {

@@ -42,7 +42,8 @@ impl Policy for ClonedPolicy {
 
     fn plan(&mut self, seen: &VecDeque<Seen>) -> anyhow::Result<Vec<Step>> {
         newest(seen)?;
-        // What was seen since the last plan, each beside the command that was in force; the window itself is the history's.
+        // What was seen since the last plan, each beside the command that was in force; the window itself is the
+        // history's.
         let num_new = self.commands.len().min(seen.len());
         let skipped = self.commands.len() - num_new;
         self.commands.drain(..skipped);

@@ -1,5 +1,5 @@
-//! Rollouts on the physical emulated station, and what is compared with them. A station runs in real time: its tests come one
-//! after the other, and cargo runs nothing beside this binary.
+//! Rollouts on the physical emulated station, and what is compared with them. A station runs in real time: its tests
+//! come one after the other, and cargo runs nothing beside this binary.
 #![cfg(feature = "mujoco")]
 
 mod against_hand;
