@@ -72,8 +72,8 @@ class Policy(nn.Module):
         pairs = [(sizes["action_len"], outer), (outer, outer), (outer, inner), (inner, inner), (inner, inner), (inner, inner)]
         pairs += [(2 * inner, outer), (outer, outer)]
         self.blocks = nn.ModuleList([Block(inputs, outputs, condition) for inputs, outputs in pairs])
-        self.halve = nn.Conv1d(outer, outer, 2, stride=2)
-        self.double = nn.ConvTranspose1d(outer, outer, 2, stride=2)
+        self.downsample = nn.Conv1d(outer, outer, 2, stride=2)
+        self.upsample = nn.ConvTranspose1d(outer, outer, 2, stride=2)
         kernel = sizes["kernel"]
         self.last = nn.Conv1d(outer, outer, kernel, padding=kernel // 2)
         self.norm = nn.LayerNorm(outer)
@@ -86,7 +86,7 @@ class Policy(nn.Module):
         signal = noisy.transpose(1, 2)
         for block in self.blocks[:2]:
             signal = block(signal, condition)
-        signal = self.halve(signal)
+        signal = self.downsample(signal)
         for block in self.blocks[2:4]:
             signal = block(signal, condition)
         skipped = signal
@@ -95,7 +95,7 @@ class Policy(nn.Module):
         signal = torch.cat([signal, skipped], dim=1)
         for block in self.blocks[6:]:
             signal = block(signal, condition)
-        signal = self.last(self.double(signal)).transpose(1, 2)
+        signal = self.last(self.upsample(signal)).transpose(1, 2)
         return self.output(functional.silu(self.norm(signal)).transpose(1, 2)).transpose(1, 2)
 
 

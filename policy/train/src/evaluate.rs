@@ -19,8 +19,8 @@ pub(crate) struct EvaluateArgs {
     #[command(flatten)]
     pub(crate) task: TaskArgs,
     /// A training's folder, a checkpoint or an exported policy; under a protocol also "search", "search:touch",
-    /// "search:tracking", "search:none", "script", "repetition", "oracle", or "clone:PATH" for a policy that imitates an expert, and
-    /// {object} in a path stands for the object's name
+    /// "search:tracking", "search:none", "script", "repetition", "oracle", or "clone:PATH" for a policy that imitates
+    /// an expert, and {object} in a path stands for the object's name
     #[arg(long)]
     pub(crate) policy: String,
     /// Number of trials [default: the protocol's, or 50]
@@ -35,8 +35,8 @@ pub(crate) struct EvaluateArgs {
     /// Objects of a comparison: "seen", "unseen", "all", or names or files with commas between [default: --object]
     #[arg(long, requires = "protocol")]
     pub(crate) objects: Option<String>,
-    /// Compare with everything that a claim has to be compared with: script, blind repetition, an oracle, the policy silenced,
-    /// with tracking errors hidden, with both
+    /// Compare with everything that a claim has to be compared with: script, blind repetition, an oracle, the policy
+    /// silenced, with tracking errors hidden, with both
     #[arg(long, requires = "protocol")]
     pub(crate) controls: bool,
     /// Compare with this policy as well; may be given several times
