@@ -71,9 +71,10 @@ impl TlsIdentity {
             .with_single_cert(chain, key_der)
             .map_err(|err| Error::Content(format!("{cert:?} and {key:?} do not belong together: {err}")))?;
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
-        // A ticket comes after the handshake, while the client's first request is under way. Clients that read in one thread and
-        // write in another, as Python's `websockets.sync` does, lost about one connection in a hundred to that: OpenSSL permits one
-        // thread at a time. Without tickets a connection costs a whole handshake, about a millisecond.
+        // A ticket comes after the handshake, while the client's first request is under way. Clients that read in one
+        // thread and write in another, as Python's `websockets.sync` does, lost about one connection in a hundred to
+        // that: OpenSSL permits one thread at a time. Without tickets a connection costs a whole handshake, about a
+        // millisecond.
         config.send_tls13_tickets = 0;
         Ok(Self { acceptor: TlsAcceptor::from(Arc::new(config)), fingerprint, own_cert: None })
     }

@@ -1,6 +1,6 @@
-//! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than
-//! they, searches by touch, keeps what experts do and imitates it, scores what was learned, pretrains the tactile encoder, and measures
-//! the grasp world's speed.
+//! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than they,
+//! searches by touch, keeps what experts do and imitates it, scores what was learned, pretrains the tactile encoder,
+//! and measures the grasp world's speed.
 
 mod against_hand;
 mod bench;
