@@ -575,11 +575,22 @@ fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -
     // A frame from before it was armed may have said that it is.
     insist(link, "a motion to the start", || targets(&wanted))?;
     let told = Cell::new(Instant::now());
+    let told_arm_alone = Cell::new(false);
     let arrived = |frame: &Frame| {
         if told.get().elapsed() >= TELL_AGAIN {
             // The station forgets targets when it holds.
             told.set(Instant::now());
-            link.send(targets(&wanted));
+            let control = frame.live.control.clone().unwrap_or_default();
+            // Fingers that open beside the table would leave the workspace, and that holds the arm too: it goes on alone
+            // for a moment, away from there.
+            let arm_alone = control.phase() == Phase::Holding && !told_arm_alone.get();
+            told_arm_alone.set(arm_alone);
+            let mut now = wanted.clone();
+            if arm_alone {
+                let told = now.iter_mut().zip(&control.commanded).enumerate();
+                told.filter(|(dof, _)| !is_arm(*dof)).for_each(|(_, (now, &at))| *now = f64::from(at));
+            }
+            link.send(targets(&now));
         }
         if let Some(why) = crate::verdict::not_following(&frame.live) {
             return Err(Not::Ever(why));
