@@ -46,6 +46,10 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo
     };
     let xtask = std::env::current_exe()?;
+    // By itself, with the features that the running xtask was built with.
+    if args.filter.is_none() {
+        shell::run(shell::cargo(&paths::root()).args(["test", "--package", "xtask"]))?;
+    }
     // A step of its own, so that one sees what building takes and what running takes.
     shell::run(cargo_test().arg("--no-run"))?;
     let tests = || {
