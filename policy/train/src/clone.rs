@@ -154,7 +154,9 @@ fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeM
             Some(robot) if *robot == of_file => {}
             Some(_) => bail!("{path} was made with another robot than the files before it"),
         }
-        sources.insert(path, digest);
+        if sources.insert(gathered.record.name(), digest).is_some() {
+            bail!("{path} holds {} once more; leave one of the folders out", gathered.record.name());
+        }
         let is_kept = |outcome: Outcome| {
             outcome == Outcome::Success || !(args.only_won || outcome == Outcome::EmergencyStop)
         };

@@ -68,6 +68,11 @@ pub(crate) struct Record {
 }
 
 impl Record {
+    /// What tells these trials from others.
+    pub(crate) fn name(&self) -> String {
+        format!("{} trials on {}, protocol {}, seed {}", self.count, self.object, self.protocol, self.seed)
+    }
+
     /// Whose trials these are.
     pub(crate) fn robot(&self) -> Robot {
         Robot {

@@ -57,6 +57,9 @@ fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
     );
     assert!(report["held_out_loss"].as_f64().is_some_and(|loss| loss > 0.0));
     assert!(refused(&clone).contains("checkpoint"), "a folder that holds a training is not written over");
+    let data = text(&gathered);
+    let twice = ["clone", "--data", data, data, "--out", text(&out), "--config", text(&config)];
+    assert!(refused(&twice).contains("holds 3 trials on ball, protocol wide, seed 101 once more"));
 
     let policy = format!("clone:{}", text(&out));
     let evaluate = |threads: &str| -> Value {
