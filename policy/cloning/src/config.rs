@@ -21,7 +21,7 @@ pub enum Head {
 pub struct CloneConfig {
     /// Seed of weights, order and noise; 0.
     pub seed: u64,
-    /// Updates, at least 1; 20000.
+    /// Updates, at least 1; 16000.
     pub updates: u64,
     /// Samples of an update, at least 1; 128.
     pub batch_size: usize,
@@ -86,7 +86,7 @@ impl Default for CloneConfig {
     fn default() -> Self {
         Self {
             seed: 0,
-            updates: 20_000,
+            updates: 16_000,
             batch_size: 128,
             learning_rate: 3e-4,
             warmup_updates: 500,
@@ -118,7 +118,7 @@ impl Default for DiffusionConfig {
 }
 
 impl CloneConfig {
-    /// Preset `small` (two cores, an evening) or `paper` (the method's numbers).
+    /// Preset `small` (two cores, a quarter of an hour) or `paper` (the method's numbers).
     ///
     /// # Errors
     /// Any other name.

@@ -26,7 +26,7 @@ pub(crate) struct CloneArgs {
     /// Folders of `palpate-train gather`
     #[arg(long, required = true, num_args = 1..)]
     data: Vec<PathBuf>,
-    /// How to learn: "small" (two cores, an evening) or "paper" (the method's numbers)
+    /// How to learn: "small" (two cores, a quarter of an hour) or "paper" (the method's numbers)
     #[arg(long, default_value = "small")]
     preset: String,
     /// The same from a file
