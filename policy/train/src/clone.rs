@@ -147,14 +147,14 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
 fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeMap<String, String>)> {
     let mut robot: Option<Robot> = None;
     let (mut episodes, mut sources) = (Vec::new(), BTreeMap::new());
-    for (path, digest, gathered) in gather::read_all(&args.data)? {
+    for (path, gathered) in gather::read_all(&args.data)? {
         let of_file = gathered.record.robot();
         match &robot {
             None => robot = Some(of_file),
             Some(robot) if *robot == of_file => {}
             Some(_) => bail!("{path} was made with another robot than the files before it"),
         }
-        if sources.insert(gathered.record.name(), digest).is_some() {
+        if sources.insert(gathered.record.name(), gathered.sha256).is_some() {
             bail!("{path} holds {} once more; leave one of the folders out", gathered.record.name());
         }
         let is_kept = |outcome: Outcome| {

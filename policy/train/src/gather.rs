@@ -88,6 +88,8 @@ pub(crate) struct Gathered {
     pub(crate) record: Record,
     /// By trial.
     pub(crate) episodes: Vec<(Outcome, Episode)>,
+    /// Of the file before it was compressed.
+    pub(crate) sha256: String,
 }
 
 pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
@@ -161,7 +163,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             return Ok(());
         };
         let score = Score::of(&episodes.iter().map(|(outcome, _)| *outcome).collect::<Vec<_>>());
-        let bytes = to_bytes(&Gathered { record, episodes })?;
+        let bytes = to_bytes(&record, &episodes)?;
         files::write_in_one_move(&path, &bytes)?;
         let line = format!("{name}: {} of {} held, {} kB", score.successes, score.trials, bytes.len() / 1000);
         if args.scene.json {
@@ -198,8 +200,7 @@ impl<C: Controller> Controller for Recorder<'_, C> {
 
 /// A safetensors file, compressed as a whole: `frames`, `targets` and `times_s` of all steps one after the other,
 /// `first_steps` where each trial begins, and how it ended.
-fn to_bytes(gathered: &Gathered) -> anyhow::Result<Vec<u8>> {
-    let episodes = &gathered.episodes;
+fn to_bytes(record: &Record, episodes: &[(Outcome, Episode)]) -> anyhow::Result<Vec<u8>> {
     let column = |of: &dyn Fn(&Episode) -> &[f32]| -> Vec<u8> {
         episodes.iter().flat_map(|(_, episode)| of(episode)).flat_map(|value| value.to_le_bytes()).collect()
     };
@@ -224,7 +225,7 @@ fn to_bytes(gathered: &Gathered) -> anyhow::Result<Vec<u8>> {
         let width = bytes.len() / 4 / steps.max(1);
         tensors.push((*name, TensorView::new(Dtype::F32, vec![steps, width], bytes)?));
     }
-    let metadata = [("gathered".to_owned(), serde_json::to_string(&gathered.record)?)].into();
+    let metadata = [("gathered".to_owned(), serde_json::to_string(record)?)].into();
     Ok(zstd::encode_all(&*safetensors::serialize(tensors, Some(metadata))?, ZSTD_LEVEL)?)
 }
 
@@ -239,13 +240,15 @@ fn code(outcome: Outcome) -> u8 {
 ///
 /// # Errors
 /// Files that cannot be read, or are no trials of an expert.
-pub(crate) fn read(path: &Path) -> anyhow::Result<Gathered> {
-    let bytes = std::fs::read(path).with_context(|| format!("failed to read {path:?}"))?;
-    from_bytes(&bytes).with_context(|| format!("{path:?} holds no trials of an expert that can be used"))
+fn read(path: &Path) -> anyhow::Result<Gathered> {
+    let compressed = std::fs::read(path).with_context(|| format!("failed to read {path:?}"))?;
+    from_bytes(&compressed).with_context(|| format!("{path:?} holds no trials of an expert that can be used"))
 }
 
 fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
     let bytes = zstd::decode_all(compressed)?;
+    // Of what was compressed: compressors differ.
+    let sha256 = files::sha256(&bytes);
     let (_, header) = SafeTensors::read_metadata(&bytes)?;
     let record = header.metadata().as_ref().and_then(|metadata| metadata.get("gathered"));
     let record: Record = serde_json::from_str(record.context("it does not say that it holds any")?)?;
@@ -290,11 +293,11 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         };
         episodes.push((*outcome, episode));
     }
-    Ok(Gathered { record, episodes })
+    Ok(Gathered { record, episodes, sha256 })
 }
 
-/// All files of `folders`, in the order of their paths, and the digest of each by its path.
-pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<(String, String, Gathered)>> {
+/// All files of `folders`, in the order of their paths, each with its path.
+pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<(String, Gathered)>> {
     let mut all = Vec::new();
     for folder in folders {
         let entries = std::fs::read_dir(folder).with_context(|| format!("failed to read {folder:?}"))?;
@@ -306,8 +309,7 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<(String, Strin
             bail!("{folder:?} holds no file *{ENDING}; `palpate-train gather` makes such files");
         }
         for path in paths {
-            let bytes = std::fs::read(&path).with_context(|| format!("failed to read {path:?}"))?;
-            all.push((files::shown(&path), files::sha256(&bytes), read(&path)?));
+            all.push((files::shown(&path), read(&path)?));
         }
     }
     Ok(all)
