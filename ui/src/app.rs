@@ -2,6 +2,8 @@
 
 mod bars;
 mod frame_rate;
+mod glossary;
+mod lag;
 mod name;
 mod notes;
 mod overlays;
@@ -11,6 +13,8 @@ mod strip;
 #[cfg(target_arch = "wasm32")]
 pub(crate) use stop::STOP_NAME;
 pub(crate) use stop::is_narrow;
+
+use overlays::Place;
 
 use crate::{
     api_client::Api,
@@ -41,6 +45,8 @@ pub trait Platform {
     fn push_hash(&mut self, hash: &str);
     /// Goes to `hash` without a step for "back".
     fn replace_hash(&mut self, hash: &str);
+    /// The whole address, which opens the same view elsewhere.
+    fn address(&self) -> String;
     /// The operator's time of day, e.g. `14:03:12`.
     fn time_of_day(&self) -> String;
     /// A time as RFC 3339 has it, in the operator's time zone, e.g. `2026-03-02 10:30:00`; `None` if it cannot be read.
@@ -83,6 +89,7 @@ pub struct StudioApp {
     strip: strip::StripState,
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
+    lag: lag::Lag,
     home: screens::home::HomeState,
     record: screens::record::RecordState,
     timelines: screens::timelines::TimelinesState,
@@ -124,6 +131,7 @@ impl StudioApp {
             strip: strip::StripState::default(),
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),
+            lag: lag::Lag::default(),
             home: screens::home::HomeState::default(),
             record: screens::record::RecordState::default(),
             timelines: screens::timelines::TimelinesState::default(),
@@ -180,6 +188,9 @@ impl StudioApp {
         let mut commands =
             if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx, commandable) };
         commands.extend(self.overlays.take_chosen());
+        if let Some(place) = self.overlays.take_place() {
+            go_to = Some(place);
+        }
 
         self.top_bar_ui(ui, now_s);
         self.rail_ui(ui, &mut go_to);
@@ -190,7 +201,11 @@ impl StudioApp {
         if self.store.control.take_control_wanted() {
             self.ask_for_control();
         }
-        self.overlays.ui(&ctx, commandable);
+        let places = if self.overlays.palette_is_open() { self.places() } else { Vec::new() };
+        if let Some(words) = screens::asked_help(&ctx) {
+            self.overlays.open_glossary(words);
+        }
+        self.overlays.ui(&ctx, commandable, &places);
         self.take_over_ui(&ctx);
         self.name_ui(&ctx);
         if commandable {
@@ -245,6 +260,9 @@ impl StudioApp {
             picked_files: &mut picked_files,
             pick_file: &mut pick_file,
         };
+        if let Some(slug) = &route.lost {
+            return screens::lost_ui(ui, &mut cx, slug);
+        }
         match route.screen {
             Screen::Home => screens::home::home_ui(ui, &mut cx, &mut self.home),
             Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
@@ -364,7 +382,8 @@ impl StudioApp {
         let shown = [self.playback.session.as_deref(), self.playback.take.as_deref()];
         let shown: Vec<&str> = shown.into_iter().flatten().collect();
         let place = if shown.is_empty() { String::new() } else { format!(" \u{b7} {}", shown.join(" ")) };
-        let title = format!("{}{place} \u{2013} Palpate", self.route.screen.label());
+        let screen = if self.route.lost.is_some() { "Not found" } else { self.route.screen.label() };
+        let title = format!("{screen}{place} \u{2013} Palpate");
         if title != self.title {
             self.platform.set_title(&title);
             self.title = title;
@@ -381,6 +400,8 @@ impl StudioApp {
             Command::NextFrame => self.step_frame(1),
             Command::ToggleTheme => self.toggle_theme(ctx),
             Command::Shortcuts => self.overlays.toggle_shortcuts(),
+            Command::Glossary => self.overlays.open_glossary(""),
+            Command::CopyLink => ctx.copy_text(self.platform.address()),
             Command::Palette => self.overlays.open_palette(),
             Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
                 self.timelines.push_command(command);
@@ -420,6 +441,54 @@ impl StudioApp {
                 && self.playback.hand_source == HandSource::Live,
             ..Route::to(screen)
         }
+    }
+
+    /// What the palette finds besides commands.
+    fn places(&mut self) -> Vec<Place> {
+        let mut places = Vec::new();
+        let session = self.playback.session.clone();
+        let here = |screen: Screen| Route { session: session.clone(), ..Route::to(screen) };
+        if let Some(sessions) = self.store.sessions().ready() {
+            places.extend(sessions.iter().map(|known| Place {
+                label: format!("Session {}", known.id),
+                route: Route::to(Screen::Sessions).with_session(known.id.clone()),
+            }));
+        }
+        if let Some(session) = &session
+            && let Some(detail) = self.store.session(session).ready()
+        {
+            places.extend(detail.takes.iter().map(|take| Place {
+                label: format!("Take {}: {} on {}", take.id, screens::words(&take.primitive), take.object),
+                route: here(Screen::Timelines).with_take(take.id.clone()),
+            }));
+        }
+        if let Some(models) = self.store.models().ready() {
+            places.extend(models.iter().map(|model| {
+                let (key, route) = (Some(model.id.clone()), here(Screen::Timelines));
+                let route = match model.effects.is_empty() {
+                    true => Route { model: key, ..route },
+                    false => Route { diagnosed: key, ..route },
+                };
+                Place { label: format!("Compare with model {}", model.name), route }
+            }));
+        }
+        let run = |what: &str, screen: Screen, id: &str, session: &str| Place {
+            label: format!("{what} {id} of {session}"),
+            route: Route { run: Some(id.to_owned()), ..Route::to(screen).with_session(session) },
+        };
+        if let Some(runs) = self.store.runs().ready() {
+            places.extend(
+                runs.iter()
+                    .map(|known| run("Calibration", Screen::Calibrate, &known.id, &known.request.session)),
+            );
+        }
+        if let Some(runs) = self.store.diagnoses().ready() {
+            places.extend(
+                runs.iter()
+                    .map(|known| run("Diagnosis", Screen::Diagnose, &known.id, &known.request.session)),
+            );
+        }
+        places
     }
 
     fn step_take(&mut self, step: isize) {

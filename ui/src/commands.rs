@@ -43,13 +43,17 @@ pub enum Command {
     ToggleTheme,
     /// The list of shortcuts.
     Shortcuts,
+    /// What words mean.
+    Glossary,
+    /// The address of what is on the screen, to the clipboard.
+    CopyLink,
     /// The command palette.
     Palette,
 }
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 31] = [
         Self::Open(Screen::Home),
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
@@ -78,6 +82,8 @@ impl Command {
         Self::NextTake,
         Self::ToggleTheme,
         Self::Shortcuts,
+        Self::Glossary,
+        Self::CopyLink,
         Self::Palette,
     ];
 
@@ -112,6 +118,8 @@ impl Command {
             Self::NextTake => "Next take",
             Self::ToggleTheme => "Light or dark theme",
             Self::Shortcuts => "Show keyboard shortcuts",
+            Self::Glossary => "Help: what words mean",
+            Self::CopyLink => "Copy link",
             Self::Palette => "Find a command",
         }
     }
@@ -155,7 +163,9 @@ impl Command {
             | Self::GiveBackControl
             | Self::Arm
             | Self::Disarm
-            | Self::Tare => None,
+            | Self::Tare
+            | Self::Glossary
+            | Self::CopyLink => None,
             Self::PreviousFrame => plain(Key::Comma),
             Self::NextFrame => plain(Key::Period),
             Self::PreviousMismatch => plain(Key::OpenBracket),

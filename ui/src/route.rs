@@ -151,6 +151,8 @@ pub struct Route {
     pub part: Option<String>,
     /// Job shown, by id.
     pub job: Option<String>,
+    /// What stands where a screen is named, and is none. Nothing else of such a link is read.
+    pub lost: Option<String>,
 }
 
 impl Default for Route {
@@ -175,6 +177,7 @@ impl Route {
             campaign: None,
             part: None,
             job: None,
+            lost: None,
         }
     }
 
@@ -190,13 +193,16 @@ impl Route {
         self
     }
 
-    /// Reads a hash, with or without `#`. Unknown screens lead to the first one and unknown keys are left out, so that
-    /// a link from another version still opens.
+    /// Reads a hash, with or without `#`. Unknown screens are kept as [`Self::lost`]; unknown keys are left out, so that a
+    /// link from another version still opens.
     pub fn from_hash(hash: &str) -> Self {
         let hash = hash.trim_start_matches('#').trim_start_matches('/');
         let (path, query) = hash.split_once('?').unwrap_or((hash, ""));
         let mut segments = path.split('/').map(decode);
-        let screen = segments.next().and_then(|slug| Screen::from_slug(&slug)).unwrap_or(Screen::Home);
+        let slug = segments.next().unwrap_or_default();
+        let Some(screen) = Screen::from_slug(&slug) else {
+            return Self { lost: Some(slug).filter(|slug| !slug.is_empty()), ..Self::default() };
+        };
         let mut route = Self::to(screen);
         route.session = segments.next().filter(|session| !session.is_empty());
         for pair in query.split('&') {
@@ -229,13 +235,16 @@ impl Route {
             let Self { session, take, run, object, campaign, part, job, .. } = route.clone();
             [session, take, run, object, campaign, part, job]
         };
-        (self.screen, self.live, ids(self)) == (other.screen, other.live, ids(other))
+        (self.screen, self.live, &self.lost, ids(self)) == (other.screen, other.live, &other.lost, ids(other))
     }
 }
 
 impl fmt::Display for Route {
     /// The hash, with `#`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(slug) = &self.lost {
+            return write!(f, "#/{}", encode(slug));
+        }
         write!(f, "#/{}", self.screen.slug())?;
         if let Some(session) = &self.session {
             write!(f, "/{}", encode(session))?;
@@ -293,8 +302,16 @@ mod tests {
     }
 
     #[test]
+    fn unknown_screen_is_not_taken_for_another() {
+        let route = Route::from_hash("#/bananas/demo?take=take-01");
+        assert_eq!(route.lost.as_deref(), Some("bananas"));
+        assert_eq!((route.session.as_deref(), route.take.as_deref()), (None, None));
+        assert_eq!(route.to_string(), "#/bananas");
+    }
+
+    #[test]
     fn nonsense_leads_to_the_first_screen() {
-        for hash in ["", "#", "#/", "#/nowhere/x?t=abc", "#/home?t=NaN", "#/home?t=-3", "#/home?&&=&x"] {
+        for hash in ["", "#", "#/", "#/home?t=NaN", "#/home?t=-3", "#/home?&&=&x"] {
             let route = Route::from_hash(hash);
             assert_eq!(route.screen, Screen::Home, "{hash}");
             assert_eq!(route.time_s, None, "{hash}");
@@ -317,6 +334,7 @@ mod tests {
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
             let route = Route {
                 screen, session, take, time_s, model, diagnosed, run, live, object, campaign, part, job,
+                lost: None,
             };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
         }

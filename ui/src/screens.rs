@@ -16,6 +16,7 @@ pub mod settings;
 pub mod timelines;
 pub mod trials;
 
+use palpate_robot_model::Station;
 pub use palpate_wire::wording::words;
 
 use crate::{
@@ -93,10 +94,21 @@ pub fn ensure_take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
         }
     }
     let Some(session) = cx.playback.session.clone() else { return false };
-    if cx.playback.take.is_some() {
-        return true;
+    let detail = cx.store.session(&session);
+    if let Some(take) = cx.playback.take.clone() {
+        // A link to what is not there says so, rather than what the server says to programs.
+        let known = detail.ready().is_none_or(|detail| detail.takes.iter().any(|known| known.id == take));
+        let session_is_missing = detail.error().is_some() && is_missing(cx, &session);
+        if known && !session_is_missing {
+            return true;
+        }
+        if !session_is_missing {
+            let first = detail.ready().and_then(|detail| detail.takes.first()).map(|take| take.id.clone());
+            missing_take_ui(ui, cx, &session, &take, first);
+            return false;
+        }
     }
-    match cx.store.session(&session) {
+    match detail {
         Loadable::Ready(detail) => {
             let first = detail.takes.iter().find(|take| take.accepted).or(detail.takes.first());
             match first {
@@ -113,6 +125,10 @@ pub fn ensure_take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
                 }
             }
         }
+        Loadable::Failed(_) if is_missing(cx, &session) => {
+            missing_session_ui(ui, cx, &session);
+            false
+        }
         Loadable::Failed(error) => {
             failed_ui(ui, cx, &format!("Session {session} did not open"), &error);
             false
@@ -124,6 +140,108 @@ pub fn ensure_take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
     }
 }
 
+/// Whether the list of sessions is here and has no `session`.
+pub fn is_missing(cx: &mut ScreenContext<'_>, session: &str) -> bool {
+    cx.store.sessions().ready().is_some_and(|sessions| sessions.iter().all(|known| known.id != session))
+}
+
+/// A link to a session that is not there.
+pub fn missing_session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &str) {
+    let text = "It may have been renamed, or moved to the trash; its link is as it was.";
+    if empty_ui(ui, &format!("There is no session {session}"), text, "All sessions") {
+        cx.playback.session = None;
+        cx.playback.take = None;
+        *cx.go_to = Some(Route::to(Screen::Sessions));
+    }
+}
+
+fn missing_take_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    session: &str,
+    take: &str,
+    first: Option<String>,
+) {
+    let text = "The session is there; this take is not part of it.";
+    let button = first.as_ref().map_or_else(|| "All sessions".to_owned(), |first| format!("Open {first}"));
+    if empty_ui(ui, &format!("Session {session} has no take {take}"), text, &button) {
+        match first {
+            Some(first) => cx.playback.open(session, &first),
+            None => *cx.go_to = Some(Route::to(Screen::Sessions)),
+        }
+    }
+}
+
+/// A link to a screen that this version does not have.
+pub fn lost_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, slug: &str) {
+    let text = "The link may come from another version, or have a slip in it.";
+    if empty_ui(ui, &format!("There is no screen \u{201c}{slug}\u{201d}"), text, "Go to Home") {
+        *cx.go_to = Some(Route::to(Screen::Home));
+    }
+}
+
+/// What the server said, without the half sentence that tells programs which route to ask.
+pub fn for_people(error: &str) -> &str {
+    error.split_once("; GET /api/").map_or(error, |(said, _)| said)
+}
+
+/// One half of a screen that has a list or a form, and what was chosen with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The list or the form.
+    Choice,
+    /// What was chosen.
+    Chosen,
+}
+
+/// Width of the list or form on a wide page.
+const CHOICE_WIDTH: f32 = 292.0;
+
+/// The two halves beside each other; on a narrow page one at a time, with tabs called `names`. There the second one comes
+/// up when `chosen` changes, because something was chosen.
+pub fn two_parts_ui(
+    ui: &mut egui::Ui,
+    id: &str,
+    names: [&str; 2],
+    chosen: Option<&str>,
+    mut part_ui: impl FnMut(&mut egui::Ui, Part),
+) {
+    if !crate::app::is_narrow(ui.ctx()) {
+        egui::Panel::left(id.to_owned()).resizable(false).exact_size(CHOICE_WIDTH).show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| part_ui(ui, Part::Choice));
+        });
+        egui::CentralPanel::default().show(ui, |ui| part_ui(ui, Part::Chosen));
+        return;
+    }
+    let key = egui::Id::unique(id).with("shown part");
+    let known: Option<(Option<String>, Part)> = ui.data(|data| data.get_temp(key));
+    let chosen = chosen.map(str::to_owned);
+    let mut part = match known {
+        Some((before, part)) if before == chosen => part,
+        _ if chosen.is_some() => Part::Chosen,
+        _ => Part::Choice,
+    };
+    ui.horizontal(|ui| {
+        for (value, name) in [Part::Choice, Part::Chosen].into_iter().zip(names) {
+            let response = ui.selectable_label(part == value, egui::RichText::new(name).size(16.0));
+            response.widget_info(|| {
+                egui::WidgetInfo::selected(egui::accesskit::Role::RadioButton, true, part == value, name)
+            });
+            if response.clicked() {
+                part = value;
+            }
+        }
+    });
+    ui.data_mut(|data| data.insert_temp(key, (chosen, part)));
+    ui.separator();
+    match part {
+        Part::Choice => {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| part_ui(ui, part));
+        }
+        Part::Chosen => part_ui(ui, part),
+    }
+}
+
 fn no_sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     let text = "A session is a set of takes: recordings of the hand touching a known object. \
         Replay, comparison and calibration all start from one.";
@@ -132,10 +250,53 @@ fn no_sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     }
 }
 
+/// A heading, for those who do not see that it is large too.
+pub fn heading_ui(ui: &mut egui::Ui, text: impl Into<egui::RichText>) -> egui::Response {
+    let text = text.into();
+    let words = text.text().to_owned();
+    let response = ui.label(text.heading());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Heading, true, &words));
+    response
+}
+
+/// A button that opens Help at `words`: what stands beside it is explained there.
+pub fn help_ui(ui: &mut egui::Ui, words: &'static str) {
+    let button = ui.small_button("?").on_hover_text(format!("What does \u{201c}{words}\u{201d} mean?"));
+    controls::name_button(&button, &format!("What does {words} mean?"));
+    if button.clicked() {
+        ui.data_mut(|data| data.insert_temp(help_id(), words));
+    }
+}
+
+/// What [`help_ui`] was asked since the last call.
+pub(crate) fn asked_help(ctx: &egui::Context) -> Option<&'static str> {
+    ctx.data_mut(|data| data.remove_temp(help_id()))
+}
+
+fn help_id() -> egui::Id {
+    egui::Id::unique("help asked for")
+}
+
+/// A line that screen readers speak when it comes up or changes: at once if it is `urgent`.
+pub fn announced_ui(ui: &mut egui::Ui, text: impl Into<egui::RichText>, urgent: bool) -> egui::Response {
+    let text = text.into();
+    let words = text.text().to_owned();
+    let response = ui.label(text);
+    announce(&response, &words, urgent);
+    response
+}
+
+/// As [`announced_ui`], for a label that is there already.
+pub fn announce(response: &egui::Response, words: &str, urgent: bool) {
+    use egui::accesskit::Role;
+    let role = if urgent { Role::Alert } else { Role::Status };
+    response.widget_info(|| egui::WidgetInfo::labeled(role, true, words));
+}
+
 /// An empty state: what this is for, and the one button that fills it. True when the button was pressed.
 pub fn empty_ui(ui: &mut egui::Ui, title: &str, text: &str, button: &str) -> bool {
     centered(ui, |ui| {
-        ui.heading(title);
+        heading_ui(ui, title);
         ui.label(text);
         ui.add_space(8.0);
         ui.button(button).clicked()
@@ -146,7 +307,7 @@ pub fn empty_ui(ui: &mut egui::Ui, title: &str, text: &str, button: &str) -> boo
 pub fn loading_ui(ui: &mut egui::Ui, what: &str) {
     centered(ui, |ui| {
         ui.spinner();
-        ui.label(format!("{what}\u{2026}"));
+        announced_ui(ui, format!("{what}\u{2026}"), false);
     });
 }
 
@@ -154,8 +315,8 @@ pub fn loading_ui(ui: &mut egui::Ui, what: &str) {
 pub fn failed_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, what: &str, why: &str) {
     let mismatch = cx.palette.mismatch;
     let again = centered(ui, |ui| {
-        ui.heading(egui::RichText::new(format!("\u{26a0} {what}")).color(mismatch));
-        ui.label(why);
+        heading_ui(ui, egui::RichText::new(format!("\u{26a0} {what}")).color(mismatch));
+        ui.label(for_people(why));
         ui.add_space(8.0);
         ui.button("Try again").clicked()
     });
@@ -173,6 +334,15 @@ fn centered<R>(ui: &mut egui::Ui, add_contents: impl FnOnce(&mut egui::Ui) -> R)
         add_contents(ui)
     })
     .inner
+}
+
+/// What people call the channel `id` of `station`; the id itself where the station does not know it.
+pub fn channel_label(station: Option<&Station>, id: &str) -> String {
+    let known = station.and_then(|station| {
+        let channel = station.layout.channels.iter().position(|channel| channel.id == id)?;
+        Some(station.layout.channel_label(channel))
+    });
+    known.unwrap_or_else(|| id.to_owned())
 }
 
 /// A bar that is empty where nothing is done yet; egui's own begins as a full circle.
@@ -206,7 +376,17 @@ pub fn capitalised(id: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::duration_text;
+    use super::{duration_text, for_people};
+
+    #[test]
+    fn routes_are_not_for_people() {
+        let said = "no session \"nope\"; GET /api/v1/sessions lists them";
+        assert_eq!(for_people(said), "no session \"nope\"");
+        assert_eq!(
+            for_people("take-02: 3 readings missing; import it again"),
+            "take-02: 3 readings missing; import it again"
+        );
+    }
 
     #[test]
     fn durations_read_as_people_say_them() {

@@ -574,6 +574,7 @@ impl Store {
         match changed.list.as_str() {
             "sessions" if self.sessions.ready().is_some() => {
                 self.details.remove(&changed.id);
+                self.checks.remove(&changed.id);
                 self.outbox.push(Request::Sessions);
             }
             "models" if self.models.ready().is_some() => self.models_changed(),

@@ -7,6 +7,7 @@ use super::{StudioApp, stop};
 use crate::{
     playback::HandSource,
     route::{Route, Screen},
+    screens::{announced_ui, words},
     store::{Connection, Loadable},
     theme::Palette,
 };
@@ -21,6 +22,9 @@ const MAX_NAME: usize = 32;
 const MIN_NAME: usize = 10;
 /// So much room of the row makes a letter of each name, points.
 const ROOM_FOR_LETTER: f32 = 42.0;
+
+/// What the recording is compared with is left out where less room than this is left, points.
+const ROOM_FOR_COMPARED: f32 = 420.0;
 
 impl StudioApp {
     /// From light to dark and back, for the next visit too.
@@ -61,7 +65,7 @@ impl StudioApp {
     fn screens_ui(&mut self, ui: &mut egui::Ui, narrow: bool, go_to: &mut Option<Route>) {
         let commandable = self.store.is_commandable();
         for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
-            let chosen = self.route.screen == screen;
+            let chosen = self.route.screen == screen && self.route.lost.is_none();
             let text = if narrow {
                 RichText::new(icon(screen)).size(18.0)
             } else {
@@ -88,20 +92,23 @@ impl StudioApp {
         }
     }
 
-    /// What concerns the page itself: shortcuts, the palette, the theme.
+    /// What concerns the page itself: help, the palette, the theme.
     fn page_ui(&mut self, ui: &mut egui::Ui) {
         let dark = Palette::of(ui.ctx().theme()).dark;
         let size = [ui.available_width(), 32.0];
-        let shortcuts = ui.add_sized(size, egui::Button::new("Shortcuts  ?"));
-        shortcuts.widget_info(|| {
-            egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Keyboard shortcuts")
-        });
-        if shortcuts.clicked() {
-            self.overlays.toggle_shortcuts();
+        let help =
+            ui.add_sized(size, egui::Button::new("Help  ?")).on_hover_text("What words mean, and keys");
+        help.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Help"));
+        if help.clicked() {
+            self.overlays.open_glossary("");
         }
         let commands = ui.add_sized(size, egui::Button::new("Find  Ctrl+K"));
         commands.widget_info(|| {
-            egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Command palette")
+            egui::WidgetInfo::labeled(
+                egui::accesskit::Role::Button,
+                true,
+                "Find a screen, session or command",
+            )
         });
         if commands.clicked() {
             self.overlays.open_palette();
@@ -150,7 +157,8 @@ impl StudioApp {
             let ago_s = (now_s - since_s).max(0.0);
             egui::Panel::top("lost").resizable(false).show(ui, |ui| {
                 ui.horizontal_wrapped(|ui| {
-                    ui.label(RichText::new("\u{26a0} CONNECTION LOST").strong().color(palette.mismatch));
+                    let lost = RichText::new("\u{26a0} CONNECTION LOST").strong().color(palette.mismatch);
+                    announced_ui(ui, lost, true);
                     ui.label(format!(
                         "Nothing on this page has changed since {since} ({}). Trying to connect again; check that \
                          `palpate serve` is running.",
@@ -207,24 +215,82 @@ impl StudioApp {
         });
     }
 
-    /// Session and take, or the live station, and the model in use. Long names are cut in the middle.
+    /// Session and take, or the live station, and what the recording is compared with. Names are pickers; long ones are
+    /// cut in the middle.
     fn shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, letters: usize) {
-        let live = matches!(self.route.screen, Screen::Hand | Screen::Timelines)
-            && self.playback.hand_source == HandSource::Live;
-        if live {
+        let shows_take = matches!(self.route.screen, Screen::Hand | Screen::Timelines);
+        if shows_take && self.playback.hand_source == HandSource::Live {
             ui.label(RichText::new("Live station").strong());
             ui.separator();
-        } else if let Some(session) = &self.playback.session {
-            ui.label(RichText::new(elided(session, letters)).strong()).on_hover_text(session);
-            if let Some(take) = &self.playback.take {
+            self.copy_link_ui(ui);
+            return;
+        }
+        self.session_picker_ui(ui, letters);
+        if shows_take || self.playback.take.is_some() {
+            self.take_picker_ui(ui, letters);
+        }
+        self.copy_link_ui(ui);
+        // Timelines and Hand say it a second time, beside their own choice.
+        if shows_take && ui.available_width() >= ROOM_FOR_COMPARED {
+            ui.separator();
+            let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
+            let model = self.store.compared_label(in_use);
+            ui.label(RichText::new("Compared with").color(palette.text_weak));
+            ui.label(elided(&model, letters)).on_hover_text(model);
+        }
+    }
+
+    fn session_picker_ui(&mut self, ui: &mut egui::Ui, letters: usize) {
+        let sessions = self.store.sessions();
+        let Some(sessions) = sessions.ready().filter(|sessions| !sessions.is_empty()) else {
+            if let Some(session) = &self.playback.session {
+                ui.label(RichText::new(elided(session, letters)).strong()).on_hover_text(session);
+            }
+            return;
+        };
+        let current = self.playback.session.clone();
+        let entries = sessions.iter().filter(|session| session.error.is_none()).map(|session| {
+            (session.id.clone(), format!("{}  ({} takes)", elided(&session.id, MAX_NAME), session.takes))
+        });
+        if let Some(session) = picker_ui(ui, "Session", current.as_deref(), letters, entries) {
+            self.look_at_session(&session);
+        }
+    }
+
+    /// On screens that are about one session, that is another address.
+    fn look_at_session(&mut self, session: &str) {
+        self.playback.open_session(session);
+        if matches!(self.route.screen, Screen::Sessions | Screen::Calibrate | Screen::Diagnose) {
+            self.go(Route::to(self.route.screen).with_session(session));
+        }
+    }
+
+    fn take_picker_ui(&mut self, ui: &mut egui::Ui, letters: usize) {
+        let Some(session) = self.playback.session.clone() else { return };
+        let current = self.playback.take.clone();
+        let detail = self.store.session(&session);
+        let Some(detail) = detail.ready().filter(|detail| !detail.takes.is_empty()) else {
+            if let Some(take) = &current {
                 ui.label(elided(take, letters)).on_hover_text(take);
             }
-            ui.separator();
+            return;
+        };
+        let entries = detail.takes.iter().map(|take| {
+            let verdict = if take.accepted { "" } else { ", not accepted" };
+            (take.id.clone(), format!("{}: {} on {}{verdict}", take.id, words(&take.primitive), take.object))
+        });
+        if let Some(take) = picker_ui(ui, "Take", current.as_deref(), letters, entries) {
+            self.playback.open(&session, &take);
         }
-        let in_use = self.playback.diagnosed.as_ref().or(self.playback.compared.as_ref());
-        let model = self.store.compared_label(in_use);
-        ui.label(RichText::new("Model").color(palette.text_weak));
-        ui.label(elided(&model, letters)).on_hover_text(model);
+    }
+
+    /// Puts the address of what is on the screen on the clipboard.
+    fn copy_link_ui(&mut self, ui: &mut egui::Ui) {
+        let button = ui.button("\u{1f517}").on_hover_text("Copy the link to what is on the screen");
+        button.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Copy link"));
+        if button.clicked() {
+            ui.ctx().copy_text(self.platform.address());
+        }
     }
 
     fn station_ui(&self, ui: &mut egui::Ui, palette: &Palette, letters: usize) {
@@ -249,7 +315,7 @@ impl StudioApp {
         ui.label(elided(station, letters)).on_hover_text(station);
     }
 
-    fn connection_ui(&self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
+    fn connection_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, now_s: f64) {
         match &self.store.connection {
             Connection::Open => {
                 dot_ui(ui, "Connected", palette.diagnosed, true);
@@ -258,9 +324,11 @@ impl StudioApp {
                 if let Some(rate_hz) = rates.and_then(|frame| frame.rates_hz.first().copied()) {
                     ui.label(format!("joints {rate_hz:.0} Hz"));
                 }
-                if self.store.dropped_messages > 0 {
-                    ui.label(format!("{} dropped", self.store.dropped_messages))
-                        .on_hover_text("Messages left out because this page read too slowly");
+                if self.lag.is_lagging(self.store.dropped_messages, now_s) {
+                    ui.label(RichText::new("This page lags").color(palette.warning)).on_hover_text(
+                        "This browser is too slow for everything that comes from the station: what it could not read in \
+                         time was left out. Close other windows, or make this one smaller.",
+                    );
                 }
             }
             Connection::Connecting => {
@@ -291,6 +359,39 @@ pub(super) fn elided(name: &str, max: usize) -> String {
     let tail = (max - 1) / 2;
     let head = max - 1 - tail;
     letters[..head].iter().chain(&['\u{2026}']).chain(&letters[letters.len() - tail..]).collect()
+}
+
+/// A button called `what` that shows the `current` one and opens a list of others, as ids and lines; gives what was picked.
+fn picker_ui(
+    ui: &mut egui::Ui,
+    what: &str,
+    current: Option<&str>,
+    letters: usize,
+    entries: impl Iterator<Item = (String, String)>,
+) -> Option<String> {
+    let face = current.map_or_else(|| format!("{what}\u{2026}"), |id| elided(id, letters));
+    let name = current.map_or_else(|| format!("{what}, none chosen"), |id| format!("{what} in view: {id}"));
+    let height = (ui.ctx().content_rect().height() * 0.6).max(120.0);
+    let menu = ui.menu_button(RichText::new(format!("{face} \u{23f7}")).strong(), |ui| {
+        let mut picked = None;
+        egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
+            for (id, line) in entries {
+                let chosen = current == Some(id.as_str());
+                let response = ui.selectable_label(chosen, &line);
+                response.widget_info(|| {
+                    egui::WidgetInfo::selected(egui::accesskit::Role::ListBoxOption, true, chosen, &line)
+                });
+                if response.clicked() {
+                    picked = Some(id).filter(|_| !chosen);
+                    ui.close();
+                }
+            }
+        });
+        picked
+    });
+    let button = menu.response.on_hover_text(current.unwrap_or("Choose what to look at"));
+    button.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, &name));
+    menu.inner.flatten()
 }
 
 /// A word with a dot: full when live.

@@ -3,7 +3,7 @@
 use egui::{Key, RichText};
 
 use super::{StudioApp, overlays::dialog};
-use crate::store::control::Holder;
+use crate::{screens::heading_ui, store::control::Holder};
 
 /// Names are no longer than this.
 const MAX_LETTERS: usize = 40;
@@ -58,7 +58,7 @@ impl StudioApp {
     pub(super) fn name_ui(&mut self, ctx: &egui::Context) {
         let Some(question) = &mut self.name_question else { return };
         let modal = dialog(ctx, "who", 420.0, |ui| {
-            ui.heading("Who sits here?");
+            heading_ui(ui, "Who sits here?");
             ui.label(
                 "Others see this name while you have control, and the log of the station keeps it. This browser \
                  remembers it.",

@@ -5,7 +5,7 @@ use egui::{Color32, RichText};
 
 use super::StudioApp;
 use crate::{
-    screens::{control::wording::phase_color, controls::name_button},
+    screens::{announced_ui, control::wording::phase_color, controls::name_button},
     store::{Connection, control::StopProgress, notice::Notice},
     theme::Palette,
 };
@@ -66,7 +66,7 @@ impl StudioApp {
                         if !note.when.is_empty() {
                             ui.label(RichText::new(&note.when).strong());
                         }
-                        ui.label(&note.text);
+                        announced_ui(ui, &note.text, true);
                         if note.dismiss.is_some() {
                             let button = ui.button("Dismiss");
                             name_button(&button, "Dismiss notice");
@@ -83,7 +83,7 @@ impl StudioApp {
                                 .strong()
                                 .color(palette.mismatch),
                         );
-                        ui.label(&refusal.why);
+                        announced_ui(ui, &refusal.why, true);
                         if idx + 1 == refusals.len() {
                             refusals_read = ui.button("Dismiss").clicked();
                         }

@@ -1,9 +1,9 @@
-//! What lies over the screens: the list of shortcuts and the command palette. `Esc` closes either.
+//! What lies over the screens: help (what words mean, the list of shortcuts) and the palette. `Esc` closes each.
 
 use egui::{Key, RichText};
 
-use super::stop;
-use crate::{commands::Command, theme::Palette};
+use super::{glossary, stop};
+use crate::{commands::Command, route::Route, screens::heading_ui, theme::Palette};
 
 /// A dialog at most `width` wide in the middle of what the bar leaves: it scrolls rather than reach over STOP.
 pub(super) fn dialog<R>(
@@ -26,8 +26,51 @@ pub(super) fn dialog<R>(
 #[derive(Debug, Default)]
 pub(super) struct Overlays {
     shortcuts_open: bool,
+    glossary: Option<glossary::GlossaryState>,
     palette: Option<PaletteState>,
     chosen: Option<Command>,
+    place: Option<Route>,
+}
+
+/// Something that the palette finds besides commands: a session, take, model or run, and where it is looked at.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Place {
+    /// In words.
+    pub(super) label: String,
+    /// Where.
+    pub(super) route: Route,
+}
+
+impl Place {
+    fn matches(&self, words: &str) -> bool {
+        let label = self.label.to_lowercase();
+        words.to_lowercase().split_whitespace().all(|word| label.contains(word))
+    }
+}
+
+/// So many places are listed; whoever looks for another types one more letter.
+const MAX_PLACES: usize = 40;
+
+/// A line of the palette.
+enum Found<'a> {
+    Command(Command),
+    Place(&'a Place),
+}
+
+impl Found<'_> {
+    fn label(&self) -> &str {
+        match self {
+            Self::Command(command) => command.label(),
+            Self::Place(place) => &place.label,
+        }
+    }
+
+    fn shortcut_text(&self) -> String {
+        match self {
+            Self::Command(command) => command.shortcut_text(),
+            Self::Place(_) => String::new(),
+        }
+    }
 }
 
 #[derive(Debug, Default)]
@@ -46,8 +89,15 @@ impl Overlays {
         self.shortcuts_open = !self.shortcuts_open;
     }
 
+    /// Opens the glossary at the words that have `words`.
+    pub(super) fn open_glossary(&mut self, words: &str) {
+        self.shortcuts_open = false;
+        self.glossary = Some(glossary::GlossaryState::new(words));
+    }
+
     pub(super) fn open_palette(&mut self) {
         self.shortcuts_open = false;
+        self.glossary = None;
         self.palette = Some(PaletteState::default());
     }
 
@@ -56,12 +106,27 @@ impl Overlays {
         self.chosen.take()
     }
 
-    pub(super) fn ui(&mut self, ctx: &egui::Context, commandable: bool) {
+    /// The place that was chosen in the palette since the last call.
+    pub(super) fn take_place(&mut self) -> Option<Route> {
+        self.place.take()
+    }
+
+    pub(super) fn ui(&mut self, ctx: &egui::Context, commandable: bool, places: &[Place]) {
         if self.shortcuts_open {
             self.shortcuts_ui(ctx, commandable);
         }
+        if let Some(state) = &mut self.glossary {
+            match glossary::glossary_ui(ctx, state) {
+                glossary::Answer::Stay => {}
+                glossary::Answer::Close => self.glossary = None,
+                glossary::Answer::Shortcuts => {
+                    self.glossary = None;
+                    self.shortcuts_open = true;
+                }
+            }
+        }
         if self.palette.is_some() {
-            self.palette_ui(ctx, commandable);
+            self.palette_ui(ctx, commandable, places);
         }
     }
 
@@ -71,7 +136,7 @@ impl Overlays {
             // At the top, so that it is on the screen however long the lists are.
             let closed = ui
                 .horizontal(|ui| {
-                    ui.heading("Keyboard shortcuts");
+                    heading_ui(ui, "Keyboard shortcuts");
                     ui.add(egui::Button::new("Close shortcuts").min_size(egui::vec2(0.0, 32.0))).clicked()
                 })
                 .inner;
@@ -114,10 +179,10 @@ impl Overlays {
         }
     }
 
-    fn palette_ui(&mut self, ctx: &egui::Context, commandable: bool) {
+    fn palette_ui(&mut self, ctx: &egui::Context, commandable: bool, places: &[Place]) {
         let Some(state) = &mut self.palette else { return };
-        let mut chosen = None;
-        let modal = dialog(ctx, "palette", 440.0, |ui| {
+        let (mut chosen, mut place) = (None, None);
+        let modal = dialog(ctx, "palette", 520.0, |ui| {
             let (up, down, enter) = ui.input_mut(|input| {
                 (
                     input.consume_key(egui::Modifiers::NONE, Key::ArrowUp),
@@ -128,7 +193,7 @@ impl Overlays {
             let field = ui
                 .add(
                     egui::TextEdit::singleline(&mut state.words)
-                        .hint_text("Type a command")
+                        .hint_text("A screen, session, take, model, run or command")
                         .desired_width(f32::INFINITY)
                         .min_size(egui::vec2(0.0, 32.0)),
                 )
@@ -140,16 +205,18 @@ impl Overlays {
             if field.changed() {
                 state.marked_idx = 0;
             }
-            let found: Vec<Command> = Command::ALL
-                .into_iter()
-                .filter(|command| {
-                    *command != Command::Palette
-                        && command.is_offered(commandable)
-                        && command.matches(&state.words)
-                })
-                .collect();
+            let commands = Command::ALL.into_iter().filter(|command| {
+                *command != Command::Palette
+                    && command.is_offered(commandable)
+                    && command.matches(&state.words)
+            });
+            // All commands fit on a list to look through; all takes would not.
+            let typed = !state.words.trim().is_empty();
+            let places = places.iter().filter(|place| typed && place.matches(&state.words)).take(MAX_PLACES);
+            let found: Vec<Found<'_>> =
+                commands.map(Found::Command).chain(places.map(Found::Place)).collect();
             if found.is_empty() {
-                ui.label("No command has these words. Delete a word to see more.");
+                ui.label("Nothing has these words. Delete a word to see more.");
             }
             let last_idx = found.len().saturating_sub(1);
             state.marked_idx = (state.marked_idx + usize::from(down)).min(last_idx);
@@ -158,32 +225,32 @@ impl Overlays {
             let height =
                 (ctx.content_rect().height() * 0.6).min(ctx.content_rect().height() - 170.0).max(96.0);
             egui::ScrollArea::vertical().id_salt("commands").max_height(height).show(ui, |ui| {
-                for (idx, command) in found.iter().enumerate() {
-                    let button = egui::Button::selectable(idx == state.marked_idx, command.label())
+                for (idx, line) in found.iter().enumerate() {
+                    let button = egui::Button::selectable(idx == state.marked_idx, line.label())
+                        .truncate()
                         .min_size(egui::vec2(ui.available_width(), 32.0))
-                        .right_text(command.shortcut_text());
+                        .right_text(line.shortcut_text());
                     let response = ui.add(button);
                     response.widget_info(|| {
                         let marked = idx == state.marked_idx;
-                        egui::WidgetInfo::selected(
-                            egui::accesskit::Role::Button,
-                            true,
-                            marked,
-                            command.label(),
-                        )
+                        egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, marked, line.label())
                     });
                     if (up || down) && idx == state.marked_idx {
                         response.scroll_to_me(None);
                     }
                     if response.clicked() || (enter && idx == state.marked_idx) {
-                        chosen = Some(*command);
+                        match line {
+                            Found::Command(command) => chosen = Some(*command),
+                            Found::Place(found) => place = Some(found.route.clone()),
+                        }
                     }
                 }
             });
         });
-        if chosen.is_some() || modal.should_close() {
+        if chosen.is_some() || place.is_some() || modal.should_close() {
             self.palette = None;
             self.chosen = chosen;
+            self.place = place;
             ctx.request_repaint();
         }
     }

@@ -6,7 +6,11 @@ use palpate_wire::proto::{ControlState, control_state::Phase};
 
 use super::{StudioApp, bars::elided, overlays::dialog};
 use crate::{
-    screens::control::wording::{phase_color, phase_mark_ui, phase_word, stop_word},
+    screens::{
+        announce,
+        control::wording::{phase_color, phase_mark_ui, phase_word, stop_word},
+        heading_ui,
+    },
     store::control::{Holder, StopProgress},
     theme::Palette,
 };
@@ -79,7 +83,8 @@ impl StudioApp {
             None => (phase_word(phase).to_owned(), phase_color(phase, palette)),
         };
         phase_mark_ui(ui, phase, color);
-        let label = ui.add(egui::Label::new(RichText::new(word).strong().color(color)).truncate());
+        let label = ui.add(egui::Label::new(RichText::new(&word).strong().color(color)).truncate());
+        announce(&label, &word, false);
         if !state.reason.is_empty() {
             label.on_hover_text(&state.reason);
         }
@@ -196,7 +201,7 @@ impl StudioApp {
             return;
         }
         let modal = dialog(ctx, "take over", 420.0, |ui| {
-            ui.heading(format!("Take control from {name}?"));
+            heading_ui(ui, format!("Take control from {name}?"));
             ui.label(format!(
                 "The station disarms, and {name} cannot command any more. Speak to {name} first if you can: a hand may \
                  be near the robot."
@@ -223,19 +228,26 @@ fn waiting_ui(ui: &mut egui::Ui, palette: &Palette) {
     ui.label(RichText::new("Waiting for the station\u{2026}").color(palette.text_weak));
 }
 
-/// Loop rate and latency.
+/// From here on what is shown of the station is late enough to be told, ms.
+const LATE_MS: f32 = 150.0;
+/// A loop slower than this share of its own mean is told.
+const SLOW_SHARE: f32 = 0.9;
+
+/// Loop rate and latency, where they are not as they should be; Devices on Hand always has both.
 fn loop_ui(ui: &mut egui::Ui, palette: &Palette, state: &ControlState, frozen: bool) {
     if frozen {
         ui.label(RichText::new("not live").strong().color(palette.mismatch));
         return;
     }
-    ui.label(format!("latency {:.0} ms", state.latency_ms)).on_hover_text(format!(
-        "From a device's byte to this page's message: {:.1} ms now, 95 of 100 below {:.1} ms in the last ten seconds",
-        state.latency_ms, state.latency_p95_ms
-    ));
-    ui.separator();
-    ui.label(format!("loop {:.0} Hz", state.loop_hz)).on_hover_text(format!(
-        "Control loop: {:.1} Hz over the last second, {:.1} Hz on average, {:.1} Hz in its worst second",
-        state.loop_hz, state.loop_mean_hz, state.loop_worst_hz
-    ));
+    if state.latency_p95_ms > LATE_MS {
+        let text = format!("picture {:.0} ms late", state.latency_p95_ms);
+        ui.label(RichText::new(text).color(palette.warning)).on_hover_text(
+            "From a device's byte to this page's message, 95 of 100 in the last ten seconds are below that",
+        );
+    }
+    if state.loop_mean_hz > 0.0 && state.loop_hz < SLOW_SHARE * state.loop_mean_hz {
+        let text = format!("control loop slow: {:.0} Hz", state.loop_hz);
+        ui.label(RichText::new(text).color(palette.warning))
+            .on_hover_text(format!("Over the last second; {:.0} Hz on average", state.loop_mean_hz));
+    }
 }

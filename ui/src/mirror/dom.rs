@@ -283,7 +283,11 @@ fn write(element: &HtmlElement, node: &MirrorNode, zoom: f32) -> Result<(), JsVa
     let explicit_role = Some(node.role)
         .filter(|role| matches!(node.element, Element::Box | Element::Text) && !role.is_empty());
     attribute("role", explicit_role)?;
+    attribute("aria-level", (node.role == "heading").then_some("2"))?;
     attribute("aria-label", Some(node.name.as_str()).filter(|name| !name.is_empty()))?;
+    let owned: Vec<String> = node.owns.iter().map(|id| element_id(*id)).collect();
+    attribute("aria-owns", Some(owned.join(" ")).as_deref().filter(|owned| !owned.is_empty()))?;
+    attribute("aria-controls", node.controls.map(element_id).as_deref())?;
     attribute("aria-disabled", node.disabled.then_some("true"))?;
     attribute("aria-expanded", node.expanded.map(word))?;
     attribute("aria-selected", node.selected.map(word))?;

@@ -82,6 +82,10 @@ pub struct MirrorNode {
     pub disabled: bool,
     /// Takes clicks, values or text.
     pub interactive: bool,
+    /// Elements that belong to this one, wherever they stand.
+    pub owns: Vec<u64>,
+    /// The element that this one opens and closes, while it is open.
+    pub controls: Option<u64>,
 }
 
 /// A step from one list of elements to the next.
@@ -197,7 +201,7 @@ fn flatten(update: &TreeUpdate, place_of: &impl Fn(u64) -> Option<Place>) -> Vec
             stack.extend(node.children().iter().rev());
         }
     }
-    nodes
+    with_lists(nodes)
 }
 
 fn mirror_node(
@@ -207,7 +211,8 @@ fn mirror_node(
     place_of: &impl Fn(u64) -> Option<Place>,
 ) -> Option<MirrorNode> {
     let (element, role) = element_of(node.role())?;
-    let name = accessible_name(node, by_id);
+    // What is read as text needs no name beside it; live regions are read out by their text alone.
+    let name = if element == Element::Text { String::new() } else { accessible_name(node, by_id) };
     let text = match element {
         Element::Text => node.value().or(node.label()).unwrap_or_default().to_owned(),
         _ => node.value().unwrap_or_default().to_owned(),
@@ -243,7 +248,58 @@ fn mirror_node(
         number,
         disabled: node.is_disabled(),
         interactive,
+        owns: Vec::new(),
+        controls: None,
     })
+}
+
+/// What the elements of some roles must be part of, and how that is called for those who hear it.
+fn container_of(role: &str) -> Option<(&'static str, &'static str)> {
+    match role {
+        "option" => Some(("listbox", "Choices")),
+        "tab" => Some(("tablist", "")),
+        "menuitem" | "menuitemcheckbox" | "menuitemradio" => Some(("menu", "Menu")),
+        _ => None,
+    }
+}
+
+/// Distance from an element's id to that of the list that it begins.
+const LIST_ID: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// egui's options and tabs stand in no list, and a list is what makes them count as "2 of 5": one goes before each run of
+/// them. A box that is open tells which list that is.
+fn with_lists(nodes: Vec<MirrorNode>) -> Vec<MirrorNode> {
+    let mut listed: Vec<MirrorNode> = Vec::with_capacity(nodes.len());
+    for run in nodes.chunk_by(|a, b| a.role == b.role && a.layer == b.layer) {
+        let first = &run[0];
+        if let Some((role, name)) = container_of(first.role) {
+            listed.push(MirrorNode {
+                id: first.id ^ LIST_ID,
+                element: Element::Box,
+                role,
+                name: name.to_owned(),
+                text: String::new(),
+                rect: None,
+                layer: first.layer,
+                checked: None,
+                selected: None,
+                expanded: None,
+                number: None,
+                disabled: false,
+                interactive: false,
+                owns: run.iter().map(|node| node.id).collect(),
+                controls: None,
+            });
+        }
+        listed.extend(run.iter().cloned());
+    }
+    let list = listed.iter().rfind(|node| node.role == "listbox").map(|node| node.id);
+    for node in listed.iter_mut().filter(|node| node.role == "combobox") {
+        let open = node.expanded == Some(true) && list.is_some();
+        node.expanded = Some(open);
+        node.controls = list.filter(|_| open);
+    }
+    listed
 }
 
 fn accessible_name(node: &Node, by_id: &HashMap<NodeId, &Node>) -> String {
@@ -305,9 +361,9 @@ fn element_of(role: Role) -> Option<(Element, &'static str)> {
         Role::Image | Role::Canvas | Role::Figure | Role::GraphicsObject | Role::GraphicsSymbol => {
             boxed("img")
         }
-        Role::Heading => boxed("heading"),
-        Role::Alert | Role::AlertDialog => boxed("alert"),
-        Role::Status | Role::Log => boxed("status"),
+        Role::Heading => Some((Element::Text, "heading")),
+        Role::Alert | Role::AlertDialog => Some((Element::Text, "alert")),
+        Role::Status | Role::Log => Some((Element::Text, "status")),
         Role::Dialog => boxed("dialog"),
         Role::Tooltip => boxed("tooltip"),
         Role::Navigation => boxed("navigation"),
@@ -393,6 +449,48 @@ mod tests {
         model.update(&update, |_| Some(Place { rect: half, layer: 2 }));
         assert_eq!(model.nodes()[0].rect, Some([10.0, 20.0, 40.0, 16.0]));
         assert_eq!(model.nodes()[0].layer, 2);
+    }
+
+    #[test]
+    fn options_and_tabs_belong_to_lists() {
+        let mut combo = named(Role::ComboBox, "Speed");
+        combo.set_expanded(true);
+        let update = tree(
+            vec![
+                (2, named(Role::Tab, "People")),
+                (3, named(Role::Tab, "Tokens")),
+                (4, combo),
+                (5, named(Role::Button, "Play")),
+                (6, named(Role::ListBoxOption, "1")),
+                (7, named(Role::ListBoxOption, "2")),
+            ],
+            1,
+        );
+        let mut model = MirrorModel::default();
+        model.update(&update, |_| None);
+        let list = |role: &str| model.nodes().iter().find(|node| node.role == role).expect("a list");
+        assert_eq!(list("tablist").owns, [2, 3]);
+        assert_eq!(list("listbox").owns, [6, 7]);
+        let combo = model.nodes().iter().find(|node| node.role == "combobox").expect("the box");
+        assert_eq!((combo.expanded, combo.controls), (Some(true), Some(list("listbox").id)));
+        assert!(model.update(&update, |_| None).is_empty(), "lists keep their ids");
+    }
+
+    #[test]
+    fn headings_and_live_regions_are_read_by_their_text() {
+        let update = tree(
+            vec![
+                (2, named(Role::Heading, "Coverage")),
+                (3, named(Role::Alert, "CONNECTION LOST")),
+                (4, named(Role::Status, "ARMED")),
+            ],
+            1,
+        );
+        let mut model = MirrorModel::default();
+        model.update(&update, |_| None);
+        let read: Vec<_> = model.nodes().iter().map(|node| (node.role, node.text.as_str())).collect();
+        assert_eq!(read, [("heading", "Coverage"), ("alert", "CONNECTION LOST"), ("status", "ARMED")]);
+        assert!(model.nodes().iter().all(|node| node.element == Element::Text && node.name.is_empty()));
     }
 
     #[test]

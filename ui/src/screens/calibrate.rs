@@ -9,11 +9,13 @@ use std::sync::Arc;
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
 
 use super::{
-    ScreenContext, copy_as, empty_ui, failed_ui, loading_ui,
+    Part, ScreenContext, copy_as, empty_ui, failed_ui, heading_ui, is_missing, loading_ui,
+    missing_session_ui,
     run_controls::{
         HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
         route_to_run, session_ui, start_ui,
     },
+    two_parts_ui,
 };
 use crate::{playback::ModelRef, route::Screen, store::Loadable};
 
@@ -44,37 +46,44 @@ pub fn calibrate_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut C
         }
         return;
     }
+    if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
+        return missing_session_ui(ui, cx, &session);
+    }
     open_a_session(cx, &sessions);
     follow_started_run(cx, state);
 
-    egui::Panel::left("calibrate_choice").resizable(false).exact_size(292.0).show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            choose_ui(ui, cx, state, &sessions);
-            ui.add_space(12.0);
-            if let Loadable::Ready(runs) = cx.store.runs() {
-                let about =
-                    |request: &CalibrationRequest| request.method.as_deref().unwrap_or("exact").to_owned();
-                earlier_runs_ui(ui, cx, &runs, Screen::Calibrate, about);
+    let chosen = cx.route.run.clone();
+    two_parts_ui(ui, "calibrate_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
+        match part {
+            Part::Choice => {
+                choose_ui(ui, cx, state, &sessions);
+                ui.add_space(12.0);
+                if let Loadable::Ready(runs) = cx.store.runs() {
+                    let about = |request: &CalibrationRequest| {
+                        request.method.as_deref().unwrap_or("exact").to_owned()
+                    };
+                    earlier_runs_ui(ui, cx, &runs, Screen::Calibrate, about);
+                }
             }
-        });
-    });
-    egui::CentralPanel::default().show(ui, |ui| match cx.route.run.clone() {
-        Some(run_id) => run_ui(ui, cx, state, &run_id),
-        None => intro_ui(ui, cx),
+            Part::Chosen => match &chosen {
+                Some(run_id) => run_ui(ui, cx, state, run_id),
+                None => intro_ui(ui, cx),
+            },
+        }
     });
 }
 
 fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     ui.add_space((ui.available_height() * 0.25).min(180.0));
     ui.vertical_centered(|ui| {
-        ui.set_max_width(520.0);
-        ui.heading("Make the simulator feel what the hand felt");
+        ui.set_max_width(ui.available_width().min(520.0));
+        heading_ui(ui, "Make the simulator feel what the hand felt");
         ui.label(
             "A calibration replays every take, then looks for the three parameters of the sensor model with which \
              simulated touch events differ least from the recorded ones. It is judged on takes it has not seen.",
         );
         ui.add_space(6.0);
-        ui.label("Choose a session on the left and press Calibrate.");
+        ui.label("Choose a session, and press Start calibration.");
         if let Loadable::Ready(runs) = cx.store.runs() {
             newest_run_ui(ui, cx, &runs, Screen::Calibrate);
         }
@@ -103,7 +112,7 @@ fn choose_ui(
     sessions: &[palpate_wire::api::SessionSummary],
 ) {
     ui.add_space(4.0);
-    ui.heading("1  Choose");
+    heading_ui(ui, "1  Choose");
     let session = session_ui(ui, cx, sessions, Screen::Calibrate);
     ui.label("Search");
     ui.radio_value(&mut state.use_grid, false, "Exact: best of all thresholds")
@@ -118,7 +127,7 @@ fn choose_ui(
     let problem = detail.ready().and_then(|detail| hold_out.problem(detail));
 
     ui.add_space(8.0);
-    ui.heading("2  Run");
+    heading_ui(ui, "2  Run");
     let running = running_run(cx);
     let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
     let request = CalibrationRequest {
@@ -126,7 +135,7 @@ fn choose_ui(
         method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
         hold_out: state.hold_out.takes(),
     };
-    let starts = start_ui(ui, cx, ready, "Calibrate", cx.palette.calibrated, "Start calibration");
+    let starts = start_ui(ui, cx, ready, "Start calibration", cx.palette.calibrated);
     if problem.is_none() {
         copy_as::copy_ui(ui, &copy_as::calibration(&request, copy_as::DATA_FOLDER));
     }
@@ -164,7 +173,7 @@ fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut CalibrateSt
             let why = run.error.as_deref().unwrap_or("the server gave no reason");
             failed_ui(ui, cx, "The calibration failed", why);
         }
-        JobState::Cancelled => cancelled_ui(ui, "Calibrate"),
+        JobState::Cancelled => cancelled_ui(ui, "Start calibration"),
         JobState::Done => {
             let Some(report) = &run.report else { return loading_ui(ui, "Fetching the result") };
             if state.taken_over.as_deref() != Some(run_id) {

@@ -14,14 +14,14 @@ use egui::RichText;
 use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
 
 use super::{
-    ScreenContext,
+    Part, ScreenContext,
     controls::{combo_ui, option_ui},
-    copy_as, empty_ui, failed_ui, loading_ui,
+    copy_as, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, missing_session_ui,
     run_controls::{
         HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
         route_to_run, session_ui, start_ui,
     },
-    words,
+    two_parts_ui, words,
 };
 use crate::{playback::ModelRef, route::Screen, store::Loadable};
 
@@ -72,37 +72,47 @@ pub fn diagnose_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Di
         }
         return;
     }
+    if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
+        return missing_session_ui(ui, cx, &session);
+    }
     open_a_session(cx, &sessions);
     follow_started_run(cx, state);
 
-    egui::Panel::left("diagnose_choice").resizable(false).exact_size(292.0).show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            choose_ui(ui, cx, state, &sessions);
-            ui.add_space(12.0);
-            if let Loadable::Ready(runs) = cx.store.diagnoses() {
-                earlier_runs_ui(ui, cx, &runs, Screen::Diagnose, about_request);
+    let chosen = cx.route.run.clone();
+    two_parts_ui(
+        ui,
+        "diagnose_choice",
+        ["Choose and run", "Result"],
+        chosen.as_deref(),
+        |ui, part| match part {
+            Part::Choice => {
+                choose_ui(ui, cx, state, &sessions);
+                ui.add_space(12.0);
+                if let Loadable::Ready(runs) = cx.store.diagnoses() {
+                    earlier_runs_ui(ui, cx, &runs, Screen::Diagnose, about_request);
+                }
+                keep::models_ui(ui, cx);
             }
-            keep::models_ui(ui, cx);
-        });
-    });
-    egui::CentralPanel::default().show(ui, |ui| match cx.route.run.clone() {
-        Some(run_id) => run_ui(ui, cx, state, &run_id),
-        None => intro_ui(ui, cx),
-    });
+            Part::Chosen => match &chosen {
+                Some(run_id) => run_ui(ui, cx, state, run_id),
+                None => intro_ui(ui, cx),
+            },
+        },
+    );
 }
 
 fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     ui.add_space((ui.available_height() * 0.25).min(180.0));
     ui.vertical_centered(|ui| {
-        ui.set_max_width(540.0);
-        ui.heading("Find out what the simulator lacks");
+        ui.set_max_width(ui.available_width().min(540.0));
+        heading_ui(ui, "Find out what the simulator lacks");
         ui.label(
             "A diagnosis looks for where simulated and recorded touch disagree, tries every effect of the library \
              there, and names one only if it beats what chance gives on sessions with nothing missing. What it names \
              can be added to the model, and taken out again. Where nothing fits, it says so, and where.",
         );
         ui.add_space(6.0);
-        ui.label("Choose a session on the left and press Diagnose.");
+        ui.label("Choose a session, and press Start diagnosis.");
         if let Loadable::Ready(runs) = cx.store.diagnoses() {
             newest_run_ui(ui, cx, &runs, Screen::Diagnose);
         }
@@ -140,7 +150,7 @@ fn choose_ui(
     sessions: &[SessionSummary],
 ) {
     ui.add_space(4.0);
-    ui.heading("1  Choose");
+    heading_ui(ui, "1  Choose");
     let session = session_ui(ui, cx, sessions, Screen::Diagnose);
     start_from_ui(ui, cx, state);
     ui.horizontal(|ui| {
@@ -184,10 +194,10 @@ fn choose_ui(
     let problem = detail.ready().and_then(|detail| hold_out.problem(detail));
 
     ui.add_space(8.0);
-    ui.heading("2  Run");
+    heading_ui(ui, "2  Run");
     let running = running_run(cx);
     let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
-    if start_ui(ui, cx, ready, "Diagnose", cx.palette.diagnosed, "Start diagnosis") {
+    if start_ui(ui, cx, ready, "Start diagnosis", cx.palette.diagnosed) {
         start(cx, state);
     }
     if problem.is_none()
@@ -267,10 +277,11 @@ fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseSta
             let why = run.error.as_deref().unwrap_or("the server gave no reason");
             failed_ui(ui, cx, "The diagnosis failed", why);
         }
-        JobState::Cancelled => cancelled_ui(ui, "Diagnose"),
+        JobState::Cancelled => cancelled_ui(ui, "Start diagnosis"),
         JobState::Done => {
             let Some(report) = &run.report else { return loading_ui(ui, "Fetching the result") };
             if state.shown.run != run_id {
+                mirror(state, &run.request);
                 state.shown = Shown {
                     run: run_id.to_owned(),
                     model_name: format!("{} diagnosed", run.request.session),
@@ -285,6 +296,14 @@ fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseSta
             }
         }
     }
+}
+
+/// The form says what the run that is open was asked for, so that "again" means that.
+fn mirror(state: &mut DiagnoseState, request: &DiagnosisRequest) {
+    state.start_from.clone_from(&request.model);
+    state.max_effects = request.max_effects;
+    state.without = request.without.iter().cloned().collect();
+    state.sets_bar = request.null_sessions.is_some();
 }
 
 /// The model that a run started from, as its first step is called: only the station's own is nominal.
@@ -336,7 +355,7 @@ impl Start {
 fn running_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &DiagnosisRun) {
     loading_ui(ui, &run.stage);
     ui.vertical_centered(|ui| {
-        ui.set_max_width(480.0);
+        ui.set_max_width(ui.available_width().min(480.0));
         ui.label(
             RichText::new(
                 "Find: where they differ. Name: one small dose of every effect at every place, then fits of the \

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_robot_model::{ObjectModel, ObjectShape};
 use palpate_wire::api::{ObjectDocument, ObjectEntry, RestPoseDocument};
 
-use super::{ScreenContext, empty_ui, failed_ui, hand::ObjectView, loading_ui};
+use super::{ScreenContext, empty_ui, failed_ui, hand::ObjectView, heading_ui, loading_ui};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -50,7 +50,7 @@ pub fn objects_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Obj
     egui::Panel::left("objects_list").resizable(false).exact_size(292.0).show(ui, |ui| {
         egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             ui.add_space(4.0);
-            ui.heading("Objects");
+            heading_ui(ui, "Objects");
             for (group, heading) in GROUPS {
                 let members = || objects.iter().filter(|object| group_of(object) == group);
                 if members().next().is_some() {
@@ -104,7 +104,7 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEntry,
 
 fn facts_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, object: &ObjectEntry, document: &ObjectDocument) {
     ui.add_space(4.0);
-    ui.heading(&document.label);
+    heading_ui(ui, &document.label);
     let group = match document.group.as_deref() {
         Some("seen") => "seen in training",
         Some(_) => "unseen, held out of training",
@@ -141,7 +141,7 @@ fn poses_ui(
     id: &str,
     document: &ObjectDocument,
 ) {
-    ui.heading("Poses at rest");
+    heading_ui(ui, "Poses at rest");
     ui.label(
         RichText::new(
             "How often a slow drop ends there, and how far the centre of mass must rise to tip over",
@@ -172,7 +172,7 @@ fn poses_ui(
 }
 
 fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEntry) {
-    ui.heading("Used in takes");
+    heading_ui(ui, "Used in takes");
     if object.takes.is_empty() {
         ui.label("No take has touched it yet.");
     }
@@ -213,7 +213,7 @@ fn unusable_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEnt
     ui.vertical_centered(|ui| {
         ui.set_max_width(560.0);
         let title = format!("\u{26a0} Object {} cannot be used", object.id);
-        ui.heading(RichText::new(title).color(cx.palette.mismatch));
+        heading_ui(ui, RichText::new(title).color(cx.palette.mismatch));
         ui.label(problem);
         ui.label("Mend the file, then look again; docs/objects.md shows how object files look.");
         ui.add_space(8.0);

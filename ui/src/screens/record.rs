@@ -244,7 +244,9 @@ fn not_ready(store: &Store) -> Option<&'static str> {
         Holder::Me => match store.phase() {
             Phase::Armed => None,
             Phase::Holding => Some("The station holds; the line below the top bar says why."),
-            Phase::Stopped => Some("The station is stopped. Reset the stop in the top bar, then arm."),
+            Phase::Stopped => {
+                Some("The station is stopped. Before you reset that, see why, and that nobody is in the way.")
+            }
             Phase::Arming | Phase::Disarming => Some("Wait a moment."),
             Phase::Disarmed | Phase::Unspecified => Some("The motors are off: arm the station."),
         },
@@ -258,6 +260,8 @@ enum Primary {
     TakeControl,
     /// Switches the motors on.
     Arm,
+    /// Ends a latched stop; the motors stay off.
+    ResetStop,
     /// Does something with the step under way: its name, and what.
     Act(&'static str, RecordingAction),
 }
@@ -275,6 +279,7 @@ fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<Prim
         RecordingPhase::StartPose if matches!(store.phase(), Phase::Disarmed | Phase::Unspecified) => {
             return Some(Primary::Arm);
         }
+        RecordingPhase::StartPose if store.phase() == Phase::Stopped => return Some(Primary::ResetStop),
         RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run),
         RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart),
         RecordingPhase::Review => {

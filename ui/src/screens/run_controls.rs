@@ -5,7 +5,7 @@ use std::{collections::BTreeSet, time::Duration};
 use egui::RichText;
 use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Run, SessionDetail, SessionSummary};
 
-use super::{ScreenContext, duration_text, progress_bar, words};
+use super::{ScreenContext, announced_ui, duration_text, heading_ui, progress_bar, words};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -140,22 +140,18 @@ impl HoldOutChoice {
     }
 }
 
-/// The large button that starts a run: `text` on it in `fill`, `name` for those who do not see it. True when pressed.
+/// The large button that starts a run: `text` on it in `fill`. True when pressed.
 pub fn start_ui(
     ui: &mut egui::Ui,
     cx: &ScreenContext<'_>,
     ready: bool,
     text: &str,
     fill: egui::Color32,
-    name: &str,
 ) -> bool {
     let size = egui::vec2(ui.available_width() - 8.0, 40.0);
     let text = RichText::new(text).strong().size(16.0).color(cx.palette.surface);
     let button = egui::Button::new(text).fill(fill);
-    let response = ui.add_enabled_ui(ready, |ui| ui.add_sized(size, button)).inner;
-    // The rail has a button of that word already.
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, ready, name));
-    response.clicked()
+    ui.add_enabled_ui(ready, |ui| ui.add_sized(size, button)).inner.clicked()
 }
 
 /// How a run gets on. True when the operator cancels it.
@@ -163,7 +159,7 @@ pub fn progress_ui<Q, R>(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &Run<Q,
     let left = run.seconds_left.map(|s| format!(", {} left", duration_text(s))).unwrap_or_default();
     let bar = progress_bar(run.fraction, &format!("{:.0} %{left}", run.fraction * 100.0));
     ui.add(bar.desired_width(ui.available_width() - 8.0));
-    ui.label(RichText::new(&run.stage).color(cx.palette.text_weak));
+    announced_ui(ui, RichText::new(&run.stage).color(cx.palette.text_weak), false);
     ui.ctx().request_repaint_after(Duration::from_millis(200));
     ui.button("Cancel").on_hover_text("Stop the run; nothing is saved").clicked()
 }
@@ -235,7 +231,7 @@ fn state_text(state: JobState) -> &'static str {
 pub fn cancelled_ui(ui: &mut egui::Ui, button: &str) {
     ui.add_space(80.0);
     ui.vertical_centered(|ui| {
-        ui.heading("Cancelled");
+        heading_ui(ui, "Cancelled");
         ui.label(format!("This run was stopped before it was done. Press {button} to run it again."));
     });
 }

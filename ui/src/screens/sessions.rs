@@ -6,7 +6,10 @@ mod import;
 use egui::RichText;
 use palpate_wire::api::{SessionDetail, SessionSummary};
 
-use super::{ScreenContext, duration_text, failed_ui, loading_ui, words};
+use super::{
+    Part, ScreenContext, duration_text, failed_ui, heading_ui, loading_ui, missing_session_ui, two_parts_ui,
+    words,
+};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -26,35 +29,49 @@ pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Se
         Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
     };
     import::take_picked_files(cx, &mut state.import);
+    let is_known = |id: &String| sessions.iter().any(|session| session.id == *id);
+    // One that was just imported may not be on the list yet.
+    let imported = cx.store.imported.ready().map(|detail| detail.summary.id.clone());
+    let missing = cx.route.session.clone().filter(|id| !is_known(id) && imported.as_ref() != Some(id));
     let shown = cx.route.session.clone().or_else(|| cx.playback.session.clone());
-    let shown = shown.filter(|id| sessions.iter().any(|session| session.id == *id));
+    let shown = shown.filter(is_known);
     let shown = shown.or_else(|| sessions.first().map(|session| session.id.clone()));
 
-    egui::Panel::left("sessions_list").resizable(false).exact_size(292.0).show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            ui.add_space(4.0);
-            ui.heading("Sessions");
-            undo_ui(ui, cx);
-            for session in sessions.iter() {
-                entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));
+    let chosen = cx.route.session.clone();
+    two_parts_ui(
+        ui,
+        "sessions_list",
+        ["All sessions", "Session"],
+        chosen.as_deref(),
+        |ui, part| match part {
+            Part::Choice => {
+                ui.add_space(4.0);
+                heading_ui(ui, "Sessions");
+                undo_ui(ui, cx);
+                for session in sessions.iter() {
+                    entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));
+                }
+                ui.add_space(8.0);
+                import::import_ui(ui, cx, &mut state.import);
             }
-            ui.add_space(8.0);
-            import::import_ui(ui, cx, &mut state.import);
-        });
-    });
-    egui::CentralPanel::default().show(ui, |ui| match shown {
-        Some(id) => session_ui(ui, cx, &id),
-        None => {
-            ui.add_space((ui.available_height() * 0.25).min(180.0));
-            ui.vertical_centered(|ui| {
-                ui.set_max_width(480.0);
-                ui.heading("No session yet");
-                ui.label(
-                    "A session is a set of takes: recordings of the hand touching a known object. Import one on \
-                     the left, or record one on the emulated station with `palpate emulate`.",
-                );
-            });
-        }
+            Part::Chosen => match (&missing, &shown) {
+                (Some(missing), _) => missing_session_ui(ui, cx, missing),
+                (None, Some(id)) => session_ui(ui, cx, id),
+                (None, None) => nothing_ui(ui),
+            },
+        },
+    );
+}
+
+fn nothing_ui(ui: &mut egui::Ui) {
+    ui.add_space((ui.available_height() * 0.25).min(180.0));
+    ui.vertical_centered(|ui| {
+        ui.set_max_width(ui.available_width().min(480.0));
+        heading_ui(ui, "No session yet");
+        ui.label(
+            "A session is a set of takes: recordings of the hand touching a known object. Import one from the list of \
+             sessions, or record one on the emulated station with `palpate emulate`.",
+        );
     });
 }
 
@@ -82,9 +99,10 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &SessionSumm
     };
     let width = ui.available_width() - 8.0;
     let button = egui::Button::selectable(chosen, RichText::new(&session.id).strong())
+        .truncate()
         .right_text(RichText::new(facts).color(cx.palette.text_weak))
         .min_size(egui::vec2(width, 36.0));
-    let response = ui.add(button);
+    let response = ui.add(button).on_hover_text(&session.id);
     response.widget_info(|| {
         let name = format!("Session {}", session.id);
         egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, chosen, name)
@@ -105,7 +123,7 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
     };
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
-        ui.heading(id);
+        heading_ui(ui, id);
         let summary = &detail.summary;
         let recorded = (cx.local_time)(&summary.recorded)
             .map_or_else(|| "recording time unknown".to_owned(), |time| format!("recorded {time}"));
@@ -149,7 +167,11 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
 }
 
 fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
-    ui.heading("Takes");
+    heading_ui(ui, "Takes");
+    egui::ScrollArea::horizontal().id_salt("takes").show(ui, |ui| table_ui(ui, cx, id, detail));
+}
+
+fn table_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
     egui::Grid::new("session_takes").striped(true).min_row_height(22.0).spacing([22.0, 4.0]).show(ui, |ui| {
         for name in ["Take", "Primitive", "Object", "Frames", "Duration", "Readings", ""] {
             ui.label(RichText::new(name).strong());

@@ -65,6 +65,10 @@ impl Platform for BrowserWindow {
         }
     }
 
+    fn address(&self) -> String {
+        web_sys::window().and_then(|window| window.location().href().ok()).unwrap_or_default()
+    }
+
     fn time_of_day(&self) -> String {
         let now = js_sys::Date::new_0();
         format!("{:02}:{:02}:{:02}", now.get_hours(), now.get_minutes(), now.get_seconds())

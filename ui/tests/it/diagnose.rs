@@ -200,7 +200,7 @@ fn button_starts_a_run_and_the_result_leads_with_a_sentence() {
     answer(&api, &Request::Diagnosis(ID.into()), &run(JobState::Done, Some(named())));
     let window = FakeWindow::at("#/diagnose/bench-1");
     let mut harness = page(&api, &window);
-    harness.get_by_label_contains("press Diagnose");
+    harness.get_by_label_contains("press Start diagnosis");
 
     harness.get_by_role_and_label(Role::Button, "Start diagnosis").click();
     harness.run_steps(4);
@@ -362,7 +362,23 @@ fn failed_and_cancelled_runs_say_so() {
     let (api, window) = result_page(&run(JobState::Cancelled, None));
     let harness = page(&api, &window);
     harness.get_by_label("Cancelled");
-    harness.get_by_label_contains("Press Diagnose to run it again");
+    harness.get_by_label_contains("Press Start diagnosis to run it again");
+}
+
+#[test]
+fn form_says_what_the_open_run_was_asked_for() {
+    let mut asked = run(JobState::Done, Some(named()));
+    asked.request = DiagnosisRequest {
+        model: Some("bench-fit".into()),
+        max_effects: Some(3),
+        without: vec!["backlash".into()],
+        ..request()
+    };
+    let (api, window) = result_page(&asked);
+    let harness = page(&api, &window);
+    let start = harness.get_by_role_and_label(Role::ComboBox, "Start from");
+    assert_eq!(start.value().as_deref(), Some("Bench fit"));
+    harness.get_by_role_and_label(Role::Button, "Bring back backlash");
 }
 
 #[test]

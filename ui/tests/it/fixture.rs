@@ -71,6 +71,7 @@ pub(crate) struct History {
     pub(crate) title: String,
     pub(crate) operator: String,
     pub(crate) unwatched: bool,
+    pub(crate) picked: Vec<PickedFile>,
 }
 
 impl FakeWindow {
@@ -113,6 +114,10 @@ impl Platform for FakeWindow {
         history.entries.push(hash.to_owned());
     }
 
+    fn address(&self) -> String {
+        format!("http://127.0.0.1:7480/{}", self.current())
+    }
+
     fn time_of_day(&self) -> String {
         "14:03:12".to_owned()
     }
@@ -148,7 +153,7 @@ impl Platform for FakeWindow {
     fn pick_file(&mut self) {}
 
     fn picked_files(&mut self) -> Vec<PickedFile> {
-        Vec::new()
+        std::mem::take(&mut self.0.borrow_mut().picked)
     }
 }
 

@@ -1,13 +1,15 @@
 //! Rail, address bar, shortcuts, palette, and what happens when the server is slow, empty or gone.
 
-use egui::{Key, Modifiers};
+use egui::{Key, Modifiers, accesskit::Role};
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
     route::Screen,
 };
+use palpate_wire::proto::{Changed, StreamMessage, stream_message};
+use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page};
+use crate::fixture::{FakeWindow, SharedApi, app, copied, deliver, full_api, page, page_of};
 
 #[test]
 fn rail_leads_to_every_screen_and_back() {
@@ -149,4 +151,141 @@ fn failing_server_says_why_and_can_be_asked_again() {
     harness.get_by_label("Try again").click();
     harness.run_steps(8);
     harness.get_by_label("Time cursor");
+}
+
+#[test]
+fn session_and_take_are_picked_in_the_bar() {
+    let window = FakeWindow::at("#/hand/bench-1?take=take-01");
+    let mut harness = page(&full_api(), &window);
+    harness.get_by_role_and_label(Role::Button, "Session in view: bench-1").click();
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::ListBoxOption, "bench-1  (2 takes)");
+    harness.key_press(Key::Escape);
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::Button, "Take in view: take-01").click();
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::ListBoxOption, "take-02: tap on sphere_50mm").click();
+    harness.run_steps(4);
+    assert_eq!(app(&harness).playback.take.as_deref(), Some("take-02"));
+    assert!(window.current().contains("take=take-02"), "{}", window.current());
+    assert_eq!(app(&harness).screen(), Screen::Hand);
+}
+
+#[test]
+fn link_is_copied_whole() {
+    let window = FakeWindow::at("#/timelines/bench-1?take=take-02&t=4.2");
+    let mut harness = page(&full_api(), &window);
+    harness.get_by_role_and_label(Role::Button, "Copy link").click();
+    let address = copied(&mut harness).expect("something is copied");
+    assert_eq!(address, format!("http://127.0.0.1:7480/{}", window.current()));
+}
+
+#[test]
+fn palette_finds_takes_and_sessions_and_fits_low_windows() {
+    for size in [[1280.0, 800.0], [640.0, 400.0], [390.0, 844.0]] {
+        let mut harness = page_of(&full_api(), &FakeWindow::at("#/sessions/bench-1"), size);
+        harness.key_press_modifiers(Modifiers::COMMAND, Key::K);
+        harness.run_steps(4);
+        let field = harness.get_by_label("Command").rect();
+        assert!(field.top() >= 0.0 && field.right() <= size[0], "{size:?}: {field:?}");
+        for _ in 0..25 {
+            harness.key_press(Key::ArrowDown);
+            harness.run_steps(1);
+        }
+        harness.run_steps(20);
+        let last = harness.get_by_role_and_label(Role::Button, "Next take").rect();
+        assert!(last.top() >= field.bottom() && last.bottom() <= size[1], "{size:?}: {last:?}");
+        harness.event(egui::Event::Text("session bench".into()));
+        harness.run_steps(3);
+        harness.key_press(Key::Enter);
+        harness.run_steps(5);
+        assert_eq!(app(&harness).playback.session.as_deref(), Some("bench-1"), "{size:?}");
+        harness.key_press_modifiers(Modifiers::COMMAND, Key::K);
+        harness.run_steps(4);
+        harness.event(egui::Event::Text("take take-02".into()));
+        harness.run_steps(3);
+        harness.key_press(Key::Enter);
+        harness.run_steps(5);
+        assert_eq!(app(&harness).screen(), Screen::Timelines, "{size:?}");
+        assert_eq!(app(&harness).playback.take.as_deref(), Some("take-02"), "{size:?}");
+    }
+}
+
+#[test]
+fn dead_links_say_what_is_not_there_and_lead_on() {
+    let cases = [
+        ("#/bananas", "There is no screen \u{201c}bananas\u{201d}", "Go to Home", Screen::Home),
+        ("#/sessions/nope", "There is no session nope", "All sessions", Screen::Sessions),
+        ("#/calibrate/nope", "There is no session nope", "All sessions", Screen::Sessions),
+        ("#/diagnose/nope", "There is no session nope", "All sessions", Screen::Sessions),
+        ("#/timelines/nope?take=take-01", "There is no session nope", "All sessions", Screen::Sessions),
+        ("#/hand/nope", "There is no session nope", "All sessions", Screen::Sessions),
+        (
+            "#/timelines/bench-1?take=take-99",
+            "Session bench-1 has no take take-99",
+            "Open take-01",
+            Screen::Timelines,
+        ),
+    ];
+    for (hash, said, button, leads_to) in cases {
+        let mut harness = page(&full_api(), &FakeWindow::at(hash));
+        harness.get_by_label(said);
+        assert!(harness.query_by_label_contains("/api/").is_none(), "{hash}: routes are not for people");
+        // "Home" is in the rail too; the button that leads on is the one of this name.
+        harness.get_by_role_and_label(Role::Button, button).click();
+        harness.run_steps(6);
+        assert_eq!(app(&harness).screen(), leads_to, "{hash}");
+        assert!(harness.query_by_label(said).is_none(), "{hash}");
+    }
+}
+
+#[test]
+fn help_explains_words_and_leads_to_the_shortcuts() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/sessions"));
+    harness.get_by_role_and_label(Role::Button, "Help").click();
+    harness.run_steps(4);
+    harness.event(egui::Event::Text("primitive".into()));
+    harness.run_steps(3);
+    harness.get_by_label("a motion of a plan: tap, press, roll, ...");
+    assert!(harness.query_by_label_contains("the right to move the robot").is_none());
+    harness.get_by_role_and_label(Role::Button, "Keyboard shortcuts").click();
+    harness.run_steps(4);
+    harness.get_by_label("Close shortcuts").click();
+    harness.run_steps(4);
+    assert!(harness.query_by_label("Close shortcuts").is_none());
+}
+
+#[test]
+fn headings_and_what_changes_by_itself_have_roles_of_their_own() {
+    let api = full_api();
+    let mut harness = page(&api, &FakeWindow::at("#/sessions/bench-1"));
+    harness.get_by_role_and_label(Role::Heading, "Sessions");
+    harness.get_by_role_and_label(Role::Heading, "Takes");
+    deliver(&api, [ApiEvent::SocketClosed]);
+    harness.step();
+    harness.get_by_role_and_label(Role::Alert, "\u{26a0} CONNECTION LOST");
+}
+
+#[test]
+fn lists_follow_what_others_do() {
+    let api = full_api();
+    let mut harness = page(&api, &FakeWindow::at("#/sessions/bench-1"));
+    let tell = |list: &str, id: &str| {
+        let changed = stream_message::Message::Changed(Changed { list: list.into(), id: id.into() });
+        let message = StreamMessage { message: Some(changed), dropped: 0 };
+        deliver(&api, [ApiEvent::SocketMessage(message.encode_to_vec())]);
+    };
+    api.0.borrow_mut().sent.clear();
+    tell("sessions", "bench-1");
+    harness.run_steps(4);
+    let sent = std::mem::take(&mut api.0.borrow_mut().sent);
+    for asked in [Request::Sessions, Request::Session("bench-1".into()), Request::Check("bench-1".into())] {
+        assert!(sent.contains(&asked), "{asked:?} is not among {sent:?}");
+    }
+    let mut harness = page(&api, &FakeWindow::at("#/diagnose/bench-1"));
+    api.0.borrow_mut().sent.clear();
+    tell("models", "bench-fit");
+    harness.run_steps(4);
+    let sent = std::mem::take(&mut api.0.borrow_mut().sent);
+    assert!(sent.contains(&Request::Models) && sent.contains(&Request::Diagnoses), "{sent:?}");
 }

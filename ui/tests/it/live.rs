@@ -556,5 +556,37 @@ fn the_bar_names_what_is_shown_the_live_station_or_a_take() {
     live.harness.get_by_label("Live station");
     let recorded = Bench::at("#/timelines/bench-1?take=take-01");
     assert!(recorded.harness.query_by_label("Live station").is_none());
-    recorded.harness.get_by_label("bench-1");
+    recorded.harness.get_by_role_and_label(Role::Button, "Session in view: bench-1");
+    recorded.harness.get_by_role_and_label(Role::Button, "Take in view: take-01");
+}
+
+#[test]
+fn rates_are_in_devices_and_in_the_bar_only_where_they_are_wrong() {
+    let mut bench = Bench::at("#/hand?source=live");
+    bench.state.loop_mean_hz = 100.0;
+    bench.state.latency_p95_ms = 20.0;
+    bench.tell();
+    assert!(bench.harness.query_by_label_contains("loop slow").is_none());
+    assert!(bench.harness.query_by_label_contains("ms late").is_none());
+    bench.tab("Devices");
+    bench.harness.get_by_label("Control loop: 100.0 Hz now, 100.0 mean, 0.0 worst second");
+    bench.harness.get_by_label("From a device's byte to this page: 12.4 ms now, 95 of 100 below 20.0 ms");
+    bench.state.loop_hz = 60.0;
+    bench.state.latency_p95_ms = 300.0;
+    bench.tell();
+    bench.harness.get_by_label("control loop slow: 60 Hz");
+    bench.harness.get_by_label("picture 300 ms late");
+}
+
+#[test]
+fn page_that_reads_too_slowly_says_so_and_shows_no_count() {
+    let mut bench = Bench::at("#/timelines/bench-1?take=take-01");
+    assert!(bench.harness.query_by_label("This page lags").is_none());
+    deliver(
+        &bench.api,
+        [ApiEvent::SocketMessage(StreamMessage { message: None, dropped: 18 }.encode_to_vec())],
+    );
+    bench.harness.run_steps(3);
+    bench.harness.get_by_label("This page lags");
+    assert!(bench.harness.query_by_label_contains("dropped").is_none());
 }

@@ -209,6 +209,30 @@ fn what_moves_waits_for_control_and_arming() {
 }
 
 #[test]
+fn stopped_station_is_reset_by_the_primary_button_and_not_by_a_key() {
+    let mut bench = in_control(&document(RecordingPhase::StartPose));
+    bench.phase(Phase::Stopped);
+    bench.commands();
+    key(&mut bench, Key::Enter);
+    assert!(acts(&bench).is_empty() && bench.commands().is_empty());
+    bench.click("Reset the stop");
+    assert!(matches!(bench.commands()[..], [(4, Command::ResetStop(_))]));
+    bench.phase(Phase::Disarmed);
+    assert!(bench.can("Arm the station"), "the motors stay off until they are switched on");
+}
+
+#[test]
+fn checklist_tells_how_much_motion_is_left() {
+    let bench = in_control(&document(RecordingPhase::PlaceObject));
+    let document = document(RecordingPhase::PlaceObject);
+    let steps = document.session.expect("a session").steps;
+    let left_s: f64 =
+        steps.iter().filter(|step| step.state != StepState::Accepted).map(|step| step.duration_s).sum();
+    assert!(left_s > 0.0 && left_s < 60.0, "the words below are for less than a minute");
+    bench.harness.get_by_label(&format!("about {left_s:.1} s of motion left"));
+}
+
+#[test]
 fn once_it_went_to_the_start_the_primary_button_runs() {
     let mut bench = armed(RecordingPhase::StartPose);
     let status = |phase: &str| RecordingStatus { revision: 7, phase: phase.to_owned(), ..Default::default() };

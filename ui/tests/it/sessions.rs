@@ -2,10 +2,10 @@
 
 use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
-use palpate_ui::api_client::Request;
+use palpate_ui::{api_client::Request, screens::PickedFile};
 use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity};
 
-use crate::fixture::{FakeWindow, full_api, page};
+use crate::fixture::{FakeWindow, full_api, page, page_of, station};
 
 fn check() -> CheckReport {
     let coverage = |channel: &str, touches_by_half: [usize; 2]| ChannelCoverage {
@@ -54,4 +54,74 @@ fn deleted_session_can_be_brought_back() {
     let sent = api.0.borrow().sent.clone();
     assert!(sent.contains(&Request::DeleteSession("bench-1".into())), "{sent:?}");
     assert!(sent.contains(&Request::RestoreSession("bench-1".into())), "{sent:?}");
+}
+
+#[test]
+fn many_warnings_are_one_line_and_coverage_stays_on_the_page() {
+    let api = full_api();
+    let station = station();
+    let channels = &station.layout.channels;
+    let coverage = channels
+        .iter()
+        .map(|channel| ChannelCoverage {
+            channel: channel.id.clone(),
+            touches: 0,
+            touches_by_half: [0, 0],
+            active_s: 0.0,
+        })
+        .collect();
+    let problems = channels
+        .iter()
+        .map(|channel| Problem {
+            severity: Severity::Warning,
+            place: channel.id.clone(),
+            message: "never touched; is it connected, and does a primitive reach it?".into(),
+        })
+        .collect();
+    let report = CheckReport { coverage, problems, ..check() };
+    api.0
+        .borrow_mut()
+        .answer(&Request::Check("bench-1".into()), serde_json::to_vec(&report).expect("it is plain data"));
+    let mut harness = page(&api, &FakeWindow::at("#/sessions/bench-1"));
+    let (all, first) = (channels.len(), station.layout.channel_label(0));
+    harness.get_by_label(&format!("{all} of {all} taxels were touched too seldom, {all} of them never"));
+    assert!(harness.query_by_label_contains(&format!("{first}: never touched")).is_none(), "it is folded");
+    let about = format!("0 of {all} channels touched at least 4 times in each half");
+    let picture = harness.get_by_role_and_label(Role::Image, &about).rect();
+    assert!(picture.bottom() < 800.0, "{picture:?}");
+    harness.get_by_label(&format!("Which {all}")).click();
+    harness.run_steps(20);
+    harness.get_by_label(&format!("{first}: never touched; is it connected, and does a primitive reach it?"));
+}
+
+#[test]
+fn file_with_a_long_name_is_not_sent() {
+    let api = full_api();
+    let window = FakeWindow::at("#/sessions");
+    let mut harness = page(&api, &window);
+    let name = format!("{}.zip", "a".repeat(61));
+    window.0.borrow_mut().picked = vec![PickedFile { name, bytes: vec![1] }];
+    harness.run_steps(3);
+    harness.get_by_label_contains("in at most 60 letters");
+    assert!(!api.0.borrow().sent.iter().any(|request| matches!(request, Request::Import { .. })));
+}
+
+#[test]
+fn phone_has_the_list_and_the_session_one_at_a_time() {
+    let api = full_api();
+    api.0
+        .borrow_mut()
+        .answer(&Request::Check("bench-1".into()), serde_json::to_vec(&check()).expect("it is plain data"));
+    let mut harness = page_of(&api, &FakeWindow::at("#/sessions"), [390.0, 844.0]);
+    let entry = harness.get_by_role_and_label(Role::Button, "Session bench-1");
+    assert!(entry.rect().right() <= 390.0, "{:?}", entry.rect());
+    assert!(harness.query_by_label("Move to trash").is_none());
+    entry.click();
+    harness.run_steps(6);
+    let trash = harness.get_by_role_and_label(Role::Button, "Move to trash").rect();
+    assert!(trash.right() <= 390.0 && trash.left() >= 60.0, "{trash:?}");
+    assert!(harness.query_by_label("Choose a zip").is_none());
+    harness.get_by_role_and_label(Role::RadioButton, "All sessions").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Session bench-1");
 }

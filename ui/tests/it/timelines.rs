@@ -4,7 +4,7 @@ use egui::{Key, accesskit::Role};
 use egui_kittest::{Harness, kittest::Queryable as _};
 use palpate_ui::{StudioApp, playback::ModelRef};
 
-use crate::fixture::{FRAME_S, FakeWindow, LAG_FRAMES, app, app_mut, full_api, page, station};
+use crate::fixture::{FRAME_S, FakeWindow, LAG_FRAMES, app, app_mut, full_api, page, page_of, station};
 
 fn open() -> Harness<'static, Option<StudioApp>> {
     page(&full_api(), &FakeWindow::at("#/timelines/bench-1?take=take-01"))
@@ -21,15 +21,15 @@ fn every_stream_and_touched_channel_has_a_named_lane() {
     for stream in &station.layout.streams {
         harness.get_by_role_and_label(Role::Image, &format!("{}, any", stream.label));
     }
-    for channel in &station.layout.channels {
-        harness.get_by_role_and_label(Role::Button, &channel.id);
+    for channel in 0..station.layout.num_channels() {
+        harness.get_by_role_and_label(Role::Button, &station.layout.channel_label(channel));
     }
 }
 
 #[test]
 fn lane_says_what_the_cursor_is_on() {
     let mut harness = open();
-    let channel = station().layout.channels[0].id.clone();
+    let channel = station().layout.channel_label(0);
     // The first contact of channel 0 is real from frame 20 on, and simulated LAG_FRAMES later.
     app_mut(&mut harness).playback.seek(20.5 * FRAME_S);
     harness.run_steps(2);
@@ -53,6 +53,34 @@ fn brackets_jump_from_mismatch_to_mismatch() {
     harness.key_press(Key::OpenBracket);
     harness.run_steps(3);
     assert!((time_s(&harness) - 20.0 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+}
+
+#[test]
+fn next_mismatch_is_marked_counted_and_brought_into_view() {
+    // The page is low, so that not every channel has room on it.
+    let api = full_api();
+    let mut harness = page_of(&api, &FakeWindow::at("#/timelines/bench-1?take=take-01"), [1280.0, 420.0]);
+    let last = station().layout.num_channels() - 1;
+    let label = station().layout.channel_label(last);
+    app_mut(&mut harness).playback.seek((19 + 4 * last) as f64 * FRAME_S);
+    harness.run_steps(2);
+    for _ in 0..40 {
+        harness.key_press(Key::CloseBracket);
+        harness.run_steps(3);
+        if harness.query_by_label_contains(&format!(" mismatches: {label}, onset late by 300 ms")).is_some() {
+            break;
+        }
+    }
+    harness.get_by_label_contains(&format!(" mismatches: {label}, onset late by 300 ms"));
+    assert!((time_s(&harness) - (20 + 4 * last) as f64 * FRAME_S).abs() < 1e-9, "{}", time_s(&harness));
+    assert!(view_span_s(&harness) <= 2.0 + 1e-9, "a second on either side, not {} s", view_span_s(&harness));
+    harness.run_steps(30);
+    let lane = harness.get_by_role_and_label(Role::Button, &label).rect();
+    assert!(lane.top() >= 0.0 && lane.bottom() <= 420.0, "{lane:?} is not on the page");
+    // Away from it, the count of all of them is back.
+    app_mut(&mut harness).playback.seek(0.0);
+    harness.run_steps(2);
+    harness.get_by_label_contains("mismatches in the channels shown");
 }
 
 #[test]
@@ -136,7 +164,7 @@ fn view_span_s(harness: &Harness<'static, Option<StudioApp>>) -> f64 {
 #[test]
 fn pressing_a_name_pins_the_channel() {
     let mut harness = open();
-    let channel = station().layout.channels[1].id.clone();
+    let channel = station().layout.channel_label(1);
     harness.get_by_role_and_label(Role::Button, &channel).click();
     harness.run_steps(3);
     assert_eq!(app(&harness).playback.pinned, Some(1));

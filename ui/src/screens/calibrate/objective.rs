@@ -135,6 +135,7 @@ fn curve_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: eg
         let align = if x > inner.center().x { Align2::RIGHT_TOP } else { Align2::LEFT_TOP };
         let offset = if x > inner.center().x { -4.0 } else { 4.0 };
         let y = if text == "optimum" { inner.top() + 18.0 } else { inner.top() + 2.0 };
+        let colour = palette.text_of(colour);
         painter.text(pos2(x + offset, y), align, text, FontId::proportional(13.0), colour);
     }
     painter.rect_stroke(inner, 0.0, Stroke::new(1.0, palette.line), egui::StrokeKind::Outside);

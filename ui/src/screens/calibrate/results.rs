@@ -4,7 +4,11 @@ use egui::RichText;
 use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metrics};
 
 use super::{CalibrateState, objective, tables};
-use crate::{route::Screen, screens::ScreenContext, store::Loadable};
+use crate::{
+    route::Screen,
+    screens::{ScreenContext, heading_ui, help_ui},
+    store::Loadable,
+};
 
 pub(super) fn results_ui(
     ui: &mut egui::Ui,
@@ -21,7 +25,10 @@ pub(super) fn results_ui(
     });
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
-        ui.heading("3  See");
+        ui.horizontal(|ui| {
+            heading_ui(ui, "3  See");
+            help_ui(ui, "F1");
+        });
         let headline = headline(report);
         let response = ui.label(RichText::new(&headline).size(17.0).strong());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Label, true, &headline));
@@ -170,7 +177,7 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationRep
         ui,
         |ui| {
             ui.label("");
-            ui.label(RichText::new("Nominal").color(cx.palette.nominal).strong());
+            ui.label(RichText::new("Nominal").color(cx.palette.nominal_text).strong());
             ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
             ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
             ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
@@ -220,7 +227,7 @@ fn keep_ui(
 ) {
     let theta = &report.theta;
     ui.horizontal_wrapped(|ui| {
-        ui.heading("4  Keep");
+        heading_ui(ui, "4  Keep");
         ui.label(format!(
             "\u{3bb}con {} mm, \u{3b1} {} /m, \u{3bb}pre {} kPa; searched in {:.0} ms",
             objective::number(theta.lambda_con_m * 1e3),

@@ -3,7 +3,12 @@
 use egui::{Align2, FontId, Pos2, Rect, Sense, Stroke, accesskit::Role, pos2, vec2};
 use palpate_wire::api::{CalibrationReport, Metrics, MetricsPair};
 
-use crate::{playback::ShownChannels, route::Screen, screens::ScreenContext, theme::Palette};
+use crate::{
+    playback::ShownChannels,
+    route::Screen,
+    screens::{ScreenContext, channel_label, heading_ui},
+    theme::Palette,
+};
 
 const NAME_WIDTH: f32 = 136.0;
 const NUMBER_WIDTH: f32 = 48.0;
@@ -63,7 +68,7 @@ pub(super) fn tables_ui(
     report: &CalibrationReport,
 ) {
     ui.horizontal(|ui| {
-        ui.heading("Details");
+        heading_ui(ui, "Details");
         for (value, name) in
             [(Table::Modality, "By sensor type"), (Table::Take, "By take"), (Table::Channel, "By channel")]
         {
@@ -126,7 +131,8 @@ fn rows<'a>(
                 .iter()
                 .map(|(id, pair)| {
                     let channel = channel_of(id);
-                    (channel, of_pair(id, channel.map(Opens::Channel), pair))
+                    let label = channel_label(station.ready().map(AsRef::as_ref), id);
+                    (channel, of_pair(&label, channel.map(Opens::Channel), pair))
                 })
                 .collect();
             // In the order of the layout, as on the timelines.

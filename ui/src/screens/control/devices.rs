@@ -29,6 +29,15 @@ pub fn devices_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
         }
         ui.separator();
     }
+    ui.label(format!(
+        "Control loop: {:.1} Hz now, {:.1} mean, {:.1} worst second",
+        state.loop_hz, state.loop_mean_hz, state.loop_worst_hz
+    ));
+    ui.label(format!(
+        "From a device's byte to this page: {:.1} ms now, 95 of 100 below {:.1} ms",
+        state.latency_ms, state.latency_p95_ms
+    ));
+    ui.separator();
     taxel_warnings_ui(ui, &state.taxels, cx);
 }
 

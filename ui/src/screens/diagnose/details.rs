@@ -11,19 +11,22 @@ use palpate_wire::{
 use super::Start;
 use crate::{
     route::Screen,
-    screens::{ScreenContext, words},
+    screens::{ScreenContext, channel_label, words},
     store::Loadable,
 };
 
 /// A part whose p-value is not below this is within chance.
 const SIGNIFICANT: f64 = 0.05;
 
-/// Parts of the data, a line each.
-pub(super) fn cells_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, cells: &[Cell]) {
+/// Parts of the data of `session`, a line each.
+pub(super) fn cells_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, cells: &[Cell], session: &str) {
+    let station = cx.store.station(session);
+    let label = |id: &String| channel_label(station.ready().map(AsRef::as_ref), id);
     for cell in cells {
+        let cell = Cell { channels: cell.channels.iter().map(label).collect(), ..cell.clone() };
         ui.horizontal_wrapped(|ui| {
             ui.label(RichText::new(wording::percent(cell.excess)).strong());
-            ui.label(wording::cell(cell));
+            ui.label(wording::cell(&cell));
             let odds = format!(
                 "effect size {}, {}",
                 wording::number(cell.effect_size),
@@ -34,7 +37,12 @@ pub(super) fn cells_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, cells: &[Cell]
     }
 }
 
-pub(super) fn unexplained_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport) {
+pub(super) fn unexplained_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    report: &DiagnosisReport,
+    session: &str,
+) {
     let left = &report.unexplained;
     let share = wording::percent(left.fraction);
     let text = match (left.significant, report.verdict) {
@@ -56,7 +64,7 @@ pub(super) fn unexplained_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: 
     // What chance gives as well is nothing to look at.
     let (beyond, within): (Vec<Cell>, Vec<Cell>) =
         left.cells.iter().cloned().partition(|cell| cell.p_value < SIGNIFICANT);
-    cells_ui(ui, cx, &beyond);
+    cells_ui(ui, cx, &beyond, session);
     if !within.is_empty() {
         let text = format!("{} within chance left out.", counted(within.len() as u64, "part"));
         ui.label(RichText::new(text).color(cx.palette.text_weak));
@@ -168,7 +176,7 @@ pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Dia
             |ui| {
                 ui.label("");
                 for (_, name, colour) in &columns {
-                    ui.label(RichText::new(name).color(*colour).strong());
+                    ui.label(RichText::new(name).color(cx.palette.text_of(*colour)).strong());
                 }
                 ui.end_row();
                 for (name, value, factor, digits) in rows {

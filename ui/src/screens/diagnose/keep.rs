@@ -7,7 +7,11 @@ use palpate_wire::{
 };
 
 use super::Shown;
-use crate::{route::Screen, screens::ScreenContext, store::Loadable};
+use crate::{
+    route::Screen,
+    screens::{ScreenContext, heading_ui},
+    store::Loadable,
+};
 
 pub(super) fn keep_ui(
     ui: &mut egui::Ui,
@@ -23,7 +27,7 @@ pub(super) fn keep_ui(
         (some, all) => format!("{some} of {all} named effects ticked"),
     };
     ui.horizontal_wrapped(|ui| {
-        ui.heading("4  Keep");
+        heading_ui(ui, "4  Keep");
         ui.label(count);
     });
     ui.horizontal_wrapped(|ui| {
@@ -124,6 +128,8 @@ fn model_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, model: &ModelSummary) {
                 wording::number(model.theta.alpha_per_m),
                 wording::number(model.theta.lambda_pre_pa),
             )));
+            ui.hyperlink_to("Model file", format!("/api/v1/models/{}", model.id))
+                .on_hover_text("The TOML file that replay, live twin and training read");
             for effect in &model.effects {
                 ui.label(format!("+ {}", wording::model_effect(effect)));
             }

@@ -12,7 +12,7 @@ use crate::{
     playback::ShownChannels,
     route::Screen,
     screens::{
-        ScreenContext,
+        ScreenContext, channel_label,
         hand::{channel_map_ui, residual::Residual},
         words,
     },
@@ -66,8 +66,8 @@ pub(super) fn residual_map_ui(
             cx.go_to_screen(Screen::Timelines);
         }
     });
-    let clicked = heat_map_ui(ui, cx, report, *before);
     let station = cx.store.station(&run.request.session);
+    let clicked = heat_map_ui(ui, cx, report, *before, station.ready().map(AsRef::as_ref));
     if let (Some(idx), Some(station)) = (clicked, station.ready()) {
         open_channel(cx, station, &report.residual_map[idx].channel);
     }
@@ -89,7 +89,7 @@ pub(super) fn residual_map_ui(
                 return;
             }
             ui.label(RichText::new("Most of the calibrated model's excess lies here:").strong());
-            cells_ui(ui, cx, &report.cells);
+            cells_ui(ui, cx, &report.cells, &run.request.session);
         });
     });
 }
@@ -112,10 +112,10 @@ fn hand_map_ui(
         })
         .collect();
     let name = |channel: usize| {
-        let id = &station.layout.channels[channel].id;
+        let label = station.layout.channel_label(channel);
         match of(channel) {
-            Some(per_s) => format!("{id}: mismatch {} a second", wording::number(per_s)),
-            None => format!("{id}: not judged"),
+            Some(per_s) => format!("{label}: mismatch {} a second", wording::number(per_s)),
+            None => format!("{label}: not judged"),
         }
     };
     let palette = cx.palette;
@@ -133,6 +133,7 @@ fn heat_map_ui(
     cx: &ScreenContext<'_>,
     report: &DiagnosisReport,
     before: bool,
+    station: Option<&Station>,
 ) -> Option<usize> {
     let palette = cx.palette;
     let channels = &report.residual_map;
@@ -185,7 +186,7 @@ fn heat_map_ui(
         };
         response.on_hover_text_at_pointer(format!(
             "{}, {}: {} before, {} after, a second. Click to see it on Timelines.",
-            channels[column].channel,
+            channel_label(station, &channels[column].channel),
             words(PHASES[row]),
             text(true),
             text(false)

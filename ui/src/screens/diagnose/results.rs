@@ -7,7 +7,7 @@ use palpate_wire::{
 };
 
 use super::{DiagnoseState, Start, bars, details, effects, keep, residual_map};
-use crate::screens::ScreenContext;
+use crate::screens::{ScreenContext, heading_ui, help_ui};
 
 /// True when the operator asks for another run with the choices as they are now.
 pub(super) fn results_ui(
@@ -28,35 +28,39 @@ pub(super) fn results_ui(
     egui::ScrollArea::vertical().id_salt(&run.id).auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         lead_ui(ui, cx, report, start);
-        section(ui, "The gap, step by step");
+        section(ui, "The gap, step by step", "gap");
         bars::waterfall_ui(ui, &cx.palette, report, start);
         if !report.effects.is_empty() {
-            section(ui, "What is missing");
+            section(ui, "What is missing", "effect");
             again = effects::effects_ui(ui, cx, state, report);
         }
-        section(ui, "What was tried");
+        section(ui, "What was tried", "evidence");
         bars::evidence_ui(ui, &cx.palette, report, &mut state.shown.all_candidates);
-        section(ui, "Where simulation and hand disagree");
+        section(ui, "Where simulation and hand disagree", "channel-second");
         residual_map::residual_map_ui(ui, cx, &mut state.shown.residual_before, run, report);
-        section(ui, "What stays unexplained");
-        details::unexplained_ui(ui, cx, report);
-        section(ui, "What to record next");
+        section(ui, "What stays unexplained", "null session");
+        details::unexplained_ui(ui, cx, report, &run.request.session);
+        section(ui, "What to record next", "wanted take");
         details::next_ui(ui, cx, report);
-        section(ui, "How it was judged");
+        section(ui, "How it was judged", "F1");
         details::metrics_ui(ui, cx, report, start);
         ui.add_space(12.0);
     });
     again
 }
 
-fn section(ui: &mut egui::Ui, title: &str) {
+/// A heading, with help about the `word` that what is below it turns on.
+fn section(ui: &mut egui::Ui, title: &str, word: &'static str) {
     ui.add_space(14.0);
-    ui.heading(title);
+    ui.horizontal(|ui| {
+        heading_ui(ui, title);
+        help_ui(ui, word);
+    });
 }
 
 fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {
     ui.horizontal(|ui| {
-        ui.heading("3  See");
+        heading_ui(ui, "3  See");
         let (word, colour) = match report.verdict {
             Verdict::Explained => ("EXPLAINED", cx.palette.diagnosed),
             Verdict::PartlyExplained => ("PARTLY EXPLAINED", cx.palette.warning),

@@ -46,7 +46,9 @@ pub(super) fn controls_ui(
             // A screen that has nothing to offer yet is absent, and so is a signal.
             let offered = |signal: &Signal| *signal != Signal::Diagnosed || cx.playback.diagnosed.is_some();
             for signal in Signal::ALL.into_iter().filter(offered) {
-                let text = RichText::new(signal.label()).strong().color(signal.color(&cx.palette));
+                let text = RichText::new(signal.label())
+                    .strong()
+                    .color(cx.palette.text_of(signal.color(&cx.palette)));
                 let chosen = state.signal == signal;
                 let response = ui.selectable_label(chosen, text).on_hover_text(signal_hint(signal));
                 response.widget_info(|| {
@@ -115,7 +117,7 @@ pub(super) fn views_ui(ui: &mut egui::Ui, state: &mut HandState, geometry: &Geom
         }
         ui.separator();
         ui.checkbox(&mut state.view.shown.object, "Object");
-        ui.checkbox(&mut state.view.shown.arm, "Arm");
+        ui.checkbox(&mut state.view.shown.arm, "Robot arm");
         if !moment.commanded_from_link.is_empty() {
             ui.checkbox(&mut state.view.ghost, "Ghost")
                 .on_hover_text("The hand where it is told to be, translucent");

@@ -37,12 +37,14 @@ impl Details<'_> {
         replay.map_or_else(Vec::new, |replay| simulated_contacts(self.station, take, replay, channel))
     }
 
+    /// What people call the channel; its id in files, its stream and its link.
     fn heading(&self, channel: usize) -> (String, String) {
         let info = &self.station.layout.channels[channel];
         let patch = &self.station.layout.patches[info.patch];
         let stream = &self.station.layout.streams[info.stream];
         let link = &self.station.robot.links[patch.link].name;
-        (info.id.clone(), format!("{}, {}, on link {link}", patch.label, stream.label))
+        let label = self.station.layout.channel_label(channel);
+        (label, format!("{}, {}, on link {link}", info.id, stream.label))
     }
 
     /// Reading against threshold of one signal, in words.
@@ -62,8 +64,8 @@ impl Details<'_> {
 
 /// The tooltip of a taxel: id, link, reading, threshold, last touch.
 pub(super) fn tooltip_ui(ui: &mut egui::Ui, details: &Details<'_>, channel: usize, signal: Signal) {
-    let (id, place) = details.heading(channel);
-    ui.label(RichText::new(id).strong());
+    let (label, place) = details.heading(channel);
+    ui.label(RichText::new(label).strong());
     ui.label(place);
     if let Some(line) = details.line(signal, channel) {
         ui.label(format!("{}: {line}", signal.label()));
@@ -83,10 +85,10 @@ pub(super) fn details_ui(
     pinned: bool,
     palette: &Palette,
 ) -> bool {
-    let (id, place) = details.heading(channel);
+    let (label, place) = details.heading(channel);
     let mut unpin = false;
     ui.horizontal(|ui| {
-        ui.label(RichText::new(&id).strong().size(16.0));
+        ui.label(RichText::new(&label).strong().size(16.0));
         if pinned {
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 unpin = ui
@@ -102,7 +104,9 @@ pub(super) fn details_ui(
     for signal in Signal::ALL {
         if let Some(line) = details.line(signal, channel) {
             ui.horizontal_wrapped(|ui| {
-                ui.label(RichText::new(signal.label()).color(signal.color(palette)).strong());
+                ui.label(
+                    RichText::new(signal.label()).color(palette.text_of(signal.color(palette))).strong(),
+                );
                 ui.label(line);
             });
         }
@@ -145,8 +149,8 @@ fn trace_ui(
     palette: &Palette,
 ) {
     let (rect, response) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 118.0), Sense::hover());
-    let id = &details.station.layout.channels[channel].id;
-    let name = format!("Trace of {id}, {TRACE_HALF_S:.0} s before and after the cursor");
+    let label = details.station.layout.channel_label(channel);
+    let name = format!("Trace of {label}, {TRACE_HALF_S:.0} s before and after the cursor");
     response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, name.clone()));
     let painter = ui.painter_at(rect);
     painter.rect(rect, 4.0, palette.surface, Stroke::new(1.0, palette.line), StrokeKind::Inside);

@@ -172,7 +172,8 @@ pub(super) fn click(playback: &mut Playback, channel: usize, only_select: bool) 
 pub(super) fn taxel_name(station: &Station, channel: usize, sample: &Sample, signal: Signal) -> String {
     let info = &station.layout.channels[channel];
     let unit = &station.layout.streams[info.stream].raw_unit;
-    format!("{}: {}", info.id, sample.text(unit, kind_of(station, channel), signal))
+    let label = station.layout.channel_label(channel);
+    format!("{label}: {}", sample.text(unit, kind_of(station, channel), signal))
 }
 
 /// What one number for each channel looks like on the map, wherever the page shows one.

@@ -511,7 +511,7 @@ fn views_and_switches_are_there_by_name() {
     }
     harness.get_by_role_and_label(Role::Button, "Reset view").click();
     harness.run();
-    for switch in ["Object", "Arm", "Labels", "Follow"] {
+    for switch in ["Object", "Robot arm", "Labels", "Follow"] {
         harness.get_by_role_and_label(Role::CheckBox, switch).click();
         harness.run();
     }

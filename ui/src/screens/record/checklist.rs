@@ -5,10 +5,12 @@ use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepStat
 
 use super::{Scene, plan_label};
 use crate::{
-    screens::{ScreenContext, duration_text},
+    screens::{ScreenContext, duration_text, progress_bar},
     theme::Palette,
 };
 
+/// The object stands below the primitive, not below its sign, points.
+const OBJECT_INDENT: f32 = 22.0;
 /// Height of the list where it stands below the step, points.
 const NARROW_HEIGHT: f32 = 260.0;
 
@@ -26,8 +28,14 @@ pub(super) fn checklist_ui(
     let by = if session.operator.is_empty() { String::new() } else { format!(", by {}", session.operator) };
     ui.label(RichText::new(format!("{plan}{by}")).color(cx.palette.text_weak));
     let accepted = session.steps.iter().filter(|step| step.state == StepState::Accepted).count();
-    let share = accepted as f32 / session.steps.len().max(1) as f32;
-    ui.add(egui::ProgressBar::new(share).text(format!("{accepted} of {} accepted", session.steps.len())));
+    let share = accepted as f64 / session.steps.len().max(1) as f64;
+    ui.add(progress_bar(share, &format!("{accepted} of {} accepted", session.steps.len())));
+    let left = session.steps.iter().filter(|step| step.state != StepState::Accepted);
+    let left_s: f64 = left.map(|step| step.duration_s).sum();
+    if left_s > 0.0 {
+        let text = format!("about {} of motion left", duration_text(left_s));
+        ui.label(RichText::new(text).color(cx.palette.text_weak));
+    }
     ui.add_space(6.0);
     let bottom = 44.0;
     // In a column that scrolls as a whole there is no end of room.
@@ -81,12 +89,14 @@ fn step_row_ui(
 ) -> bool {
     let title = format!("{sign} {}  {}", idx + 1, step.primitive_label);
     let added = if step.added_because.is_some() { ", added" } else { "" };
-    let text = format!("{title}\n      {}{added}", step.object_label);
-    let mut text = RichText::new(text).color(color);
-    if current {
-        text = text.strong();
-    }
-    let button = egui::Button::selectable(current, text)
+    let mut job = egui::text::LayoutJob::default();
+    let font = egui::TextStyle::Body.resolve(ui.style());
+    let color = if current { ui.visuals().strong_text_color() } else { color };
+    let format = egui::TextFormat::simple(font, color);
+    job.append(&format!("{title}\n"), 0.0, format.clone());
+    // Spaces at the start of a line are lost where it is wrapped.
+    job.append(&format!("{}{added}", step.object_label), OBJECT_INDENT, format);
+    let button = egui::Button::selectable(current, job)
         .min_size(egui::vec2(ui.available_width(), 46.0))
         .sense(if may_act { Sense::click() } else { Sense::hover() })
         .right_text(RichText::new(word).color(color).small());

@@ -8,7 +8,7 @@ use crate::{
     screens::{
         ScreenContext,
         controls::{combo_ui, name_button, option_ui},
-        duration_text, words,
+        duration_text, heading_ui, words,
     },
     store::control::Holder,
 };
@@ -33,7 +33,7 @@ pub(super) fn start_ui(
     ui.add_space((ui.available_height() * 0.12).min(90.0));
     ui.vertical_centered(|ui| {
         ui.set_max_width(520.0);
-        ui.heading("Record a calibration session");
+        heading_ui(ui, "Record a calibration session");
         ui.label(
             "A plan is a list of takes: in each, the robot touches one object in one way while everything is recorded. \
              This page leads through them, checks every take, and can be left and taken up again at any time.",

@@ -8,7 +8,7 @@ use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepStat
 use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{
     route::{Route, Screen},
-    screens::{ScreenContext, duration_text},
+    screens::{ScreenContext, duration_text, progress_bar},
     store::control::Holder,
     theme::Palette,
 };
@@ -150,11 +150,8 @@ fn running_ui(ui: &mut egui::Ui, scene: &Scene<'_>, step: &RecordingStep) {
     big_ui(ui, activity);
     let fraction = status.fraction.clamp(0.0, 1.0);
     let left_s = step.duration_s * f64::from(1.0 - fraction);
-    ui.add(egui::ProgressBar::new(fraction).desired_height(28.0).text(format!(
-        "{:.0} %, {} left",
-        fraction * 100.0,
-        duration_text(left_s)
-    )));
+    let text = format!("{:.0} %, {} left", fraction * 100.0, duration_text(left_s));
+    ui.add(progress_bar(f64::from(fraction), &text).desired_height(28.0));
     ui.label(format!("Recorded {}", duration_text(f64::from(status.elapsed_s))));
 }
 
@@ -251,6 +248,13 @@ fn buttons_ui(
                     primary_button_ui(ui, &cx.palette, "Arm the station", "Arm the station", ready);
                 if response.on_hover_text("Torque on, where the joints are now").clicked() {
                     cx.store.control.arm();
+                }
+            }
+            Some(Primary::ResetStop) => {
+                let ready = scene.may_act() && !cx.store.control.waits_for("Reset stop");
+                let face = "Reset the stop";
+                if primary_button_ui(ui, &cx.palette, face, face, ready).clicked() {
+                    cx.store.control.reset_stop();
                 }
             }
             Some(Primary::Act(name, action)) => {

@@ -1,10 +1,10 @@
 //! Check results of a session: what is wrong, how often each taxel was touched, rates and gaps.
 
 use egui::{Align2, FontId, RichText, Sense, Stroke, pos2, vec2};
-use palpate_wire::api::{ChannelCoverage, CheckReport, Severity};
+use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity};
 
 use crate::{
-    screens::{ScreenContext, failed_ui},
+    screens::{ScreenContext, channel_label, failed_ui, heading_ui},
     store::Loadable,
     theme::Palette,
 };
@@ -24,14 +24,14 @@ pub(super) fn check_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) 
             return;
         }
     };
-    problems_ui(ui, &cx.palette, &report);
+    problems_ui(ui, cx, &report);
     ui.add_space(8.0);
     coverage_ui(ui, cx, &report);
     ui.add_space(8.0);
     egui::CollapsingHeader::new("Rates and gaps").show(ui, |ui| rates_ui(ui, &cx.palette, &report));
 }
 
-fn problems_ui(ui: &mut egui::Ui, palette: &Palette, report: &CheckReport) {
+fn problems_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckReport) {
     if report.problems.is_empty() {
         ui.label(
             RichText::new("\u{2714} Checked: rates, clocks and coverage are as they should be.").strong(),
@@ -40,23 +40,117 @@ fn problems_ui(ui: &mut egui::Ui, palette: &Palette, report: &CheckReport) {
     }
     let verdict = if report.ok { "Usable, with remarks" } else { "Not usable as it is" };
     ui.label(RichText::new(verdict).strong());
-    for problem in &report.problems {
-        let (mark, colour) = match problem.severity {
-            Severity::Error => ("\u{2716} Error", palette.mismatch),
-            Severity::Warning => ("\u{26a0} Warning", palette.warning),
-            Severity::Info => ("\u{2139} Note", palette.text_weak),
-        };
-        ui.horizontal_wrapped(|ui| {
-            ui.label(RichText::new(mark).color(colour));
-            ui.label(format!("{}: {}", problem.place, problem.message));
-        });
+    let station = cx.store.station(&report.session);
+    let label = |place: &str| channel_label(station.ready().map(AsRef::as_ref), place);
+    for group in grouped(report) {
+        match group {
+            Group::Touched { seldom } => {
+                let text = seldom_text(report, &seldom);
+                folded_ui(ui, cx, Severity::Warning, "seldom", &text, &seldom, label);
+            }
+            Group::Alike(problems) => {
+                let text = format!("{} places: {}", problems.len(), problems[0].message);
+                folded_ui(ui, cx, problems[0].severity, &problems[0].message, &text, &problems, label);
+            }
+            Group::Single(problem) => {
+                let text = format!("{}: {}", label(&problem.place), problem.message);
+                problem_ui(ui, &cx.palette, problem.severity, &text);
+            }
+        }
     }
+}
+
+fn problem_ui(ui: &mut egui::Ui, palette: &Palette, severity: Severity, text: &str) {
+    let (mark, colour) = mark(palette, severity);
+    ui.horizontal_wrapped(|ui| {
+        ui.label(RichText::new(mark).color(colour));
+        ui.label(text);
+    });
+}
+
+fn mark(palette: &Palette, severity: Severity) -> (&'static str, egui::Color32) {
+    match severity {
+        Severity::Error => ("\u{2716} Error", palette.mismatch),
+        Severity::Warning => ("\u{26a0} Warning", palette.warning),
+        Severity::Info => ("\u{2139} Note", palette.text_weak),
+    }
+}
+
+/// Many problems as one line, with the list of them folded below.
+fn folded_ui(
+    ui: &mut egui::Ui,
+    cx: &ScreenContext<'_>,
+    severity: Severity,
+    id: &str,
+    text: &str,
+    problems: &[&Problem],
+    label: impl Fn(&str) -> String,
+) {
+    problem_ui(ui, &cx.palette, severity, text);
+    egui::CollapsingHeader::new(format!("Which {}", problems.len())).id_salt(id).show(ui, |ui| {
+        for problem in problems {
+            ui.label(format!("{}: {}", label(&problem.place), problem.message));
+        }
+    });
+}
+
+/// So many problems of one kind are told in one line.
+const MANY: usize = 3;
+
+/// What is told in one line.
+#[derive(Debug, PartialEq)]
+enum Group<'a> {
+    /// Channels that were touched too seldom, or never.
+    Touched { seldom: Vec<&'a Problem> },
+    /// Problems that differ in their place and in numbers only.
+    Alike(Vec<&'a Problem>),
+    /// A problem by itself.
+    Single(&'a Problem),
+}
+
+/// The problems in the order of the first of each group.
+fn grouped(report: &CheckReport) -> Vec<Group<'_>> {
+    let is_channel = |problem: &Problem| {
+        problem.severity == Severity::Warning
+            && report.coverage.iter().any(|channel| channel.channel == problem.place)
+    };
+    let key = |problem: &Problem| {
+        let words: String = problem.message.chars().filter(|c| !c.is_ascii_digit()).collect();
+        (is_channel(problem), problem.severity, if is_channel(problem) { String::new() } else { words })
+    };
+    let mut groups: Vec<Vec<&Problem>> = Vec::new();
+    for problem in &report.problems {
+        match groups.iter_mut().find(|group| key(group[0]) == key(problem)) {
+            Some(group) => group.push(problem),
+            None => groups.push(vec![problem]),
+        }
+    }
+    let mut told = Vec::new();
+    for group in groups {
+        match group.len() {
+            0..MANY => told.extend(group.into_iter().map(Group::Single)),
+            _ if is_channel(group[0]) => told.push(Group::Touched { seldom: group }),
+            _ => told.push(Group::Alike(group)),
+        }
+    }
+    told
+}
+
+fn seldom_text(report: &CheckReport, seldom: &[&Problem]) -> String {
+    let is_untouched = |problem: &&&Problem| {
+        report.coverage.iter().any(|channel| channel.channel == problem.place && channel.touches == 0)
+    };
+    let never = match seldom.iter().filter(is_untouched).count() {
+        0 => String::new(),
+        never => format!(", {never} of them never"),
+    };
+    format!("{} of {} taxels were touched too seldom{never}", seldom.len(), report.coverage.len())
 }
 
 /// A bar per channel: contacts in the first and the second half of the takes.
 fn coverage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckReport) {
     let palette = cx.palette;
-    ui.heading("Coverage");
+    heading_ui(ui, "Coverage");
     ui.horizontal(|ui| {
         ui.label(RichText::new("Contacts of each channel:").color(palette.text_weak));
         legend_ui(ui, palette.real, "first half of the takes");
@@ -114,11 +208,13 @@ fn coverage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckRepo
     );
     if let Some(channel_idx) = hovered {
         cx.playback.hovered = Some(channel_idx);
+        let station = cx.store.station(&report.session);
         if let Some(channel) = report.coverage.get(channel_idx) {
             let [first, second] = channel.touches_by_half;
+            let label = channel_label(station.ready().map(AsRef::as_ref), &channel.channel);
             response.on_hover_text_at_pointer(format!(
-                "{}: {first} + {second} contacts, active {:.1} s",
-                channel.channel, channel.active_s
+                "{label}: {first} + {second} contacts, active {:.1} s",
+                channel.active_s
             ));
         }
     }
@@ -162,6 +258,45 @@ fn rates_ui(ui: &mut egui::Ui, palette: &Palette, report: &CheckReport) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_warnings_become_one_line() {
+        let problem = |severity, place: &str, message: &str| Problem {
+            severity,
+            place: place.into(),
+            message: message.into(),
+        };
+        let warning = Severity::Warning;
+        let channel = |id: &str, touches| ChannelCoverage {
+            channel: id.into(),
+            touches,
+            touches_by_half: [touches, 0],
+            active_s: 1.0,
+        };
+        let report = CheckReport {
+            session: "s".into(),
+            ok: true,
+            frames: 1,
+            duration_s: 1.0,
+            takes: Vec::new(),
+            coverage: vec![channel("a", 0), channel("b", 1), channel("c", 2), channel("d", 9)],
+            problems: vec![
+                problem(warning, "a", "never touched"),
+                problem(Severity::Error, "take-01, joints", "17 readings missing"),
+                problem(warning, "b", "touched 1 times"),
+                problem(warning, "take-01, fsr", "3 gaps"),
+                problem(warning, "c", "touched 2 times"),
+                problem(warning, "take-02, fsr", "14 gaps"),
+                problem(warning, "take-03, fsr", "5 gaps"),
+            ],
+        };
+        let groups = grouped(&report);
+        assert_eq!(groups.len(), 3, "{groups:?}");
+        let Group::Touched { seldom } = &groups[0] else { panic!("{groups:?}") };
+        assert_eq!(seldom_text(&report, seldom), "3 of 4 taxels were touched too seldom, 1 of them never");
+        assert_eq!(groups[1], Group::Single(&report.problems[1]));
+        assert!(matches!(&groups[2], Group::Alike(gaps) if gaps.len() == 3), "{groups:?}");
+    }
 
     #[test]
     fn coverage_counts_channels_that_are_touched_enough_in_both_halves() {

@@ -8,6 +8,9 @@ use crate::{
     store::Loadable,
 };
 
+/// Names of sessions have at most so many letters, as those that Record gives.
+const MAX_NAME: usize = 60;
+
 /// A file on its way in.
 #[derive(Debug, Default)]
 pub(super) struct ImportState {
@@ -22,6 +25,12 @@ pub(super) fn take_picked_files(cx: &mut ScreenContext<'_>, state: &mut ImportSt
     let chosen: Vec<PickedFile> = cx.picked_files.drain(..).collect();
     for PickedFile { name, bytes } in chosen {
         match session_name(&name) {
+            Some(session) if session.chars().count() > MAX_NAME => {
+                state.refused = Some(format!(
+                    "{name:?} was not sent: a session is named after its file, in at most {MAX_NAME} letters. Give the \
+                     file a shorter name."
+                ));
+            }
             Some(session) if !bytes.is_empty() => {
                 state.refused = None;
                 state.waits = true;

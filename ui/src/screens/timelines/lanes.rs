@@ -30,7 +30,7 @@ pub struct SimRow {
 /// One channel, or all channels of a stream together.
 #[derive(Clone, Debug)]
 pub struct Lane {
-    /// What it shows, e.g. `index_tip.3` or `TwinTac, any`.
+    /// What it shows, e.g. `Index tip · 3` or `TwinTac, any`.
     pub name: String,
     /// The channel; `None` for a whole stream.
     pub channel: Option<usize>,
@@ -40,6 +40,73 @@ pub struct Lane {
     pub real: Vec<Event>,
     /// One row per simulation, in the order they were given.
     pub sims: Vec<SimRow>,
+}
+
+/// Where a simulation begins to differ from the real contacts of one channel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mismatch {
+    /// When, s.
+    pub start_s: f64,
+    /// On which channel.
+    pub channel: usize,
+    /// What differs.
+    pub kind: MismatchKind,
+}
+
+/// What differs, and by how many seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MismatchKind {
+    /// The simulated contact begins later than the real one.
+    OnsetLate(f64),
+    /// It begins earlier.
+    OnsetEarly(f64),
+    /// The simulated contact ends while the real one goes on.
+    ReleaseEarly(f64),
+    /// It goes on while the real one has ended.
+    ReleaseLate(f64),
+    /// Real, and not simulated at all: how long.
+    Missed(f64),
+    /// Simulated, and not real at all: how long.
+    Invented(f64),
+}
+
+impl MismatchKind {
+    /// In words, e.g. `onset late by 210 ms`.
+    pub fn words(self) -> String {
+        let (what, seconds) = match self {
+            Self::OnsetLate(seconds) => ("onset late by", seconds),
+            Self::OnsetEarly(seconds) => ("onset early by", seconds),
+            Self::ReleaseEarly(seconds) => ("release early by", seconds),
+            Self::ReleaseLate(seconds) => ("release late by", seconds),
+            Self::Missed(seconds) => ("real only, for", seconds),
+            Self::Invented(seconds) => ("simulated only, for", seconds),
+        };
+        format!("{what} {:.0} ms", seconds * 1e3)
+    }
+
+    /// `event` is real and not simulated.
+    fn of_real(event: &Event, row: &SimRow) -> Self {
+        let length_s = event.end_s - event.start_s;
+        if row.contacts.iter().any(|contact| contact.start_s == event.end_s) {
+            Self::OnsetLate(length_s)
+        } else if row.contacts.iter().any(|contact| contact.end_s == event.start_s) {
+            Self::ReleaseEarly(length_s)
+        } else {
+            Self::Missed(length_s)
+        }
+    }
+
+    /// `event` is simulated and not real.
+    fn of_simulated(event: &Event, real: &[Event]) -> Self {
+        let length_s = event.end_s - event.start_s;
+        if real.iter().any(|contact| contact.start_s == event.end_s) {
+            Self::OnsetEarly(length_s)
+        } else if real.iter().any(|contact| contact.end_s == event.start_s) {
+            Self::ReleaseLate(length_s)
+        } else {
+            Self::Invented(length_s)
+        }
+    }
 }
 
 /// A channel's raw reading.
@@ -94,7 +161,7 @@ impl TakeLanes {
             .channels
             .iter()
             .enumerate()
-            .map(|(idx, channel)| lane(channel.id.clone(), Some(idx), channel.stream, idx..idx + 1))
+            .map(|(idx, channel)| lane(layout.channel_label(idx), Some(idx), channel.stream, idx..idx + 1))
             .collect();
         let raw = (0..num_channels).map(|channel| raw_trace(take, channel, station)).collect();
         Self { streams, channels, raw }
@@ -111,17 +178,21 @@ impl TakeLanes {
             .collect()
     }
 
-    /// When the differences between real contacts and simulation `sim` begin on any of `channels`, in order.
-    pub fn mismatches(&self, channels: &[usize], sim: usize) -> Vec<f64> {
-        let mut starts_s: Vec<f64> = channels
-            .iter()
-            .filter_map(|&channel| self.channels.get(channel)?.sims.get(sim))
-            .flat_map(|row| row.simulated_only.iter().chain(&row.real_only))
-            .map(|event| event.start_s)
-            .collect();
-        starts_s.sort_by(f64::total_cmp);
-        starts_s.dedup();
-        starts_s
+    /// Where the differences between real contacts and simulation `sim` begin on any of `channels`, in order of time,
+    /// then of channels.
+    pub fn mismatches(&self, channels: &[usize], sim: usize) -> Vec<Mismatch> {
+        let mut mismatches = Vec::new();
+        for &channel in channels {
+            let Some(lane) = self.channels.get(channel) else { continue };
+            let Some(row) = lane.sims.get(sim) else { continue };
+            let kinds = row.real_only.iter().map(|event| (event, MismatchKind::of_real(event, row)));
+            let simulated = row.simulated_only.iter();
+            let kinds =
+                kinds.chain(simulated.map(|event| (event, MismatchKind::of_simulated(event, &lane.real))));
+            mismatches.extend(kinds.map(|(event, kind)| Mismatch { start_s: event.start_s, channel, kind }));
+        }
+        mismatches.sort_by(|a, b| a.start_s.total_cmp(&b.start_s).then(a.channel.cmp(&b.channel)));
+        mismatches
     }
 }
 
@@ -195,15 +266,26 @@ mod tests {
     }
 
     #[test]
-    fn mismatches_come_in_order_without_repeats() {
-        let times_s: Vec<f64> = (0..6).map(f64::from).collect();
-        let on = |frames: &[usize]| (0..6).map(|frame| frames.contains(&frame)).collect::<Vec<_>>();
-        let a = build_lane("a".into(), Some(0), 0, &times_s, &on(&[4]), &[on(&[])]);
-        let b = build_lane("b".into(), Some(1), 0, &times_s, &on(&[]), &[on(&[1, 4])]);
-        let lanes = TakeLanes { channels: vec![a, b], ..Default::default() };
-        assert_eq!(lanes.mismatches(&[0, 1], 0), [1.0, 4.0]);
-        assert_eq!(lanes.mismatches(&[0], 0), [4.0]);
+    fn mismatches_come_in_order_with_their_channel_and_kind() {
+        let times_s: Vec<f64> = (0..9).map(f64::from).collect();
+        let on = |frames: &[usize]| (0..9).map(|frame| frames.contains(&frame)).collect::<Vec<_>>();
+        let a = build_lane("a".into(), Some(0), 0, &times_s, &on(&[4, 5]), &[on(&[5, 6, 7])]);
+        let b = build_lane("b".into(), Some(1), 0, &times_s, &on(&[6, 7]), &[on(&[1, 4, 5, 6])]);
+        let c = build_lane("c".into(), Some(2), 0, &times_s, &on(&[2]), &[on(&[])]);
+        let lanes = TakeLanes { channels: vec![a, b, c], ..Default::default() };
+        let told: Vec<_> =
+            lanes.mismatches(&[0, 1, 2], 0).iter().map(|m| (m.start_s, m.channel, m.kind.words())).collect();
+        let expected = [
+            (1.0, 1, "simulated only, for 1000 ms"),
+            (2.0, 2, "real only, for 1000 ms"),
+            (4.0, 0, "onset late by 1000 ms"),
+            (4.0, 1, "onset early by 2000 ms"),
+            (6.0, 0, "release late by 2000 ms"),
+            (7.0, 1, "release early by 1000 ms"),
+        ];
+        assert_eq!(told, expected.map(|(start_s, channel, words)| (start_s, channel, words.to_owned())));
+        assert_eq!(lanes.mismatches(&[2], 0).len(), 1);
         assert!(lanes.mismatches(&[0, 9], 1).is_empty());
-        assert_eq!(lanes.touched(), [0, 1]);
+        assert_eq!(lanes.touched(), [0, 1, 2]);
     }
 }

@@ -18,7 +18,10 @@ use egui::{Color32, RichText};
 use palpate_robot_model::Station;
 use palpate_wire::proto::ReplayTrace;
 
-use self::{lanes::TakeLanes, view::TimeView};
+use self::{
+    lanes::{Mismatch, TakeLanes},
+    view::TimeView,
+};
 use super::{ScreenContext, ensure_take_ui, failed_ui, loading_ui};
 use crate::{
     commands::Command,
@@ -36,6 +39,8 @@ pub struct TimelinesState {
     view_of: Option<(String, String)>,
     cache: Option<Cache>,
     mismatches: Option<Mismatches>,
+    /// The mismatch that was jumped to last, by its place in the list.
+    at_mismatch: Option<usize>,
     live: live::LiveState,
 }
 
@@ -67,13 +72,13 @@ impl Cache {
     }
 }
 
-/// Where the mismatches of the channels shown begin, and what that was worked out from.
+/// The mismatches of the channels shown, and what they were worked out from.
 #[derive(Debug)]
 struct Mismatches {
     lanes: Arc<TakeLanes>,
     channels: Vec<usize>,
     sim: usize,
-    starts_s: Arc<[f64]>,
+    found: Arc<[Mismatch]>,
 }
 
 /// A simulation in the picture.
@@ -154,20 +159,29 @@ pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut T
     };
     let channels = shown_channels(cx, &lanes);
     let judged = simulations.iter().rev().find_map(|simulation| simulation.row);
-    let mismatches_s = judged.map(|sim| mismatches_of(state, &lanes, &channels, sim));
+    let mismatches = judged.map(|sim| mismatches_of(state, &lanes, &channels, sim));
+    let mut jumped = false;
     for command in commands {
-        run_command(command, cx, &mut view, mismatches_s.as_deref().unwrap_or_default());
+        let found = mismatches.as_deref().unwrap_or_default();
+        jumped |= run_command(command, cx, &mut view, found, &mut state.at_mismatch);
     }
     if cx.playback.playing {
         view.reveal(cx.playback.time_s);
     }
+    // The mark lasts as long as the cursor stays where the jump put it.
+    let at = state.at_mismatch.and_then(|idx| {
+        let mismatch = *mismatches.as_deref()?.get(idx)?;
+        ((mismatch.start_s - cx.playback.time_s).abs() <= NEAR_S).then_some((idx, mismatch))
+    });
     let picture = paint::Picture {
         take: &take,
         station: &station,
         lanes: &lanes,
         simulations: &simulations,
         channels: &channels,
-        num_mismatches: mismatches_s.map(|starts_s| starts_s.len()),
+        num_mismatches: mismatches.map(|found| found.len()),
+        at,
+        jumped,
     };
     paint::picture_ui(ui, cx, &picture, &mut view);
     state.view = Some(view);
@@ -229,22 +243,19 @@ fn mismatches_of(
     lanes: &Arc<TakeLanes>,
     channels: &[usize],
     sim: usize,
-) -> Arc<[f64]> {
+) -> Arc<[Mismatch]> {
     if let Some(known) = &state.mismatches
         && Arc::ptr_eq(&known.lanes, lanes)
         && known.channels == channels
         && known.sim == sim
     {
-        return known.starts_s.clone();
+        return known.found.clone();
     }
-    let starts_s: Arc<[f64]> = lanes.mismatches(channels, sim).into();
-    state.mismatches = Some(Mismatches {
-        lanes: lanes.clone(),
-        channels: channels.to_vec(),
-        sim,
-        starts_s: starts_s.clone(),
-    });
-    starts_s
+    let found: Arc<[Mismatch]> = lanes.mismatches(channels, sim).into();
+    state.at_mismatch = None;
+    state.mismatches =
+        Some(Mismatches { lanes: lanes.clone(), channels: channels.to_vec(), sim, found: found.clone() });
+    found
 }
 
 fn shown_channels(cx: &ScreenContext<'_>, lanes: &TakeLanes) -> Vec<usize> {
@@ -257,22 +268,45 @@ fn shown_channels(cx: &ScreenContext<'_>, lanes: &TakeLanes) -> Vec<usize> {
     }
 }
 
-fn run_command(command: Command, cx: &mut ScreenContext<'_>, view: &mut TimeView, mismatches_s: &[f64]) {
-    /// Nearer than this is here, s.
-    const NEAR_S: f64 = 1e-6;
+/// Nearer than this is here, s.
+const NEAR_S: f64 = 1e-6;
+/// So much is on the screen before and after a mismatch that was jumped to, s.
+const AROUND_S: f64 = 1.0;
+
+/// True when it jumped to a mismatch, which `at` then tells.
+fn run_command(
+    command: Command,
+    cx: &mut ScreenContext<'_>,
+    view: &mut TimeView,
+    mismatches: &[Mismatch],
+    at: &mut Option<usize>,
+) -> bool {
     let cursor_s = cx.playback.time_s;
-    let target_s = match command {
-        Command::FitTake => {
+    // Several channels may differ from the same moment on: each is a step of its own.
+    let here = at.filter(|&idx| {
+        mismatches.get(idx).is_some_and(|mismatch| (mismatch.start_s - cursor_s).abs() <= NEAR_S)
+    });
+    let target = match (command, here) {
+        (Command::FitTake, _) => {
             *view = TimeView::fit(cx.playback.duration_s);
-            return;
+            return false;
         }
-        Command::PreviousMismatch => mismatches_s.iter().rev().find(|&&start_s| start_s < cursor_s - NEAR_S),
-        Command::NextMismatch => mismatches_s.iter().find(|&&start_s| start_s > cursor_s + NEAR_S),
-        _ => return,
+        (Command::PreviousMismatch, Some(idx)) => idx.checked_sub(1),
+        (Command::PreviousMismatch, None) => {
+            mismatches.iter().rposition(|mismatch| mismatch.start_s < cursor_s - NEAR_S)
+        }
+        (Command::NextMismatch, Some(idx)) => Some(idx + 1),
+        (Command::NextMismatch, None) => {
+            mismatches.iter().position(|mismatch| mismatch.start_s > cursor_s + NEAR_S)
+        }
+        _ => return false,
     };
-    if let Some(&target_s) = target_s {
-        cx.playback.playing = false;
-        cx.playback.seek(target_s);
-        view.reveal(target_s);
-    }
+    let Some((idx, mismatch)) = target.and_then(|idx| Some((idx, mismatches.get(idx)?))) else {
+        return false;
+    };
+    *at = Some(idx);
+    cx.playback.playing = false;
+    cx.playback.seek(mismatch.start_s);
+    view.focus(mismatch.start_s, AROUND_S);
+    true
 }

@@ -7,7 +7,7 @@ use palpate_robot_model::Station;
 
 use super::{
     ScreenContext, Simulation,
-    lanes::TakeLanes,
+    lanes::{Mismatch, TakeLanes},
     view::{TimeView, tick_text, ticks},
 };
 use crate::take_data::TakeData;
@@ -29,6 +29,10 @@ pub(super) struct Picture<'a> {
     pub(super) channels: &'a [usize],
     /// Mismatches in these channels, against the last simulation that is here.
     pub(super) num_mismatches: Option<usize>,
+    /// The mismatch that the cursor was put on, and its place among them.
+    pub(super) at: Option<(usize, Mismatch)>,
+    /// The cursor was put there in this frame: its channel is brought into view.
+    pub(super) jumped: bool,
 }
 
 /// From time to the screen and back.
@@ -120,8 +124,16 @@ fn legend_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, picture: &Picture<'_>) {
         let hollow = picture.simulations.last().map_or(cx.palette.nominal, |simulation| simulation.colour);
         key(ui, hollow, false, false, "simulated, not real");
         key(ui, cx.palette.mismatch, true, true, "real, not simulated");
-        if let Some(count) = picture.num_mismatches {
-            ui.label(RichText::new(format!("{count} mismatches in the channels shown")).small());
+        match (picture.num_mismatches, picture.at) {
+            (Some(count), Some((idx, mismatch))) => {
+                let label = picture.station.layout.channel_label(mismatch.channel);
+                let text = format!("{} of {count} mismatches: {label}, {}", idx + 1, mismatch.kind.words());
+                ui.label(RichText::new(text).small().strong());
+            }
+            (Some(count), None) => {
+                ui.label(RichText::new(format!("{count} mismatches in the channels shown")).small());
+            }
+            (None, _) => {}
         }
     });
 }

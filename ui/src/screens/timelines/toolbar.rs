@@ -109,8 +109,8 @@ fn channels_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &str) {
                         ui.indent(&patch.id, |ui| {
                             ui.horizontal_wrapped(|ui| {
                                 for channel in patch.channels.clone() {
-                                    let id = &layout.channels[channel].id;
-                                    pick_ui(ui, cx, channel..channel + 1, id);
+                                    let label = layout.channel_label(channel);
+                                    pick_ui(ui, cx, channel..channel + 1, &label);
                                 }
                             });
                         });

@@ -52,6 +52,14 @@ impl TimeView {
         }
     }
 
+    /// Moves so that `time_s` is in the middle, with at most `around_s` on either side.
+    pub fn focus(&mut self, time_s: f64, around_s: f64) {
+        if time_s.is_finite() && around_s > 0.0 {
+            let span_s = self.span_s().min(2.0 * around_s).max(MIN_SPAN_S);
+            self.place(time_s - span_s / 2.0, span_s);
+        }
+    }
+
     fn place(&mut self, from_s: f64, span_s: f64) {
         let whole = Self::fit(self.duration_s);
         let last_from_s = (whole.to_s - span_s).max(whole.from_s);
@@ -112,6 +120,18 @@ mod tests {
         assert_eq!(view, before);
         view.reveal(90.0);
         assert!(view.from_s < 90.0 && 90.0 < view.to_s);
+    }
+
+    #[test]
+    fn focus_brings_near_and_never_farther_away() {
+        let mut view = TimeView::fit(100.0);
+        view.focus(50.0, 1.0);
+        assert_eq!((view.from_s, view.to_s), (49.0, 51.0));
+        view.zoom_at(50.0, 4.0);
+        view.focus(70.0, 1.0);
+        assert_eq!((view.from_s, view.to_s), (69.75, 70.25));
+        view.focus(0.0, 1.0);
+        assert!(view.from_s <= 0.0 && view.to_s > 0.0, "the edge of the take is near");
     }
 
     proptest! {

@@ -36,6 +36,10 @@ pub(super) fn lane_ui(
     let rect = Rect::from_x_y_ranges(axis.range(), row.y_range());
     let names = Rect::from_min_max(row.min, pos2(axis.left - 8.0, row.bottom()));
 
+    let marked = lane.channel.is_some() && picture.at.map(|(_, mismatch)| mismatch.channel) == lane.channel;
+    if marked && picture.jumped {
+        ui.scroll_to_rect(row, Some(egui::Align::Center));
+    }
     // Lanes out of sight still exist for those who do not look: their node is made, nothing is painted.
     name_ui(ui, cx, picture, lane, names, bar);
     if !ui.is_rect_visible(row) {
@@ -58,6 +62,11 @@ pub(super) fn lane_ui(
     let highlighted = lane.channel.is_some() && cx.playback.highlighted() == lane.channel;
     let ground = if highlighted { cx.palette.line } else { cx.palette.surface };
     painter.rect_filled(rect, 0.0, ground);
+    if marked {
+        let whole = Rect::from_min_max(row.min, rect.max).shrink(1.0);
+        let stroke = Stroke::new(2.0, cx.palette.warning);
+        ui.painter().rect_stroke(whole, 3.0, stroke, StrokeKind::Inside);
+    }
     let pixels_per_point = ui.ctx().pixels_per_point();
     let mut shapes = Vec::new();
     let mut y = Rangef::new(rect.top() + 1.0, rect.top() + bar - 1.0);
@@ -174,7 +183,8 @@ fn name_ui(
         };
         // Rows of single channels are too low for words; the order is that of the legend.
         if lane.channel.is_none() {
-            painter.text(centre - vec2(9.0, 0.0), Align2::RIGHT_CENTER, *label, font.clone(), *colour);
+            let colour = cx.palette.text_of(*colour);
+            painter.text(centre - vec2(9.0, 0.0), Align2::RIGHT_CENTER, *label, font.clone(), colour);
         }
     }
 }
