@@ -6,6 +6,7 @@ mod campaigns;
 mod comparisons;
 mod demonstrations;
 mod encoders;
+mod jobs;
 mod policies;
 mod rollouts;
 mod station;
