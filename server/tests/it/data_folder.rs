@@ -306,7 +306,8 @@ async fn sessions_are_listed_from_the_index_until_a_take_changes() {
 
     // The index is made again from the files, whatever was in it.
     let report: Value =
-        serde_json::from_str(&palpate_ok(&["index", "rebuild", "--json", "--data", arg(data.root())])).unwrap();
+        serde_json::from_str(&palpate_ok(&["index", "rebuild", "--json", "--data", arg(data.root())]))
+            .unwrap();
     assert_eq!((&report["sessions"], &report["takes"]), (&json!(0), &json!(0)));
     assert!(report["problems"][0].as_str().is_some_and(|problem| problem.contains("take-02")), "{report}");
     overwrite(&bytes, modified);

@@ -72,7 +72,8 @@ async fn old_jobs_go_to_the_trash_unless_something_refers_to_them() {
     assert_eq!(why_kept(&plan, "runs/run-1"), "model bench was saved from it");
     assert_eq!(why_kept(&plan, "runs/run-2"), "campaign night refers to it");
     let without_database = |tree: std::collections::BTreeMap<std::path::PathBuf, Vec<u8>>| {
-        let is_written = |path: &Path| ["palpate.sqlite", "audit.jsonl"].iter().any(|name| arg(path).contains(name));
+        let is_written =
+            |path: &Path| ["palpate.sqlite", "audit.jsonl"].iter().any(|name| arg(path).contains(name));
         tree.into_iter().filter(|(path, _)| !is_written(path)).collect::<Vec<_>>()
     };
     assert_eq!(without_database(tree(data.root())), without_database(before), "a plan touches nothing");

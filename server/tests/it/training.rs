@@ -286,9 +286,11 @@ async fn command_line_queues_a_job_that_the_studio_starts() {
     let job: Job = serde_json::from_str(&printed).unwrap();
     assert_eq!((job.id.as_str(), job.state, job.spec.seed), ("tuning-1", JobState::Queued, 5));
     assert_eq!(ended(&app, "tuning-1").await.state, JobState::Done);
-    for (kind, request, words) in
-        [("tune", r#"{"object": "cueb"}"#, "no object"), ("tune", "{", "no JSON"), ("dance", "{}", "expert, evaluation")]
-    {
+    for (kind, request, words) in [
+        ("tune", r#"{"object": "cueb"}"#, "no object"),
+        ("tune", "{", "no JSON"),
+        ("dance", "{}", "expert, evaluation"),
+    ] {
         let refused = palpate_refuses(&submission(&data, &train, kind, request));
         assert!(refused.contains(words), "{refused}");
     }

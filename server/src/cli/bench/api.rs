@@ -338,7 +338,10 @@ struct Client {
 impl Client {
     fn connect(addr: SocketAddr) -> Result<Self, Error> {
         let stream = TcpStream::connect(addr).map_err(|err| broken(&err))?;
-        stream.set_nodelay(true).and_then(|()| stream.set_read_timeout(Some(PATIENCE))).map_err(|err| broken(&err))?;
+        stream
+            .set_nodelay(true)
+            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
+            .map_err(|err| broken(&err))?;
         Ok(Self { stream: BufReader::new(stream) })
     }
 
@@ -354,12 +357,7 @@ impl Client {
         Ok((answer, seconds))
     }
 
-    fn exchange(
-        &mut self,
-        method: &str,
-        path: &str,
-        body: Option<&Value>,
-    ) -> Result<(Vec<u8>, f64), Error> {
+    fn exchange(&mut self, method: &str, path: &str, body: Option<&Value>) -> Result<(Vec<u8>, f64), Error> {
         let body = body.map(Value::to_string).unwrap_or_default();
         let head = format!(
             "{method} /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
