@@ -83,13 +83,30 @@ pub fn published_results() -> Result<Vec<PublishedResult>, Error> {
 /// Writes all of it to a folder that goes when the result is dropped.
 pub fn unpack() -> Result<TempDir, Error> {
     let dir = tempfile::tempdir().map_err(Error::io("make", std::env::temp_dir()))?;
+    unpack_to(dir.path())?;
+    Ok(dir)
+}
+
+/// Writes all of it to the folder `dir`.
+pub(crate) fn unpack_to(dir: &Path) -> Result<(), Error> {
     for (name, bytes) in FILES {
-        let path = dir.path().join(name);
-        let folder = path.parent().unwrap_or(dir.path());
+        let path = dir.join(name);
+        let folder = path.parent().unwrap_or(dir);
         fs::create_dir_all(folder).map_err(Error::io("make", folder))?;
         fs::write(&path, bytes).map_err(Error::io("write", &path))?;
     }
-    Ok(dir)
+    Ok(())
+}
+
+/// The text of a shipped file by its path relative to `assets/`.
+pub(crate) fn text(path: &str) -> Option<&'static str> {
+    std::str::from_utf8(read(path)?).ok()
+}
+
+/// Names, without `extension`, of what is shipped in `folder`; sorted.
+pub(crate) fn names_in(folder: &str, extension: &str) -> Vec<&'static str> {
+    let name = |path: &'static str| path.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(extension);
+    FILES.iter().filter_map(|(path, _)| name(path)).filter(|name| !name.contains('/')).collect()
 }
 
 /// A truth file by path, or a shipped one by name (`demo`); the folder must outlive its use.

@@ -11,12 +11,14 @@ mod devices;
 mod diagnose;
 mod emulate;
 mod import;
+mod index;
 mod job;
 mod jobs;
 mod openapi;
 mod output;
 mod people;
 mod replay;
+mod retention;
 mod serve;
 mod session;
 mod station;
@@ -75,6 +77,11 @@ enum Command {
     Tokens(tokens::TokensCommand),
     /// Copy a data folder into one file, while a studio has it open or not
     Backup(backup::BackupArgs),
+    /// What is known of sessions and takes without decoding them
+    #[command(subcommand)]
+    Index(index::IndexCommand),
+    /// Delete old jobs and what has been in the trash for long
+    Retention(retention::RetentionCommand),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Write man pages
@@ -116,6 +123,8 @@ pub(crate) fn main() -> ExitCode {
         Command::People(command) => people::run(&command),
         Command::Tokens(command) => tokens::run(&command),
         Command::Backup(args) => backup::run(&args),
+        Command::Index(command) => index::run(&command),
+        Command::Retention(args) => retention::run(&args),
         Command::Completions(args) => completions::completions(&args, Args::command()),
         Command::Man(args) => completions::man(&args, Args::command()),
         Command::Openapi => openapi::run(),

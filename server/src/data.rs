@@ -3,9 +3,11 @@
 pub mod bars;
 pub(crate) mod cache;
 pub mod files;
+pub(crate) mod index;
 pub mod library;
 pub(crate) mod objects;
 pub(crate) mod store;
 pub(crate) mod upload;
 
+pub use index::{IndexReport, rebuild_index};
 pub use store::Store;

@@ -90,6 +90,9 @@ pub enum Error {
     /// There is something of that name already.
     #[error("{0}")]
     Exists(String),
+    /// A program that the work needs is not there.
+    #[error("{0}")]
+    NotInstalled(String),
     /// A body of another content type than the server takes.
     #[error("{0}")]
     MediaType(String),
@@ -158,6 +161,8 @@ pub enum Class {
     Conflict,
     /// The caller's: another name.
     Exists,
+    /// The operator's of this machine: it lacks a program.
+    NotInstalled,
     /// The caller's: another idempotency key.
     KeyReused,
     /// The caller's: another content type.
@@ -244,6 +249,7 @@ impl Error {
             Self::TooOften { .. } => Class::TooOften,
             Self::Conflict(_) => Class::Conflict,
             Self::Exists(_) => Class::Exists,
+            Self::NotInstalled(_) => Class::NotInstalled,
             Self::MediaType(_) => Class::MediaType,
             Self::TooLarge(_) => Class::TooLarge,
             Self::Busy(_) => Class::Busy,

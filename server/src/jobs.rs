@@ -5,10 +5,12 @@ mod diagnose;
 pub(crate) mod kinds;
 mod legacy;
 pub(crate) mod runs;
+pub(crate) mod trainer;
 mod work;
 
 use std::{path::Path, sync::Arc, time::Instant};
 
+pub use board::{JobSource, submit_job};
 pub use diagnose::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session};
 use palpate_calibration::{CalibrationConfig, PairedTake, calibrate, report};
 use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};

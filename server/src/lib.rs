@@ -32,6 +32,7 @@ mod error;
 mod http;
 mod hub;
 pub mod jobs;
+mod retention;
 mod serve;
 mod state;
 mod station;
@@ -43,6 +44,10 @@ pub use data::Store;
 pub use error::{Class, Error, chain};
 pub use http::{Needs, NeedsLease, Route, app, openapi, root_routes, routes};
 pub use hub::Hub;
+pub use retention::{
+    RetentionAct, RetentionConfig, RetentionKept, RetentionPlan, RetentionStep,
+    carry_out as carry_out_retention, plan as plan_retention,
+};
 pub use serve::{Ready, ServeConfig, Served, open_people, serve, serve_on};
 pub use state::{Access, AppState, Studio};
 pub use station::{EmulatedDevices, LiveStation, RunningStation};

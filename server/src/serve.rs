@@ -16,6 +16,7 @@ use crate::{
     Error, LiveStation, RunningStation, Tls, app,
     http::{listener, page},
     jobs::board::DATABASE_FILE,
+    retention::{self, RetentionConfig},
     state::{Access, AppState, Studio},
     tls::{self, TlsIdentity},
 };
@@ -44,6 +45,10 @@ pub struct ServeConfig {
     pub login: bool,
     /// Which certificate the studio shows.
     pub tls: Tls,
+    /// The `palpate-train` program; without, it is looked for beside this one and on `PATH`.
+    pub train: Option<PathBuf>,
+    /// What becomes of old jobs and of the trash.
+    pub retention: RetentionConfig,
 }
 
 /// How a studio that is ready can be reached.
@@ -122,7 +127,7 @@ pub async fn serve(
     motion_ended: impl FnOnce(Option<&Ending>) + Send + 'static,
 ) -> Result<Served, Error> {
     let Security { needs_login, has_tls, is_open } = config.security()?;
-    let ServeConfig { listen, data, station, hosts, behind_proxy, tls, .. } = config;
+    let ServeConfig { listen, data, station, hosts, behind_proxy, tls, train, retention, .. } = config;
     let failed_to = |action: &'static str| {
         move |err: std::io::Error| {
             Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))
@@ -130,7 +135,7 @@ pub async fn serve(
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
     let names = tls::names(listen, &hosts);
-    let access = Access { hosts, insecure: is_open, login: needs_login, behind_proxy, program: None };
+    let access = Access { hosts, insecure: is_open, login: needs_login, behind_proxy, program: None, train };
     if needs_login {
         refuse_nobody(&data, listen)?;
     }
@@ -141,6 +146,9 @@ pub async fn serve(
         Tls::Own | Tls::Auto => None,
     };
     let Studio { state, station } = Studio::open(&data, station.as_ref(), access)?;
+    if retention.is_on() {
+        retention::keep_in_order(&state, retention)?;
+    }
     if is_open {
         tracing::warn!(%listen, "no login: anybody who reaches this address may take control of the robot");
     }
@@ -250,6 +258,8 @@ mod tests {
             behind_proxy: false,
             login: false,
             tls: Tls::Auto,
+            train: None,
+            retention: RetentionConfig::default(),
         };
         let security = |config: ServeConfig| {
             let Security { needs_login, has_tls, is_open } = config.security().unwrap();

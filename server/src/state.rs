@@ -15,10 +15,11 @@ use tokio::sync::watch;
 
 use crate::{
     Error, Hub, Store, assets,
-    data::library::Library,
+    data::{index::TakeIndex, library::Library},
     jobs::{
         board::{DATABASE_FILE, Jobs},
         runs::{Calibrations, Diagnoses, Runs},
+        trainer::Trainer,
     },
     station::{Live, LiveStation, RunningStation},
     work::Work,
@@ -37,6 +38,8 @@ pub struct Access {
     pub behind_proxy: bool,
     /// The `palpate` program that jobs run as; without, the one that runs now.
     pub program: Option<PathBuf>,
+    /// The `palpate-train` program; without, it is looked for beside `palpate` and on `PATH`.
+    pub train: Option<PathBuf>,
 }
 
 /// What requests share.
@@ -70,13 +73,15 @@ impl Studio {
     /// Opens the data folder `data`, and the live station if there is one.
     pub fn open(data: &Path, station: Option<&LiveStation>, access: Access) -> Result<Self, Error> {
         let store = Arc::new(Store::open(data)?);
-        let library = Arc::new(Library::default());
         let hub = Arc::new(Hub::default());
         let program = match &access.program {
             Some(program) => program.clone(),
             None => std::env::current_exe().map_err(Error::io("find", "this program"))?,
         };
-        let jobs = Jobs::open(store.clone(), hub.clone(), &program)?;
+        let trainer = Trainer { configured: access.train.clone(), palpate: Some(program) };
+        let jobs = Jobs::open(store.clone(), hub.clone(), trainer)?;
+        // After the database has been made.
+        let library = Arc::new(Library::with_index(TakeIndex::open(store.root())?));
         let people = Arc::new(People::open(&store.root().join(DATABASE_FILE))?);
         look_after(&people)?;
         let audit_path = store.audit_path();

@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 use palpate_wire::{
     api::{
-        CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, LiveModel, NewPerson, NewToken,
-        PersonChanges, ProblemDetails, RecordingAction, SaveDiagnosisRequest, SaveModelRequest, ScoreBack,
-        ScoreRequest, StartRecording, TrialEnd, WantedTake,
+        CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, JobRequest, LiveModel, NewPerson,
+        NewToken, PersonChanges, ProblemDetails, RecordingAction, SaveDiagnosisRequest, SaveModelRequest,
+        ScoreBack, ScoreRequest, StartRecording, TrialEnd, WantedTake,
     },
     proto::{ControlRequest, control_request},
 };
@@ -145,6 +145,12 @@ pub enum Request {
     Job(String),
     /// What a job's process printed.
     JobLog(String),
+    /// The curves of a job.
+    JobMetrics(String),
+    /// The kinds of jobs, and which of them the studio can do.
+    Kinds,
+    /// Start a job of any kind.
+    SubmitJob(JobRequest),
     /// Do something with a job.
     ActOnJob {
         /// Id of the job.
@@ -334,6 +340,9 @@ impl Request {
             Self::Jobs(Some(cursor)) => get(format!("/jobs?cursor={}", segment(cursor))),
             Self::Job(job) => get(format!("/jobs/{}", segment(job))),
             Self::JobLog(job) => get(format!("/jobs/{}/log", segment(job))),
+            Self::JobMetrics(job) => get(format!("/jobs/{}/metrics", segment(job))),
+            Self::Kinds => get("/kinds".into()),
+            Self::SubmitJob(body) => post("/jobs".into(), json(body)),
             Self::ActOnJob { job, act } => {
                 let path = format!("/jobs/{}", segment(job));
                 match act {

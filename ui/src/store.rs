@@ -469,6 +469,9 @@ impl Store {
             Request::Jobs(cursor) => self.jobs.receive_list(cursor, result),
             Request::Job(_) => self.jobs.receive_job(result),
             Request::JobLog(id) => self.jobs.receive_log(id, result),
+            Request::JobMetrics(id) => self.jobs.receive_metrics(id, result),
+            Request::Kinds => self.jobs.receive_kinds(result),
+            Request::SubmitJob(_) => self.jobs.receive_submitted(result),
             Request::ActOnJob { job, act } => self.jobs.receive_acted(job, act, result),
             request @ (Request::Me
             | Request::People

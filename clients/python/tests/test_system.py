@@ -274,3 +274,22 @@ def test_a_slow_reader_gets_new_frames(p: Palpate) -> None:
     assert first.time_s > before - 1.0
     assert second.time_s > before - 0.5
     assert second.dropped > 20
+
+
+def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
+    kinds = {kind.kind: kind for kind in p.jobs.kinds()}
+    trainings = ["tune", "expert", "evaluation", "demonstrations", "pretraining"]
+    assert set(kinds) >= {"calibrate", "diagnose", *trainings}
+    # Where palpate-train is missing, that is said of all of them.
+    assert len({kinds[kind].problem for kind in trainings}) == 1
+    for ask in (
+        lambda: p.jobs.tune("no such object"),
+        lambda: p.jobs.expert("no such object"),
+        lambda: p.jobs.evaluation("no such policy"),
+        lambda: p.jobs.demonstrations("no such policy", 4),
+        lambda: p.jobs.pretraining(["no such job"]),
+    ):
+        with pytest.raises(PalpateError) as caught:
+            ask()
+        assert caught.value.status in (400, 409), caught.value
+        assert "no such" in str(caught.value) or "palpate-train" in str(caught.value)

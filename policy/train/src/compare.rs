@@ -16,7 +16,7 @@ use palpate_grasp::trial::{Ending, Known, conduct};
 use palpate_grasp::{GraspScene, Protocol, Script};
 use palpate_robot_model::ObjectGroup;
 use palpate_sim::job::Progress as _;
-use palpate_terminal::Bar;
+use palpate_terminal::{Bar, events};
 use rayon::prelude::*;
 
 use self::report::{Arm, Comparison, OfObject};
@@ -168,9 +168,10 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(&comparison.document(true))?;
         files::write_in_one_move(out, format!("{text}\n").as_bytes())?;
     }
+    events::report(&comparison.document(false));
     if args.task.scene.json {
         println!("{}", serde_json::to_string_pretty(&comparison.document(false))?);
-    } else {
+    } else if !events::are_printed() {
         print!("{}", comparison.text());
     }
     Ok(())

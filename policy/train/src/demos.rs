@@ -22,7 +22,7 @@ use self::shard::{Columns, Demonstration, Recorder};
 use crate::files;
 use crate::policy::Policy;
 use crate::task::{self, TaskArgs};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 
 /// Trials that are run together; what comes of them does not depend on it.
 const BLOCK: u64 = 32;
@@ -173,9 +173,15 @@ impl Job {
             });
             manifest.write(&args.out)?;
             bar.line(&format!("{} of {} demonstrations", manifest.num_demos(), args.count));
+            let success_rate = manifest.num_demos() as f64 / manifest.num_trials().max(1) as f64;
+            let counts = serde_json::json!({
+                "demonstrations": manifest.num_demos(), "trials": manifest.num_trials(), "success_rate": success_rate,
+            });
+            events::metrics(manifest.files.len() as u64, &counts);
         }
         drop(bar);
         let [low, high] = manifest.trials.interval_95;
+        events::report(&manifest);
         if args.task.scene.json {
             println!("{}", manifest.to_json()?);
         }

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail};
 use palpate_encoder::{Data, Dataset, EncoderConfig, Finish, MeanPrediction, Score, Start};
 use palpate_sim::job::{Cancel, Progress as _};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use serde::Serialize;
 
 use self::samples::World;
@@ -84,6 +84,8 @@ pub(crate) fn run(args: &EncodeArgs) -> anyhow::Result<()> {
     let mut watch = |progress: &palpate_encoder::Progress| {
         bar.report(progress.fraction, "learning");
         if let Some([train, held_out]) = progress.losses {
+            let losses = serde_json::json!({ "loss": train, "held_out_loss": held_out });
+            events::metrics(progress.update, &losses);
             bar.line(&format!(
                 "{} updates: loss {train:.4}, held out {held_out:.4}, about {:.0} s left",
                 progress.update, progress.eta_s
@@ -110,9 +112,10 @@ pub(crate) fn run(args: &EncodeArgs) -> anyhow::Result<()> {
             anyhow::Ok(())
         })?,
     };
+    events::report(&report);
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
+    } else if !events::are_printed() {
         print(&report);
     }
     eprintln!("{} updates; {} holds the run", report.updates, args.out.display());

@@ -31,6 +31,9 @@ use clap::{Parser, Subcommand};
 #[derive(Parser)]
 #[command(name = "palpate-train", about = "Grasping in simulation", version)]
 struct Args {
+    /// For programs: print progress, metrics and the report as JSON lines on standard output, and end when standard input ends
+    #[arg(long, global = true)]
+    events: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -107,7 +110,14 @@ pub(crate) struct SceneArgs {
 }
 
 fn main() -> ExitCode {
-    let done = match Args::parse().command {
+    let args = Args::parse();
+    if args.events
+        && let Err(err) = palpate_terminal::events::print_events()
+    {
+        eprintln!("palpate-train: failed to start a thread: {err}");
+        return ExitCode::FAILURE;
+    }
+    let done = match args.command {
         Command::Script(args) => script::run(&args),
         Command::Tune(args) => tune::run(&args),
         Command::Ppo(args) => ppo::run(&args),

@@ -12,7 +12,7 @@ use palpate_sim::job::{Cancel, Progress as _};
 
 use crate::task::{Memory, TaskArgs, TaskRecord};
 use crate::{files, task};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 
 /// The metric of how wide the region of starts is.
 pub(crate) const START_HALF_WIDTH: &str = "start_half_width_m";
@@ -59,6 +59,7 @@ pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
     let mut watch = |progress: &palpate_ppo::Progress| {
         bar.report(progress.fraction, "learning");
         bar.line(&summary(progress));
+        events::metrics(progress.metrics.update, &progress.metrics);
         if args.task.scene.json {
             match serde_json::to_string(&progress.metrics) {
                 Ok(line) => println!("{line}"),
@@ -81,6 +82,16 @@ pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
         Finish::Success => "enough episodes succeed",
         Finish::Cancelled => "stopped; `--resume` goes on from the last checkpoint",
     };
+    events::report(&serde_json::json!({
+        "steps": trainer.steps(),
+        "updates": trainer.updates(),
+        "recent_success_rate": trainer.recent_success_rate(),
+        "finish": match finish {
+            Finish::Steps => "steps",
+            Finish::Success => "success",
+            Finish::Cancelled => "cancelled",
+        },
+    }));
     eprintln!("{why}: {} steps; {} holds the run", trainer.steps(), args.out.display());
     Ok(())
 }

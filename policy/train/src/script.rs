@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::bail;
 use palpate_grasp::GraspScene;
 use palpate_grasp::trial::{self, Score};
+use palpate_terminal::events;
 use serde::Serialize;
 
 use crate::files::Sources;
@@ -39,9 +40,13 @@ pub(crate) fn run(args: &ScriptArgs) -> anyhow::Result<()> {
 /// Prints what was scored in `scene`.
 pub(crate) fn print(scene: &GraspScene, score: Score, json: bool) -> anyhow::Result<()> {
     let object = scene.object();
+    let report = ScriptReport { objects: [(object.id.clone(), score.clone())].into() };
+    events::report(&report);
     if json {
-        let report = ScriptReport { objects: [(object.id.clone(), score)].into() };
         println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    if events::are_printed() {
         return Ok(());
     }
     let [low, high] = score.interval_95;

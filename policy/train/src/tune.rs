@@ -10,7 +10,7 @@ use palpate_sim::job::Cancel;
 
 use crate::files::Sources;
 use crate::{SceneArgs, files};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 
 /// What changes unless another file is named.
 const TUNING: &str = "assets/grasp/xarm6_leap_tuning.toml";
@@ -87,6 +87,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<()> {
     if Cancel::is_cancelled(&cancel) {
         eprintln!("stopped early, after {} generations", report.generations.len() - 1);
     }
+    events::report(&serde_json::json!({ "generations": report.generations }));
     eprintln!("wrote {}", args.out.display());
     Ok(())
 }
@@ -113,6 +114,7 @@ fn tell(args: &TuneArgs, bar: &Bar, generation: &Generation, began: Instant) -> 
     if args.scene.json {
         println!("{}", serde_json::to_string(generation)?);
     }
+    events::metrics(generation.generation as u64, generation);
     let Generation { generation: number, check_score, check, spread, best, .. } = generation;
     let elapsed_s = began.elapsed().as_secs_f64();
     let left_s = elapsed_s / (number + 1) as f64 * (args.generations - number) as f64;

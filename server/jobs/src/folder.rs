@@ -249,7 +249,7 @@ impl JobFolder {
     }
 
     /// Adds a line to `metrics.jsonl`.
-    pub(crate) fn append_metrics(&self, line: &serde_json::Value) -> Result<(), JobsError> {
+    pub fn append_metrics(&self, line: &serde_json::Value) -> Result<(), JobsError> {
         let path = self.file("metrics.jsonl");
         let mut text = line.to_string();
         text.push('\n');

@@ -16,7 +16,7 @@ mod runner;
 mod scheduler;
 mod working;
 
-pub use clock::{rfc3339, rfc3339_now};
+pub use clock::{rfc3339, rfc3339_now, seconds_between};
 pub use database::{Database, JobTotals, ListFilter, Submitted};
 pub use error::JobsError;
 pub use folder::{FolderLock, JobFolder};

@@ -114,8 +114,8 @@ impl Scheduler {
         Ok(scheduler)
     }
 
-    /// The same without a thread: [`Self::tick`] does what it would do.
-    fn open(config: SchedulerConfig) -> Result<Self, JobsError> {
+    /// The same without a thread: nothing starts until another scheduler has the folder.
+    pub fn open(config: SchedulerConfig) -> Result<Self, JobsError> {
         if config.runners.is_empty() {
             return Err(JobsError::Argument("jobs need a runner".to_owned()));
         }
@@ -127,6 +127,15 @@ impl Scheduler {
             ends: AtomicBool::new(false),
         });
         Ok(Self { shared, thread: Mutex::default() })
+    }
+
+    /// Whether jobs of `runner`, or of the usual one, run on this computer.
+    pub fn is_local(&self, runner: Option<&str>) -> bool {
+        let runner = match runner {
+            None => self.shared.config.runners.first(),
+            Some(name) => self.shared.runner(name),
+        };
+        runner.is_some_and(|runner| runner.capacity().is_some())
     }
 
     /// Queues a job. It is on disk when this returns.

@@ -1,5 +1,6 @@
 //! `palpate bench`: the paths that have to be fast, measured on a whole session or a live station.
 
+mod api;
 mod stop;
 mod stream;
 
@@ -28,6 +29,8 @@ pub(crate) enum BenchCommand {
     Replay(BenchArgs),
     /// An emulated station that records while many clients watch it
     Stream(stream::StreamArgs),
+    /// The API while a thousand jobs wait and many pages watch, beside MLflow's tracking server
+    Api(api::ApiArgs),
     /// STOP under load: from a client's message to the bytes that switch the servos off
     Stop(stop::StopArgs),
 }
@@ -59,6 +62,7 @@ pub(super) fn run(command: &BenchCommand) -> Outcome {
         BenchCommand::Sweep(args) => sweep(args)?,
         BenchCommand::Replay(args) => replay(args)?,
         BenchCommand::Stream(args) => stream::run(args)?,
+        BenchCommand::Api(args) => api::run(args)?,
         BenchCommand::Stop(args) => stop::run(args)?,
     }
     Ok(ExitCode::SUCCESS)

@@ -25,10 +25,16 @@ pub(crate) struct RunArgs {
     /// How much to give way to other processes
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(i32).range(0..=19))]
     nice: i32,
+    /// The palpate-train program; without, it is looked for beside this one and on PATH
+    #[arg(long, value_name = "FILE")]
+    train: Option<PathBuf>,
 }
 
 pub(super) fn run(command: &JobCommand) -> Outcome {
     match command {
-        JobCommand::Run(args) => run_job(&args.dir, WorkingConfig { attempt: args.attempt, nice: args.nice }),
+        JobCommand::Run(args) => {
+            let config = WorkingConfig { attempt: args.attempt, nice: args.nice };
+            run_job(&args.dir, config, args.train.as_deref())
+        }
     }
 }

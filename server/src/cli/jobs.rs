@@ -4,8 +4,12 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Subcommand};
 use palpate_jobs::{Database, JobFolder, ListFilter};
-use palpate_server::{Error, data::files};
-use palpate_wire::api::{Job, JobState};
+use palpate_server::{
+    Error,
+    data::files,
+    jobs::{JobSource, submit_job},
+};
+use palpate_wire::api::{Job, JobRequest, JobState, Resources};
 
 use super::{Outcome, output};
 
@@ -16,6 +20,8 @@ const MAX_LOG_BYTES: u64 = 1 << 20;
 pub(crate) enum JobsCommand {
     /// Newest first
     List(ListArgs),
+    /// Queue a job; a studio that has the folder open starts it
+    Submit(SubmitArgs),
     /// One job, and where its files are
     Show(JobArgs),
     /// Ask a job to stop; a running one is asked by the studio
@@ -59,6 +65,31 @@ pub(crate) struct JobArgs {
     folder: FolderArgs,
 }
 
+#[derive(Args)]
+pub(crate) struct SubmitArgs {
+    /// Kind of job, e.g. diagnose or expert
+    kind: String,
+    /// The request in the form of its kind (docs/jobs.md), as JSON, e.g. '{"object": "cube"}'
+    request: String,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Jobs of a higher priority start first
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    priority: i32,
+    /// Cores; 0 means all of them [default: as its kind needs]
+    #[arg(long)]
+    cores: Option<u32>,
+    /// Where it runs: process, or the name of a runner in runners.toml [default: the first that there is]
+    #[arg(long)]
+    runner: Option<String>,
+    /// The palpate-train program [default: the one beside palpate, or on PATH]
+    #[arg(long, value_name = "FILE")]
+    train: Option<PathBuf>,
+    #[command(flatten)]
+    folder: FolderArgs,
+}
+
 fn state(name: &str) -> Result<JobState, String> {
     JobState::from_name(name)
         .ok_or_else(|| format!("{name:?} is no state; expected queued, running, done, failed or cancelled"))
@@ -67,6 +98,7 @@ fn state(name: &str) -> Result<JobState, String> {
 pub(super) fn run(command: &JobsCommand) -> Outcome {
     match command {
         JobsCommand::List(args) => list(args)?,
+        JobsCommand::Submit(args) => submit(args)?,
         JobsCommand::Show(args) => show(args, &job(args)?)?,
         JobsCommand::Cancel(args) => {
             let before = job(args)?;
@@ -142,6 +174,26 @@ fn list(args: &ListArgs) -> Result<(), Error> {
         let state = job.state.name();
         output::line(&format!("{:<20} {:<10} {state:<10} {:<24}  {last}", job.id, job.kind, job.created))
     })
+}
+
+fn submit(args: &SubmitArgs) -> Result<(), Error> {
+    let request = serde_json::from_str(&args.request)
+        .map_err(|err| Error::Argument(format!("the request {:?} is no JSON: {err}", args.request)))?;
+    let request = JobRequest {
+        kind: args.kind.clone(),
+        request,
+        seed: args.seed,
+        priority: args.priority,
+        resources: args.cores.map(|cores| Resources { cores, ..Resources::default() }),
+        runner: args.runner.clone(),
+    };
+    let source = JobSource { data: &args.folder.data, train: args.train.as_deref() };
+    let owner = std::env::var("USER").unwrap_or_else(|_| "command line".to_owned());
+    let job = submit_job(&source, &request, &owner)?;
+    match args.folder.json {
+        true => output::json(&job),
+        false => output::line(&format!("{}: {}", job.id, job.stage)),
+    }
 }
 
 fn job(args: &JobArgs) -> Result<Job, Error> {

@@ -17,9 +17,9 @@ use palpate_server::{Error, LiveStation, Ready, ServeConfig, Tls, assets, serve}
 use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
 
-pub(super) use config::LogFormat;
+pub(super) use config::{Config, LogFormat};
 
-use super::{Outcome, output, station::StationArgs};
+use super::{Outcome, output, retention::RetentionArgs, station::StationArgs};
 
 /// The program has ended this long after the first signal, whatever stalls: motion takes 1.6 s at most.
 const END_DEADLINE: Duration = Duration::from_millis(2800);
@@ -70,6 +70,11 @@ pub(crate) struct ServeArgs {
     /// Speak TLS on this computer too, by the studio's own certificate
     #[arg(long, conflicts_with = "tls_cert")]
     tls: bool,
+    /// The palpate-train program [default: the one beside palpate, or on PATH]
+    #[arg(long, value_name = "FILE")]
+    train: Option<PathBuf>,
+    #[command(flatten)]
+    retention: RetentionArgs,
     /// Print the address as JSON, once the studio is ready
     #[arg(long)]
     json: bool,
@@ -108,6 +113,8 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
             _ if args.tls => Tls::Own,
             _ => Tls::Auto,
         },
+        train: args.train,
+        retention: args.retention.config(),
     };
     if args.check_config {
         serve_config.check()?;

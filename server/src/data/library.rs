@@ -11,7 +11,10 @@ use palpate_wire::{
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
 };
 
-use super::cache::{Cache, FileKey};
+use super::{
+    cache::{Cache, FileKey},
+    index::TakeIndex,
+};
 use crate::Error;
 
 /// Recorded takes may fill this much memory, and their replays as much again.
@@ -22,6 +25,8 @@ pub struct Library {
     takes: Cache<TakeKey, Take>,
     paired: Cache<TakeKey, PairedTake>,
     summaries: Cache<TakeKey, TakeSummary>,
+    /// What takes hold, known without decoding them.
+    index: Option<TakeIndex>,
 }
 
 /// A take as it was when it was read. `session.toml` belongs to it: it says whether the take was accepted.
@@ -45,7 +50,13 @@ impl Library {
             paired: Cache::new(budget_bytes),
             // A summary is a few hundred bytes: tens of thousands of takes.
             summaries: Cache::new(16 << 20),
+            index: None,
         }
+    }
+
+    /// An empty one of the usual size that knows what `index` knows.
+    pub(crate) fn with_index(index: TakeIndex) -> Self {
+        Self { index: Some(index), ..Self::default() }
     }
 
     /// Take `take_idx` of `session`.
@@ -109,10 +120,17 @@ impl Library {
             &key(session, take_idx),
             |_| size_of::<TakeSummary>() + 256,
             || {
+                let entry = &session.file.takes[take_idx];
+                let path = session.take_path(entry);
+                let known = self.index.as_ref().and_then(|index| index.get(&path));
+                if let Some(known) = known.filter(|known| known.id == entry.id()) {
+                    // The session says whether it was accepted.
+                    return Ok(TakeSummary { accepted: entry.accepted, ..known });
+                }
                 let take = self.take(session, take_idx)?;
                 let pose = &take.meta.base_from_object;
                 let (position, rotation) = (pose.translation.vector, pose.rotation);
-                Ok(TakeSummary {
+                let summary = TakeSummary {
                     id: take.id.clone(),
                     object: take.meta.object.clone(),
                     object_pose: [
@@ -121,9 +139,13 @@ impl Library {
                     primitive: take.meta.primitive.clone(),
                     frames: take.num_frames(),
                     duration_s: take.duration_s(),
-                    accepted: session.file.takes[take_idx].accepted,
+                    accepted: entry.accepted,
                     has_raw: take.has_raw(),
-                })
+                };
+                if let Some(index) = &self.index {
+                    index.put(&path, &summary);
+                }
+                Ok(summary)
             },
         )
     }

@@ -13,8 +13,9 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 use palpate_wire::api::{
-    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DiagnosisReport, DiagnosisRequest,
-    DiagnosisRun, EmulateRequest, LEASE_HEADER, ProblemDetails, ProblemType,
+    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DemonstrationsRequest,
+    DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest, EvaluationRequest, ExpertRequest,
+    LEASE_HEADER, PretrainingRequest, ProblemDetails, ProblemType, TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
@@ -53,7 +54,16 @@ use super::{
         (name = "people", description = "Who may log in, API tokens (`docs/people.md`). A studio on loopback needs neither."),
         (name = "emulator", description = "What only an emulated station can do; a real one has no such paths."),
     ),
-    components(schemas(ProblemDetails, EmulateRequest, BlindRequest)),
+    components(schemas(
+        ProblemDetails,
+        EmulateRequest,
+        BlindRequest,
+        TuneRequest,
+        ExpertRequest,
+        EvaluationRequest,
+        DemonstrationsRequest,
+        PretrainingRequest
+    )),
 )]
 struct Head;
 

@@ -167,6 +167,7 @@ const EXAMPLES: &[Example] = &[
         curl: r#"curl -H "Idempotency-Key: monday-2" --json '{"session": "bench", "model": "bench-monday", "max_effects": 1}' "$PALPATE_URL/api/v1/diagnoses""#,
         status: 202,
     },
+    Example { method: "GET", path: "/kinds", curl: r#"curl "$PALPATE_URL/api/v1/kinds""#, status: 200 },
     Example {
         method: "POST",
         path: "/jobs",

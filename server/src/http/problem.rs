@@ -58,6 +58,7 @@ fn type_of(class: Class) -> ProblemType {
         Class::Exists => ProblemType::Exists,
         Class::KeyReused => ProblemType::KeyReused,
         Class::Cancelled => ProblemType::Cancelled,
+        Class::NotInstalled => ProblemType::NotInstalled,
         Class::MediaType => ProblemType::UnsupportedMediaType,
         Class::TooLarge => ProblemType::TooLarge,
         Class::NotOperator => ProblemType::NotOperator,

@@ -163,6 +163,7 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::POST, "/diagnoses/{run}/cancel", JOBS, post(diagnoses::cancel)),
         route(Method::POST, "/diagnoses/{run}/save", DATA, post(diagnoses::save)),
         route(Method::GET, "/diagnoses/{run}/report.html", VIEW, get(diagnoses::report)),
+        route(Method::GET, "/kinds", VIEW, get(jobs::kinds)),
         route(Method::GET, "/jobs", VIEW, get(jobs::list)),
         route(Method::POST, "/jobs", JOBS, post(jobs::submit)),
         route(Method::GET, "/jobs/{job}", VIEW, get(jobs::detail)),

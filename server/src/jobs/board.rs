@@ -1,16 +1,19 @@
 //! The jobs of a studio: what clients ask for, made into data that a scheduler works off.
 
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use palpate_jobs::{Database, Observer, Scheduler, SchedulerConfig, Submission, Submitted, runners};
 use palpate_wire::{
-    api::{Job, JobChanges, JobRequest, JobSpec},
+    api::{Job, JobChanges, JobKindDocument, JobRequest, JobSpec},
     proto::JobUpdate,
 };
 
 use serde_json::{Map, Value, json};
 
-use super::{kinds, legacy};
+use super::{kinds, legacy, trainer::Trainer};
 use crate::{Error, Hub, Store};
 
 /// The database of a data folder.
@@ -20,11 +23,70 @@ pub(crate) const DATABASE_FILE: &str = "palpate.sqlite";
 pub(crate) struct Jobs {
     store: Arc<Store>,
     scheduler: Scheduler,
+    trainer: Trainer,
+}
+
+/// Where jobs are, and what they are worked on with.
+#[derive(Clone, Debug)]
+pub struct JobSource<'a> {
+    /// The data folder.
+    pub data: &'a Path,
+    /// The `palpate-train` program, where it is not found by itself.
+    pub train: Option<&'a Path>,
+}
+
+/// Queues a job in a data folder, whether a studio has it open or not; one that has it open starts it.
+pub fn submit_job(source: &JobSource<'_>, request: &JobRequest, owner: &str) -> Result<Job, Error> {
+    let (root, scheduler) = beside_a_studio(source.data, source.train)?;
+    let trainer = trainer_of(source.train)?;
+    let jobs = Jobs { store: Arc::new(Store::of_job(&root)), scheduler, trainer };
+    Ok(jobs.submit(request, owner, None)?.job)
+}
+
+/// The path of the data folder `data` and its jobs, for a command that starts none of them.
+pub(crate) fn beside_a_studio(data: &Path, train: Option<&Path>) -> Result<(PathBuf, Scheduler), Error> {
+    let path = data.join(DATABASE_FILE);
+    if !path.is_file() {
+        return Err(Error::Argument(format!(
+            "{data:?} holds no table of jobs; give the data folder of a studio (--data)"
+        )));
+    }
+    let root = data.canonicalize().map_err(Error::io("open", data))?;
+    let database = Arc::new(Database::open(&path)?);
+    let config = config_of(&root, database, &trainer_of(train)?, Arc::new(|_| {}))?;
+    Ok((root, Scheduler::open(config)?))
+}
+
+fn trainer_of(train: Option<&Path>) -> Result<Trainer, Error> {
+    let palpate = std::env::current_exe().map_err(Error::io("find", "this program"))?;
+    Ok(Trainer { configured: train.map(Path::to_owned), palpate: Some(palpate) })
+}
+
+/// A scheduler for the data folder `root`.
+fn config_of(
+    root: &Path,
+    database: Arc<Database>,
+    trainer: &Trainer,
+    observer: Observer,
+) -> Result<SchedulerConfig, Error> {
+    let palpate = trainer.palpate.clone().unwrap_or_else(|| "palpate".into());
+    let mut command = vec![palpate, "job".into(), "run".into()];
+    if let Some(train) = &trainer.configured {
+        command.extend(["--train".into(), train.clone()]);
+    }
+    Ok(SchedulerConfig {
+        runs: root.join("runs"),
+        trash: root.join("trash/runs"),
+        database,
+        runners: runners(root, command)?,
+        observer,
+        cancel_grace: None,
+    })
 }
 
 impl Jobs {
-    /// Opens the jobs of `store`'s folder; what waits is started. `program` is this one, which jobs run as.
-    pub(crate) fn open(store: Arc<Store>, hub: Arc<Hub>, program: &Path) -> Result<Self, Error> {
+    /// Opens the jobs of `store`'s folder; what waits is started.
+    pub(crate) fn open(store: Arc<Store>, hub: Arc<Hub>, trainer: Trainer) -> Result<Self, Error> {
         let root = store.root().canonicalize().map_err(Error::io("open", store.root()))?;
         let database = Arc::new(Database::open(&root.join(DATABASE_FILE))?);
         let observer: Observer = Arc::new(move |job| {
@@ -33,15 +95,23 @@ impl Jobs {
         });
         legacy::find_again(&store, &database)?;
         legacy::take_over(&store, &database)?;
-        let scheduler = Scheduler::start(SchedulerConfig {
-            runs: root.join("runs"),
-            trash: root.join("trash/runs"),
-            database,
-            runners: runners(&root, program)?,
-            observer,
-            cancel_grace: None,
-        })?;
-        Ok(Self { store, scheduler })
+        let scheduler = Scheduler::start(config_of(&root, database, &trainer, observer)?)?;
+        Ok(Self { store, scheduler, trainer })
+    }
+
+    /// Every kind of job, and whether it can be done on this computer.
+    pub(crate) fn kinds(&self) -> Vec<JobKindDocument> {
+        let missing = self.trainer.find().err().map(|err| crate::chain(&err));
+        let document = |kind: &&kinds::JobKind| {
+            let problem = missing.clone().filter(|_| kind.needs_trainer);
+            JobKindDocument {
+                kind: kind.name.to_owned(),
+                resources: kind.resources,
+                is_available: problem.is_none(),
+                problem,
+            }
+        };
+        kinds::KINDS.iter().map(document).collect()
     }
 
     /// The table itself.
@@ -103,6 +173,10 @@ impl Jobs {
         }
         let request = request()?;
         let kind = kinds::kind(&request.kind)?;
+        // Other computers have programs of their own.
+        if kind.needs_trainer && self.scheduler.is_local(request.runner.as_deref()) {
+            self.trainer.find()?;
+        }
         let files = (kind.check)(&self.store, &request.request)?;
         let spec = JobSpec {
             kind: kind.name.to_owned(),

@@ -2,8 +2,14 @@
 
 mod blind;
 mod calibrate;
+mod demonstrations;
 mod diagnose;
 mod emulate;
+mod evaluation;
+mod expert;
+mod pretraining;
+mod training;
+mod tune;
 
 use std::path::PathBuf;
 
@@ -18,13 +24,24 @@ use serde_json::Value;
 pub(crate) use calibrate::CALIBRATE;
 pub(crate) use diagnose::{BASE_FILE, CALIBRATED_FILE, DIAGNOSE};
 
+use super::trainer::Trainer;
 use crate::{
     Error, Store,
     data::{files, library::Library},
 };
 
 /// Every kind that there is.
-pub(crate) const KINDS: &[&JobKind] = &[&CALIBRATE, &DIAGNOSE, &blind::BLIND, &emulate::EMULATE];
+pub(crate) const KINDS: &[&JobKind] = &[
+    &CALIBRATE,
+    &DIAGNOSE,
+    &blind::BLIND,
+    &emulate::EMULATE,
+    &tune::TUNE,
+    &expert::EXPERT,
+    &evaluation::EVALUATION,
+    &demonstrations::DEMONSTRATIONS,
+    &pretraining::PRETRAINING,
+];
 
 /// The numbers that a job found.
 pub(crate) const REPORT_FILE: &str = "report.json";
@@ -41,6 +58,8 @@ pub(crate) struct JobKind {
     pub(crate) prefix: &'static str,
     /// What it needs of the machine.
     pub(crate) resources: Resources,
+    /// Whether `palpate-train` does the work.
+    pub(crate) needs_trainer: bool,
     /// Refuses what cannot be done, before it is queued; gives the files that the job will read.
     pub(crate) check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
     /// Does it, and leaves the results as files of the job's folder.
@@ -53,7 +72,10 @@ pub(crate) struct JobWork<'a> {
     pub(crate) library: &'a Library,
     pub(crate) folder: &'a JobFolder,
     pub(crate) seed: u64,
+    pub(crate) trainer: &'a Trainer,
     pub(crate) progress: &'a dyn Progress,
+    /// Adds a point to the curves: an object of numbers by name, `step` among them.
+    pub(crate) metrics: &'a dyn Fn(&Value),
     pub(crate) cancel: &'a Cancel,
 }
 

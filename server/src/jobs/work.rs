@@ -5,12 +5,16 @@ use std::{path::Path, process::ExitCode, sync::Arc};
 use palpate_jobs::{Begun, JobFolder, Outcome, Working, WorkingConfig, check_inputs, on_stop_request};
 use palpate_sim::job::{Cancel, Progress};
 
-use super::kinds::{self, JobWork};
+use super::{
+    kinds::{self, JobWork},
+    trainer::Trainer,
+};
 use crate::{Class, Error, Store, chain, data::library::Library};
 
 /// Works on the job in the folder `dir`, which lies in `runs/` of a data folder; gives the exit code of the process.
 /// How it went stands in the folder.
-pub fn run_job(dir: &Path, config: WorkingConfig) -> Result<ExitCode, Error> {
+/// `train` is the `palpate-train` program, where it is not found by itself.
+pub fn run_job(dir: &Path, config: WorkingConfig, train: Option<&Path>) -> Result<ExitCode, Error> {
     let dir = dir.canonicalize().map_err(Error::io("open", dir))?;
     let root = dir.parent().and_then(Path::parent).ok_or_else(|| {
         Error::Argument(format!("{dir:?} is no folder of a job; those lie in runs/ of a data folder"))
@@ -23,7 +27,8 @@ pub fn run_job(dir: &Path, config: WorkingConfig) -> Result<ExitCode, Error> {
         Begun::NotMine(code) => return Ok(code),
     };
     let store = Store::of_job(root);
-    let outcome = match work(&working, &store, &cancel) {
+    let trainer = Trainer { configured: train.map(Path::to_owned), palpate: std::env::current_exe().ok() };
+    let outcome = match work(&working, &store, &trainer, &cancel) {
         Ok(()) => Outcome::Done,
         Err(err) if err.class() == Class::Cancelled => Outcome::Cancelled,
         Err(err) => {
@@ -36,7 +41,7 @@ pub fn run_job(dir: &Path, config: WorkingConfig) -> Result<ExitCode, Error> {
     Ok(working.end(outcome)?)
 }
 
-fn work(working: &Working, store: &Store, cancel: &Cancel) -> Result<(), Error> {
+fn work(working: &Working, store: &Store, trainer: &Trainer, cancel: &Cancel) -> Result<(), Error> {
     let spec = working.spec();
     let kind = kinds::kind(&spec.kind)?;
     check_inputs(spec, store.root())?;
@@ -45,6 +50,8 @@ fn work(working: &Working, store: &Store, cancel: &Cancel) -> Result<(), Error> 
         library: &Library::default(),
         folder: working.folder(),
         seed: spec.seed,
+        trainer,
+        metrics: &|point| working.metrics(point),
         progress: &Reporting(working),
         cancel,
     };

@@ -1,10 +1,13 @@
-//! What long commands share: a progress bar with the time left on standard error, where that is a terminal, and Ctrl-C as
-//! a request to stop.
+//! What long commands share: a progress bar with the time left on standard error, where that is a terminal, Ctrl-C as a
+//! request to stop, and [`events`] for programs that start such a command.
+
+pub mod events;
 
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use palpate_sim::job::{Cancel, Progress};
+use tokio::signal::unix::{SignalKind, signal};
 
 const STEPS: u64 = 1000;
 
@@ -38,6 +41,7 @@ impl Progress for Bar {
             self.bar.set_message(stage.to_owned());
         }
         self.bar.set_position((fraction.clamp(0.0, 1.0) * STEPS as f64) as u64);
+        events::progress(fraction, stage);
     }
 }
 
@@ -47,7 +51,7 @@ impl Drop for Bar {
     }
 }
 
-/// A flag that the first Ctrl-C sets, so that the job can leave the disk in order; the second one ends the process.
+/// A flag that the first Ctrl-C or SIGTERM sets, so that the job can leave the disk in order; the second one ends the process.
 pub fn cancel_on_ctrl_c() -> Arc<Cancel> {
     let cancel = Arc::new(Cancel::default());
     let asked = cancel.clone();
@@ -55,7 +59,16 @@ pub fn cancel_on_ctrl_c() -> Arc<Cancel> {
         // Without a runtime Ctrl-C ends the process, which is what it does anyhow.
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
         runtime.block_on(async {
-            while tokio::signal::ctrl_c().await.is_ok() {
+            let (Ok(mut interrupt), Ok(mut terminate)) =
+                (signal(SignalKind::interrupt()), signal(SignalKind::terminate()))
+            else {
+                return;
+            };
+            loop {
+                tokio::select! {
+                    _ = interrupt.recv() => {}
+                    _ = terminate.recv() => {}
+                }
                 if asked.is_cancelled() {
                     std::process::exit(1);
                 }

@@ -272,3 +272,45 @@ async fn audit_log_is_sent_from_its_end() {
     fs::write(&path, format!("first\n{exact}")).unwrap();
     assert_eq!(get(&app, "/api/v1/audit").await.body, exact);
 }
+
+#[tokio::test]
+async fn sessions_are_listed_from_the_index_until_a_take_changes() {
+    let data = Data::with_session();
+    let list = "/api/v1/sessions";
+    let app = data.app();
+    let known: Vec<SessionSummary> = get(&app, list).await.json();
+    assert_eq!((known[0].takes, known[0].error.as_deref()), (4, None));
+
+    // Rubbish of the same length and time is not looked at: nothing is decoded for the list.
+    let take = data.session().join("take-02.mcap");
+    let (bytes, modified) = (fs::read(&take).unwrap(), fs::metadata(&take).unwrap().modified().unwrap());
+    let overwrite = |content: &[u8], time| {
+        fs::write(&take, content).unwrap();
+        fs::File::options().write(true).open(&take).unwrap().set_modified(time).unwrap();
+    };
+    overwrite(&vec![0; bytes.len()], modified);
+    let app = data.restart(app).await;
+    assert_eq!(get(&app, list).await.json::<Vec<SessionSummary>>(), known);
+    // Whether a take was accepted is what the session says now.
+    data.edit_session(|text| text.replacen("accepted = true", "accepted = false", 1));
+    let app = data.restart(app).await;
+    let detail: palpate_wire::api::SessionDetail = get(&app, "/api/v1/sessions/taps").await.json();
+    assert_eq!(detail.takes.iter().filter(|take| take.accepted).count(), 3);
+
+    // Another time means another content.
+    overwrite(&vec![0; bytes.len()], modified + Duration::from_secs(1));
+    let app = data.restart(app).await;
+    let listed: Vec<SessionSummary> = get(&app, list).await.json();
+    assert!(listed[0].error.as_deref().is_some_and(|error| error.contains("take-02")), "{listed:?}");
+    drop(app);
+
+    // The index is made again from the files, whatever was in it.
+    let report: Value =
+        serde_json::from_str(&palpate_ok(&["index", "rebuild", "--json", "--data", arg(data.root())]))
+            .unwrap();
+    assert_eq!((&report["sessions"], &report["takes"]), (&json!(0), &json!(0)));
+    assert!(report["problems"][0].as_str().is_some_and(|problem| problem.contains("take-02")), "{report}");
+    overwrite(&bytes, modified);
+    let said = palpate_ok(&["index", "rebuild", "--data", arg(data.root())]);
+    assert_eq!(said.trim(), "sessions: 1, takes: 4");
+}

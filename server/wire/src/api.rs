@@ -8,6 +8,7 @@ mod objects;
 mod people;
 mod problem;
 mod recording;
+mod training;
 
 use std::collections::BTreeMap;
 
@@ -20,6 +21,7 @@ pub use people::*;
 pub use problem::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
+pub use training::*;
 
 /// Header of HTTP requests that only the operator may make: the lease's number, decimal, as `ControlReply` gives it.
 pub const LEASE_HEADER: &str = "palpate-lease";

@@ -1,6 +1,6 @@
 //! How a script, a shell or a notebook asks for what a form asks for: text to copy.
 
-use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, Job};
+use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, Job, JobRequest};
 
 use super::controls::name_button;
 
@@ -93,17 +93,24 @@ pub fn diagnosis(request: &DiagnosisRequest, data: &str) -> Forms {
     }
 }
 
+/// A job that is to be started; `data` is the data folder.
+pub fn submission(asked: &JobRequest, data: &str) -> Forms {
+    let request = asked.request.to_string();
+    let data = if data == DATA_FOLDER { String::new() } else { format!(" --data {}", quoted(data)) };
+    Forms {
+        command: Some(format!(
+            "palpate jobs submit {} {} --seed {}{data}",
+            quoted(&asked.kind),
+            quoted(&request),
+            asked.seed
+        )),
+        ..any(&asked.kind, &asked.request, asked.seed)
+    }
+}
+
 /// A job of any kind, with its seed.
 pub fn job(job: &Job, data: &str) -> Forms {
-    let body = serde_json::json!({ "kind": job.kind, "request": job.spec.request, "seed": job.spec.seed });
-    // JSON is Python where it holds neither true, false nor null; json.loads reads all of it.
-    let request = json(&job.spec.request.to_string());
-    let python = format!(
-        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({}, \
-         json.loads({request}), seed={})\n    print(job.wait())\n",
-        json(&job.kind),
-        job.spec.seed
-    );
+    let forms = any(&job.kind, &job.spec.request, job.spec.seed);
     let request = job.spec.request.clone();
     let command = match job.kind.as_str() {
         "calibrate" => {
@@ -115,7 +122,20 @@ pub fn job(job: &Job, data: &str) -> Forms {
         _ => None,
     };
     let command = command.map(|command| format!("{command} --seed {}", job.spec.seed));
-    Forms { curl: curl("/jobs", &body.to_string()), python, command }
+    Forms { command, ..forms }
+}
+
+/// A request of any kind, but for the command line.
+fn any(kind: &str, request: &serde_json::Value, seed: u64) -> Forms {
+    let body = serde_json::json!({ "kind": kind, "request": request, "seed": seed });
+    // JSON is Python where it holds neither true, false nor null; json.loads reads all of it.
+    let request = json(&request.to_string());
+    let python = format!(
+        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({}, \
+         json.loads({request}), seed={seed})\n    print(job.wait())\n",
+        json(&kind)
+    );
+    Forms { curl: curl("/jobs", &body.to_string()), python, command: None }
 }
 
 /// A line for a shell. The address is that of a studio on this computer.

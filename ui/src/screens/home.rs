@@ -16,7 +16,9 @@ use self::next::{CampaignFacts, Facts, SessionFacts, Step};
 use super::{
     ScreenContext,
     control::wording::{link_word, phase_color, phase_mark_ui, phase_word},
-    duration_text, progress_bar,
+    duration_text,
+    jobs::NEW,
+    progress_bar,
 };
 use crate::{
     playback::HandSource,
@@ -350,9 +352,14 @@ fn running_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
             };
             ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());
         }
-        if !jobs.is_empty() && ui.button("All jobs").clicked() {
-            *cx.go_to = Some(Route::to(Screen::Jobs));
-        }
+        ui.horizontal_wrapped(|ui| {
+            if !jobs.is_empty() && ui.button("All jobs").clicked() {
+                *cx.go_to = Some(Route::to(Screen::Jobs));
+            }
+            if ui.button("Start a training").clicked() {
+                *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
+            }
+        });
     });
 }
 

@@ -1,5 +1,9 @@
 //! Jobs: long work of every kind, what waits, what runs, how it ended.
 
+mod curves;
+mod start;
+
+pub use curves::Curves;
 use egui::RichText;
 use palpate_wire::api::{Job, JobState};
 
@@ -27,7 +31,12 @@ pub struct JobsState {
     /// Deleting was asked for and waits for a second press.
     deleting: Option<String>,
     log_asked_s: f64,
+    shows_all_curves: bool,
+    start: start::StartState,
 }
+
+/// In place of the id of a job in the address: the form that starts one.
+pub const NEW: &str = "new";
 
 /// The screen.
 pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState) {
@@ -40,11 +49,15 @@ pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSt
         *cx.go_to = Some(Route { job: Some(id.clone()), ..Route::to(Screen::Jobs) });
         cx.store.jobs.cloned = Loadable::Idle;
     }
+    if cx.route.job.as_deref() == Some(NEW) {
+        new_ui(ui, cx, state, &jobs);
+        return;
+    }
     if jobs.is_empty() {
         let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
             this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind.";
-        if empty_ui(ui, "No job yet", text, "Calibrate a session") {
-            cx.go_to_screen(Screen::Calibrate);
+        if empty_ui(ui, "No job yet", text, "Start a training") {
+            *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
         }
         return;
     }
@@ -80,6 +93,17 @@ pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSt
     });
 }
 
+fn new_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, jobs: &[Job]) {
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        if ui.button("Back to all jobs").clicked() {
+            *cx.go_to = Some(Route::to(Screen::Jobs));
+        }
+        start::start_ui(ui, cx, &mut state.start, jobs);
+        ui.add_space(12.0);
+    });
+}
+
 fn list_ui(
     ui: &mut egui::Ui,
     cx: &mut ScreenContext<'_>,
@@ -88,7 +112,12 @@ fn list_ui(
     shown: Option<&Job>,
 ) {
     ui.add_space(4.0);
-    ui.heading("Jobs");
+    ui.horizontal_wrapped(|ui| {
+        ui.heading("Jobs");
+        if ui.button("Start a training").clicked() {
+            *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
+        }
+    });
     filter_ui(ui, state, jobs);
     ui.separator();
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
@@ -187,6 +216,10 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
         ui.add_space(8.0);
         copy_as::copy_ui(ui, &copy_as::job(job, copy_as::DATA_FOLDER));
         ui.add_space(8.0);
+        if let Loadable::Ready(found) = cx.store.jobs.curves(&job.id) {
+            curves::curves_ui(ui, &cx.palette, &found, &mut state.shows_all_curves);
+            ui.add_space(8.0);
+        }
         log_ui(ui, cx, state, job);
         ui.add_space(12.0);
     });
@@ -307,6 +340,7 @@ fn log_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
     if job.state == JobState::Running && cx.now_s - state.log_asked_s > LOG_EVERY_S {
         state.log_asked_s = cx.now_s;
         cx.store.jobs.ask_log_again(&job.id);
+        cx.store.jobs.ask_curves_again(&job.id);
         ui.ctx().request_repaint_after_secs(LOG_EVERY_S as f32);
     }
     match cx.store.jobs.log(&job.id) {

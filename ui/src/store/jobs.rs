@@ -3,12 +3,15 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use palpate_wire::{
-    api::{Job, JobPage, JobState},
+    api::{Job, JobKindDocument, JobPage, JobRequest, JobState},
     proto::JobUpdate,
 };
 
 use super::{Loadable, ask, parse_json, reset, shared};
-use crate::api_client::{JobAct, Request};
+use crate::{
+    api_client::{JobAct, Request},
+    screens::jobs::Curves,
+};
 
 /// The newest jobs, older ones as far as they were asked for, and the log of those that were opened.
 #[derive(Debug, Default)]
@@ -16,7 +19,9 @@ pub struct JobTable {
     list: Loadable<Arc<Vec<Job>>>,
     next_cursor: Option<String>,
     logs: BTreeMap<String, Loadable<Arc<String>>>,
-    /// A job that was cloned: the new one's id once the server took it.
+    curves: BTreeMap<String, Loadable<Arc<Curves>>>,
+    kinds: Loadable<Arc<Vec<JobKindDocument>>>,
+    /// A job that was started or cloned: the new one's id once the server took it.
     pub cloned: Loadable<String>,
     /// Why the last thing that was done with a job did not work; `None` when all is well.
     pub problem: Option<String>,
@@ -50,6 +55,29 @@ impl JobTable {
     /// Asks for the log of job `id` again. What is known of it stays on the page until then.
     pub fn ask_log_again(&mut self, id: &str) {
         self.outbox.push(Request::JobLog(id.to_owned()));
+    }
+
+    /// The curves of job `id`.
+    pub fn curves(&mut self, id: &str) -> Loadable<Arc<Curves>> {
+        let slot = self.curves.entry(id.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::JobMetrics(id.to_owned()))
+    }
+
+    /// Asks for the curves of job `id` again. What is known of them stays on the page until then.
+    pub fn ask_curves_again(&mut self, id: &str) {
+        self.outbox.push(Request::JobMetrics(id.to_owned()));
+    }
+
+    /// The kinds of jobs, and which of them the studio can do.
+    pub fn kinds(&mut self) -> Loadable<Arc<Vec<JobKindDocument>>> {
+        ask(&mut self.kinds, &mut self.outbox, || Request::Kinds)
+    }
+
+    /// Starts a job.
+    pub fn submit(&mut self, request: JobRequest) {
+        self.problem = None;
+        self.cloned = Loadable::Loading;
+        self.outbox.push(Request::SubmitJob(request));
     }
 
     /// Does something with job `id`.
@@ -96,6 +124,31 @@ impl JobTable {
         self.logs.insert(id, shared(Loadable::from_result(text)));
     }
 
+    pub(super) fn receive_metrics(&mut self, id: String, result: Result<Vec<u8>, String>) {
+        let curves = result.map(|bytes| Curves::parse(&String::from_utf8_lossy(&bytes)));
+        self.curves.insert(id, shared(Loadable::from_result(curves)));
+    }
+
+    pub(super) fn receive_kinds(&mut self, result: Result<Vec<u8>, String>) {
+        self.kinds = shared(parse_json(result));
+    }
+
+    pub(super) fn receive_submitted(&mut self, result: Result<Vec<u8>, String>) {
+        match parse_json::<Job>(result) {
+            Loadable::Ready(job) => {
+                self.cloned = Loadable::Ready(job.id.clone());
+                self.put(job);
+            }
+            Loadable::Failed(error) => {
+                self.cloned = Loadable::Idle;
+                self.problem = Some(error);
+                // What is missing may have changed since it was asked.
+                self.outbox.push(Request::Kinds);
+            }
+            Loadable::Idle | Loadable::Loading => {}
+        }
+    }
+
     pub(super) fn receive_acted(&mut self, id: String, act: JobAct, result: Result<Vec<u8>, String>) {
         match (act, result) {
             (JobAct::Delete, Ok(_)) => {
@@ -103,17 +156,7 @@ impl JobTable {
                     Arc::make_mut(jobs).retain(|job| job.id != id);
                 }
             }
-            (JobAct::Clone, result) => match parse_json::<Job>(result) {
-                Loadable::Ready(job) => {
-                    self.cloned = Loadable::Ready(job.id.clone());
-                    self.put(job);
-                }
-                Loadable::Failed(error) => {
-                    self.cloned = Loadable::Idle;
-                    self.problem = Some(error);
-                }
-                Loadable::Idle | Loadable::Loading => {}
-            },
+            (JobAct::Clone, result) => self.receive_submitted(result),
             (_, Ok(body)) => self.receive_job(Ok(body)),
             (_, Err(error)) => self.problem = Some(error),
         }
@@ -138,10 +181,15 @@ impl JobTable {
     pub(super) fn retry_failed(&mut self) {
         reset(&mut self.list);
         self.logs.values_mut().for_each(reset);
+        self.curves.values_mut().for_each(reset);
+        reset(&mut self.kinds);
     }
 
     /// Asks for everything again that may have changed while nobody listened.
     pub(super) fn refresh(&mut self) {
+        if self.kinds.ready().is_some() {
+            self.outbox.push(Request::Kinds);
+        }
         if self.list.ready().is_some() {
             self.outbox.push(Request::Jobs(None));
         }
@@ -151,7 +199,18 @@ impl JobTable {
         let Loadable::Ready(jobs) = &mut self.list else { return };
         let jobs = Arc::make_mut(jobs);
         match jobs.iter_mut().find(|known| known.id == job.id) {
-            Some(known) => *known = job,
+            Some(known) => {
+                if known.is_unfinished() && !job.is_unfinished() {
+                    // What it said last.
+                    if self.logs.contains_key(&job.id) {
+                        self.outbox.push(Request::JobLog(job.id.clone()));
+                    }
+                    if self.curves.contains_key(&job.id) {
+                        self.outbox.push(Request::JobMetrics(job.id.clone()));
+                    }
+                }
+                *known = job;
+            }
             None => jobs.insert(0, job),
         }
     }

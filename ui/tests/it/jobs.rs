@@ -4,7 +4,7 @@ use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::api_client::{ApiEvent, JobAct, Request};
 use palpate_wire::{
-    api::{Job, JobPage, JobSpec, JobState},
+    api::{Job, JobKindDocument, JobPage, JobRequest, JobSpec, JobState},
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;
@@ -110,4 +110,80 @@ fn no_job_yet_says_what_a_job_is() {
     let mut harness = page(&api, &FakeWindow::at("#/jobs"));
     harness.run_steps(3);
     harness.get_by_label_contains("A job is long work in a process of its own");
+}
+
+fn kinds(api: &SharedApi, problem: Option<&str>) {
+    let kinds =
+        ["expert", "evaluation", "demonstrations", "pretraining", "tune"].map(|kind| JobKindDocument {
+            kind: kind.into(),
+            resources: Default::default(),
+            is_available: problem.is_none(),
+            problem: problem.map(str::to_owned),
+        });
+    let body = serde_json::to_vec(&kinds).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::Kinds, body);
+}
+
+#[test]
+fn a_training_is_started_from_the_form_and_then_shown() {
+    let api = with(Vec::new());
+    kinds(&api, None);
+    let window = FakeWindow::at("#/jobs");
+    let mut harness = page(&api, &window);
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Start a training").click();
+    harness.run_steps(3);
+    assert_eq!(window.current(), "#/jobs?job=new");
+    let asked = Request::SubmitJob(JobRequest {
+        kind: "expert".into(),
+        request: serde_json::json!({ "object": "cube", "preset": "quick" }),
+        seed: 1,
+        priority: 0,
+        resources: None,
+        runner: None,
+    });
+    let answer = serde_json::to_vec(&job("expert-1", "expert", JobState::Queued)).expect("it is plain data");
+    api.0.borrow_mut().answer(&asked, answer);
+    harness.get_by_role_and_label(Role::Button, "Start").click();
+    harness.run_steps(4);
+    assert!(api.0.borrow().sent.contains(&asked), "{:?}", api.0.borrow().sent);
+    assert_eq!(window.current(), "#/jobs?job=expert-1");
+    harness.get_by_label_contains("It waits for its turn");
+}
+
+#[test]
+fn a_studio_without_the_program_says_so_in_the_form() {
+    let api = with(vec![job("expert-1", "expert", JobState::Done)]);
+    kinds(&api, Some("palpate-train is not installed beside palpate; build it"));
+    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=new"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("Not available here: palpate-train is not installed");
+    harness.get_by_role_and_label(Role::Button, "Start").click();
+    harness.run_steps(3);
+    let sent = api.0.borrow().sent.iter().any(|request| matches!(request, Request::SubmitJob(_)));
+    assert!(!sent, "a button that is off does nothing");
+}
+
+#[test]
+fn curves_are_drawn_and_asked_for_again_when_the_job_has_ended() {
+    let running = job("expert-1", "expert", JobState::Running);
+    let api = with(vec![running.clone()]);
+    let metrics = Request::JobMetrics("expert-1".into());
+    let points =
+        "{\"step\":1,\"success_rate\":0.25,\"kl\":0.01}\n{\"step\":2,\"success_rate\":0.5,\"kl\":0.02}\n";
+    api.0.borrow_mut().answer(&metrics, points.into());
+    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=expert-1"));
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::Image, "Curve success_rate: 0.500 at step 2");
+    harness.get_by_role_and_label(Role::Image, "Curve kl: 0.020 at step 2");
+    let more = format!("{points}{{\"step\":3,\"success_rate\":0.75}}\n");
+    api.0.borrow_mut().answer(&metrics, more.into());
+    let done = Job { state: JobState::Done, ..running };
+    let body = serde_json::to_vec(&done).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::Job("expert-1".into()), body);
+    let update = JobUpdate { job: "expert-1".into(), state: "done".into(), ..JobUpdate::default() };
+    let message = StreamMessage { message: Some(stream_message::Message::Job(update)), dropped: 0 };
+    api.0.borrow_mut().events.push_back(ApiEvent::SocketMessage(message.encode_to_vec()));
+    harness.run_steps(5);
+    harness.get_by_role_and_label(Role::Image, "Curve success_rate: 0.750 at step 3");
 }

@@ -486,6 +486,16 @@ class JobPage:
 
 
 @dataclass(frozen=True)
+class JobKind:
+    """A kind of job, and whether the studio can do it; `problem` says why not."""
+
+    kind: str
+    resources: dict[str, Any]
+    is_available: bool
+    problem: str | None
+
+
+@dataclass(frozen=True)
 class RestPoseDocument:
     """A stable pose of an object on a table, up to place and yaw."""
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import palpate.documents as documents
-from palpate.documents import JobPage, decode
+from palpate.documents import JobKind, JobPage, decode
 from palpate.errors import PalpateError
 from palpate.runs import POLL_S, progress_bar
 
 if TYPE_CHECKING:
-    from palpate.client import Palpate
+    from palpate.client import Model, Palpate
 
 
 class Job:
@@ -142,3 +142,153 @@ class Jobs:
         headers = {"Idempotency-Key": key} if key else {}
         answer = self._palpate.connection.json("POST", "/jobs", body=body, headers=headers)
         return Job(self._palpate, decode(documents.Job, answer))
+
+    def kinds(self) -> list[JobKind]:
+        """The kinds of jobs, and which of them the studio can do."""
+        return decode(list[JobKind], self._palpate.connection.json("GET", "/kinds"))
+
+    def expert(
+        self,
+        object: str,  # noqa: A002
+        *,
+        preset: str | None = None,
+        config: str | None = None,
+        total_steps: int | None = None,
+        script: str | Job | None = None,
+        without_script: bool = False,
+        model: str | Model | None = None,
+        start_cm: float | None = None,
+        silence_touch: bool = False,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Trains an expert that grasps one object by touch, in simulation.
+
+        Args:
+            object: Id of the object.
+            preset: How to learn: `quick` (without) or `paper`.
+            config: The text of a configuration in place of a preset.
+            total_steps: Steps of all environments together.
+            script: What is learned on top of: a job of `tune`, or the name of a shipped script.
+            without_script: Learn the whole motion.
+            model: Saved sensor model that makes touch; None means the station's nominal one.
+            start_cm: Half the edge length of the square that objects start in.
+            silence_touch: The robot feels nothing.
+            seed: Seed of everything random.
+            key: The same text again gives the same job again.
+
+        """
+        request = {
+            "object": object,
+            "preset": preset,
+            "config": config,
+            "total_steps": total_steps,
+            "script": _id(script),
+            "without_script": without_script,
+            "model": _id(model),
+            "start_cm": start_cm,
+            "silence_touch": silence_touch,
+        }
+        return self.submit("expert", request, seed=seed, key=key)
+
+    def evaluation(
+        self,
+        policy: str | Job,
+        *,
+        trials: int | None = None,
+        protocol: str | None = None,
+        controls: bool = False,
+        model: str | Model | None = None,
+        start_cm: float | None = None,
+        silence_touch: bool = False,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Scores a policy (a job of `expert`, or the name of a shipped one) in fresh trials, or under a protocol."""
+        request = {
+            "policy": _id(policy),
+            "trials": trials,
+            "protocol": protocol,
+            "controls": controls,
+            "model": _id(model),
+            "start_cm": start_cm,
+            "silence_touch": silence_touch,
+        }
+        return self.submit("evaluation", request, seed=seed, key=key)
+
+    def demonstrations(
+        self,
+        policy: str | Job,
+        count: int,
+        *,
+        shard_demos: int | None = None,
+        model: str | Model | None = None,
+        start_cm: float | None = None,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Rolls a policy out until `count` trials have succeeded, and keeps these to learn from."""
+        request = {
+            "policy": _id(policy),
+            "count": count,
+            "shard_demos": shard_demos,
+            "model": _id(model),
+            "start_cm": start_cm,
+        }
+        return self.submit("demonstrations", request, seed=seed, key=key)
+
+    def pretraining(
+        self,
+        demonstrations: Iterable[str | Job],
+        *,
+        preset: str | None = None,
+        config: str | None = None,
+        epochs: int | None = None,
+        without_positions: bool = False,
+        silence_touch: bool = False,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Pretrains the tactile encoder on the demonstrations of jobs."""
+        request = {
+            "demonstrations": [_id(job) for job in demonstrations],
+            "preset": preset,
+            "config": config,
+            "epochs": epochs,
+            "without_positions": without_positions,
+            "silence_touch": silence_touch,
+        }
+        return self.submit("pretraining", request, seed=seed, key=key)
+
+    def tune(
+        self,
+        object: str,  # noqa: A002
+        *,
+        script: str | Job | None = None,
+        generations: int | None = None,
+        candidates: int | None = None,
+        elite: int | None = None,
+        trials: int | None = None,
+        check_trials: int | None = None,
+        model: str | Model | None = None,
+        start_cm: float | None = None,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Tunes a closing script on one object, in simulation."""
+        request = {
+            "object": object,
+            "script": _id(script),
+            "generations": generations,
+            "candidates": candidates,
+            "elite": elite,
+            "trials": trials,
+            "check_trials": check_trials,
+            "model": _id(model),
+            "start_cm": start_cm,
+        }
+        return self.submit("tune", request, seed=seed, key=key)
+
+
+def _id(named: str | Job | Model | None) -> str | None:
+    return named if named is None or isinstance(named, str) else named.id

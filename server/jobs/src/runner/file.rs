@@ -1,6 +1,11 @@
 //! `runners.toml` of the data folder: where jobs run.
 
-use std::{fs, io, path::Path, sync::Arc, thread};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+    thread,
+};
 
 use serde::Deserialize;
 
@@ -36,8 +41,9 @@ struct ProcessFile {
     nice: Option<i32>,
 }
 
-/// The runners of the data folder `root`, the usual one first. `program` is what runs jobs on this computer.
-pub fn runners(root: &Path, program: &Path) -> Result<Vec<Arc<dyn Runner>>, JobsError> {
+/// The runners of the data folder `root`, the usual one first. `command` is what runs a job on this computer: a program, and
+/// what comes before `--dir DIR`.
+pub fn runners(root: &Path, command: Vec<PathBuf>) -> Result<Vec<Arc<dyn Runner>>, JobsError> {
     let path = root.join("runners.toml");
     let problem = |problem: String| JobsError::Content { path: path.clone(), problem };
     let file: RunnersFile = match fs::read_to_string(&path) {
@@ -57,7 +63,7 @@ pub fn runners(root: &Path, program: &Path) -> Result<Vec<Arc<dyn Runner>>, Jobs
         return Err(problem("process.cores = 0; expected at least 1".to_owned()));
     }
     let process = ProcessRunner::new(ProcessRunnerConfig {
-        command: vec![program.to_owned(), "job".into(), "run".into()],
+        command,
         nice,
         capacity: Capacity {
             cores: file.process.cores.unwrap_or_else(all_cores),
@@ -94,7 +100,7 @@ mod tests {
         if let Some(text) = text {
             fs::write(dir.path().join("runners.toml"), text).unwrap();
         }
-        let runners = runners(dir.path(), Path::new("palpate")).map_err(|err| err.to_string())?;
+        let runners = runners(dir.path(), vec!["palpate".into()]).map_err(|err| err.to_string())?;
         Ok(runners.iter().map(|runner| runner.name().to_owned()).collect())
     }
 

@@ -21,9 +21,10 @@ use tokio::{net::TcpListener, sync::watch};
 use super::super::output;
 use cpu::{cpu_difference, cpu_seconds, load_average};
 use operator::Operator;
-use report::{ControlLoop, StreamBenchReport, clients, quantile};
+pub(super) use report::quantile;
+use report::{ControlLoop, StreamBenchReport, clients};
 use traffic::TrafficWatch;
-use watcher::{Pace, Watched, watch_stream};
+pub(super) use watcher::{Pace, Watched, watch_stream};
 
 #[derive(Args)]
 pub(crate) struct StreamArgs {

@@ -6,7 +6,7 @@ use std::{
 };
 
 use clap::ValueEnum;
-use palpate_server::Error;
+use palpate_server::{Error, RetentionConfig};
 use serde::Deserialize;
 
 use super::ServeArgs;
@@ -51,13 +51,27 @@ tls = false
 # tls_key = "key.pem"
 # Neither login nor TLS, whatever the address: anybody in the network may take control of the robot.
 insecure = false
+
+# The program that learns, for jobs such as "expert" (docs/jobs.md); without, the one beside palpate, or on PATH.
+[train]
+# binary = "palpate-train"
+
+# What goes by itself (docs/operations.md): nothing, unless a number of days is given here. Accepted takes stay, and so does
+# what something refers to. `palpate retention --config FILE --dry-run` says what would go, and why.
+[retention]
+# Jobs that ended longer ago than this go to the trash.
+# jobs_days = 180
+# Logs and curves of jobs that ended longer ago than this are deleted.
+# log_days = 90
+# What has been in the trash for longer than this is deleted.
+# trash_days = 90
 "#;
 
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Config {
+pub(crate) struct Config {
     listen: Option<SocketAddr>,
-    data: Option<PathBuf>,
+    pub(crate) data: Option<PathBuf>,
     log: Option<LogFormat>,
     station: Option<PathBuf>,
     #[serde(default)]
@@ -75,9 +89,25 @@ struct Config {
     tls_key: Option<PathBuf>,
     #[serde(default)]
     insecure: bool,
+    #[serde(default)]
+    train: TrainConfig,
+    #[serde(default)]
+    pub(crate) retention: RetentionConfig,
+}
+
+/// `[train]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrainConfig {
+    binary: Option<PathBuf>,
 }
 
 impl Config {
+    /// The file at `path`.
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        Self::parse(path, &std::fs::read_to_string(path).map_err(Error::io("read", path))?)
+    }
+
     fn parse(path: &Path, text: &str) -> Result<Self, Error> {
         // The parser's message shows line, column and the keys that there are.
         toml::from_str(text).map_err(|err| Error::Content(format!("{}: {err}", path.display())))
@@ -88,8 +118,7 @@ impl ServeArgs {
     /// Fills in what the configuration file says and the command line does not.
     pub(crate) fn read_config(&mut self) -> Result<(), Error> {
         let Some(path) = &self.config else { return Ok(()) };
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
-        let config = Config::parse(path, &text)?;
+        let config = Config::read(path)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         let refused = |problem: &str| Err(Error::Content(format!("{}: {problem}", path.display())));
         if config.tls_cert.is_some() != config.tls_key.is_some() {
@@ -114,6 +143,8 @@ impl ServeArgs {
         if self.hosts.is_empty() {
             self.hosts = config.allow_hosts;
         }
+        self.train = self.train.take().or(config.train.binary.map(at));
+        self.retention.fill_in(config.retention);
         self.login |= config.login;
         self.behind_proxy |= config.behind_proxy;
         self.insecure |= config.insecure;
@@ -166,7 +197,8 @@ mod tests {
             let is_key = key
                 .split_once(" = ")
                 .is_some_and(|(name, _)| name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_'));
-            if is_key && key != last {
+            let is_table = line.starts_with('[');
+            if is_table || is_key && key != last {
                 all += key;
                 all.push('\n');
                 last = key;
@@ -174,6 +206,11 @@ mod tests {
         }
         let all = Config::parse(Path::new("palpate.toml"), &all).unwrap();
         assert_eq!(all.tls_key, Some("key.pem".into()));
+        assert_eq!(all.train.binary, Some("palpate-train".into()));
+        assert_eq!(
+            all.retention,
+            RetentionConfig { jobs_days: Some(180), log_days: Some(90), trash_days: Some(90) }
+        );
         assert_eq!(all.emulate, Some("demo".into()));
     }
 
@@ -228,6 +265,8 @@ mod tests {
             ("station = \"a\"\nemulate = \"b\"", "two stations"),
             ("ports = [\"a=b\"]", "give the station too"),
             ("listen = ", "line 1"),
+            ("[train]\nprogram = \"x\"", "unknown field `program`"),
+            ("[retention]\njobs_days = -1", "jobs_days"),
         ] {
             fs::write(&path, text).unwrap();
             let err = args(&["--config", path.to_str().unwrap()]).read_config().unwrap_err().to_string();

@@ -15,7 +15,7 @@ use axum::{
 use base64::Engine as _;
 use palpate_jobs::{ListFilter, Submitted};
 use palpate_recording::files::{read_file, resolve_in};
-use palpate_wire::api::{Job, JobChanges, JobPage, JobRequest, JobState, ProblemType};
+use palpate_wire::api::{Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, ProblemType};
 use serde::Deserialize;
 use sha2::{Digest as _, Sha256};
 use utoipa::IntoParams;
@@ -140,6 +140,17 @@ pub(super) async fn list(
     let page = state.run(Kind::Read, move |state| Ok(state.jobs().scheduler().list(&filter)?)).await?;
     let next = page.next_cursor.clone();
     Ok(page_of(&uri, Json(page), next.as_deref()))
+}
+
+/// Lists the kinds of jobs, and says which of them this studio cannot do, and why.
+#[utoipa::path(
+    get,
+    path = "/kinds",
+    tag = "jobs",
+    responses((status = 200, description = "Done.", body = Vec<JobKindDocument>)),
+)]
+pub(super) async fn kinds(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<JobKindDocument>>> {
+    state.run(Kind::Read, move |state| Ok(Json(state.jobs().kinds()))).await
 }
 
 /// Answers with where a job stands.

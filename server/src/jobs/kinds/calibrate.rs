@@ -12,7 +12,7 @@ use crate::{Error, Store, jobs::calibrate_session};
 
 /// Fits the sensor model to a session.
 pub(crate) const CALIBRATE: JobKind =
-    JobKind { name: "calibrate", prefix: "run-", resources: SHORT, check, work };
+    JobKind { name: "calibrate", prefix: "run-", resources: SHORT, needs_trainer: false, check, work };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: CalibrationRequest = parse(&CALIBRATE, request)?;

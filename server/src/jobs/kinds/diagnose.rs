@@ -21,7 +21,7 @@ pub(crate) const BASE_FILE: &str = "base.toml";
 
 /// Names what the calibrated model of a session lacks.
 pub(crate) const DIAGNOSE: JobKind =
-    JobKind { name: "diagnose", prefix: "diagnosis-", resources: LONG, check, work };
+    JobKind { name: "diagnose", prefix: "diagnosis-", resources: LONG, needs_trainer: false, check, work };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: DiagnosisRequest = parse(&DIAGNOSE, request)?;

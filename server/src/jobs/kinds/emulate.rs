@@ -14,7 +14,7 @@ use crate::{Error, Store, assets};
 
 /// Records a session from an emulated station.
 pub(crate) const EMULATE: JobKind =
-    JobKind { name: "emulate", prefix: "emulation-", resources: SHORT, check, work };
+    JobKind { name: "emulate", prefix: "emulation-", resources: SHORT, needs_trainer: false, check, work };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: EmulateRequest = parse(&EMULATE, request)?;

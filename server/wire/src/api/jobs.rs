@@ -18,7 +18,8 @@ pub const IDEMPOTENCY_HEADER: &str = "idempotency-key";
 pub struct JobRequest {
     /// Kind of job, e.g. `diagnose`.
     pub kind: String,
-    /// What is asked, in the form of its kind: `CalibrationRequest`, `DiagnosisRequest`, `EmulateRequest`, `BlindRequest`.
+    /// What is asked, in the form of its kind: `CalibrationRequest`, `DiagnosisRequest`, `EmulateRequest`, `BlindRequest`,
+    /// `ExpertRequest`, `EvaluationRequest`, `DemonstrationsRequest`, `PretrainingRequest`, `TuneRequest`.
     #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: Value,
     /// Seed of everything random.

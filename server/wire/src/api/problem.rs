@@ -65,6 +65,7 @@ problem_types! {
     Exists, "exists", 409, "There is something of that name already.";
     KeyReused, "key-reused", 409, "The idempotency key came before with another request.";
     Cancelled, "cancelled", 409, "Somebody cancelled it meanwhile.";
+    NotInstalled, "not-installed", 409, "The studio lacks a program that this kind of job needs. `detail` says which one, and how to get it.";
     TooLarge, "too-large", 413, "The body is larger than the studio takes.";
     UnsupportedMediaType, "unsupported-media-type", 415, "The body has another content type than the route takes.";
     RangeNotSatisfiable, "range-not-satisfiable", 416, "The file has no bytes in the range that was asked for.";

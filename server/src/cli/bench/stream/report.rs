@@ -239,7 +239,7 @@ impl StreamBenchReport {
 }
 
 /// The value that `share` of all are at most; 0 without any.
-pub(super) fn quantile(values: &[f64], share: f64) -> f64 {
+pub(in super::super) fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     let idx = (share * sorted.len().saturating_sub(1) as f64).round() as usize;

@@ -21,22 +21,22 @@ const SMALL_BUFFER: u32 = 4096;
 
 /// How a client reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Pace {
+pub(in super::super) enum Pace {
     AsItComes,
     Slow,
 }
 
 /// What a client saw.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Watched {
+pub(in super::super) struct Watched {
     /// Frames that it was told it lost.
     pub(super) dropped: u64,
     /// Turns of the control loop in the second before each frame.
-    pub(super) loop_hz: Vec<f64>,
+    pub(in super::super) loop_hz: Vec<f64>,
     /// As each frame says, ms.
     pub(super) latency_ms: Vec<f64>,
     /// When each frame was made, by the station's clock, s.
-    pub(super) made_s: Vec<f64>,
+    pub(in super::super) made_s: Vec<f64>,
     /// When each frame was read less when it was made, by clocks that began at different times, s.
     pub(super) delays_s: Vec<f64>,
     /// Samples that the recorder could not keep.
@@ -44,7 +44,7 @@ pub(super) struct Watched {
 }
 
 /// Reads the stream of `addr` until `ends`. Delays count from `begun`, which all clients share.
-pub(super) async fn watch_stream(
+pub(in super::super) async fn watch_stream(
     addr: SocketAddr,
     pace: Pace,
     begun: Instant,

@@ -1,0 +1,187 @@
+//! Trainings as jobs of a real studio, which ends and comes back meanwhile.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use palpate_rollout::studio::Studio;
+use palpate_wire::api::{Job, JobKindDocument, JobState};
+use serde_json::{Value, json};
+
+use super::station::{Ready, palpate};
+
+/// Whatever is waited for comes long before this, unless it never does.
+const PATIENCE: Duration = Duration::from_secs(300);
+/// One environment and small networks; a checkpoint after every update.
+const SMALL: &str = "num_envs = 1\nunroll_length = 4\nbatch_size = 1\nnum_minibatches = 1\nnum_epochs = 1\n\
+    total_steps = 8\ncheckpoint_updates = 1\n[networks]\nactor = [8]\ncritic = [8]\n";
+
+/// A studio with the program that is tested.
+fn serve(palpate: &Path, data: &Path) -> (Ready, Studio) {
+    let running = Ready::start(
+        Command::new(palpate)
+            .args([
+                "serve",
+                "--json",
+                "--listen",
+                "127.0.0.1:0",
+                "--train",
+                env!("CARGO_BIN_EXE_palpate-train"),
+                "--data",
+            ])
+            .arg(data),
+    );
+    let line: Value = serde_json::from_str(&running.line).expect("an address");
+    let studio = Studio::new(line["url"].as_str().expect("an address"), None).expect("a studio");
+    (running, studio)
+}
+
+fn start(studio: &Studio, kind: &str, request: &Value) -> String {
+    let job: Job = studio
+        .post("/jobs", &json!({ "kind": kind, "request": request, "seed": 3 }))
+        .unwrap_or_else(|err| panic!("{kind}: {err:?}"));
+    job.id
+}
+
+fn wait(studio: &Studio, id: &str, until: impl Fn(&Job) -> bool) -> Job {
+    let begun = Instant::now();
+    loop {
+        let job: Job = studio.get(&format!("/jobs/{id}")).expect("the job");
+        if until(&job) {
+            return job;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{job:?}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+fn done(studio: &Studio, data: &Path, id: &str) -> Value {
+    let job = wait(studio, id, |job| !job.is_unfinished());
+    let log = std::fs::read_to_string(data.join("runs").join(id).join("log.txt")).unwrap_or_default();
+    assert_eq!(job.state, JobState::Done, "{job:?}\n{log}");
+    let report = std::fs::read(data.join("runs").join(id).join("report.json")).expect("a report");
+    serde_json::from_slice(&report).expect("JSON")
+}
+
+#[test]
+fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
+    let Some(palpate) = palpate() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let (running, studio) = serve(&palpate, &data);
+    let kinds: Vec<JobKindDocument> = studio.get("/kinds").expect("kinds");
+    assert!(kinds.iter().all(|kind| kind.is_available), "{kinds:?}");
+
+    // One that ends by itself, and behind it one that would go on for hours.
+    let request = json!({ "object": "cube", "config": SMALL });
+    let small = start(&studio, "expert", &request);
+    let request = json!({ "object": "cube", "config": SMALL, "total_steps": 100_000_000 });
+    let long = start(&studio, "expert", &request);
+    let report = done(&studio, &data, &small);
+    assert_eq!((&report["steps"], &report["finish"]), (&json!(8), &json!("steps")));
+    let points =
+        std::fs::read_to_string(data.join("runs").join(&small).join("metrics.jsonl")).expect("curves");
+    let steps: Vec<u64> = points
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON")["step"].as_u64().expect("a step"))
+        .collect();
+    assert_eq!(steps, [1, 2], "a point an update");
+    assert!(points.contains("\"reward_terms."), "{points}");
+
+    let curve = data.join("runs").join(&long).join("metrics.jsonl");
+    let begun = Instant::now();
+    let num_points = || std::fs::read_to_string(&curve).map_or(0, |text| text.lines().count());
+    while num_points() < 2 {
+        assert!(begun.elapsed() < PATIENCE, "it learns nothing");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    drop((running, studio));
+
+    // It goes on while no studio is there, and the next one finds both.
+    let before = num_points();
+    let begun = Instant::now();
+    while num_points() <= before {
+        assert!(begun.elapsed() < PATIENCE, "it has ended with the studio");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let (_running, studio) = serve(&palpate, &data);
+    let job: Job = studio.get(&format!("/jobs/{small}")).expect("the job");
+    assert_eq!(job.state, JobState::Done);
+    let job: Job = studio.get(&format!("/jobs/{long}")).expect("the job");
+    assert_eq!((job.state, job.attempts), (JobState::Running, 1));
+    let _: Job = studio.post(&format!("/jobs/{long}/cancel"), &json!({})).expect("it is asked");
+    let job = wait(&studio, &long, |job| !job.is_unfinished());
+    assert_eq!(job.state, JobState::Cancelled, "{job:?}");
+
+    // What was cancelled goes on from its checkpoint.
+    let last_step = || {
+        let text = std::fs::read_to_string(&curve).expect("curves");
+        let line: Value = serde_json::from_str(text.lines().last().expect("a point")).expect("JSON");
+        line["step"].as_u64().expect("a step")
+    };
+    let reached = last_step();
+    let _: Job = studio.post(&format!("/jobs/{long}/retry"), &json!({})).expect("it begins again");
+    let begun = Instant::now();
+    while last_step() <= reached {
+        assert!(begun.elapsed() < PATIENCE, "it does not go on");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let text = std::fs::read_to_string(&curve).expect("curves");
+    assert!(text.lines().count() as u64 <= last_step() + 2, "it has begun from the start: {text}");
+    let _: Job = studio.post(&format!("/jobs/{long}/cancel"), &json!({})).expect("it is asked");
+    wait(&studio, &long, |job| !job.is_unfinished());
+
+    // What was learned serves as a policy, and so do shipped ones.
+    let scored = start(&studio, "evaluation", &json!({ "policy": small, "trials": 2 }));
+    let score = done(&studio, &data, &scored);
+    assert_eq!(score["objects"]["cube"]["trials"], 2);
+    let demos = start(&studio, "demonstrations", &json!({ "policy": "cube", "count": 2, "shard_demos": 1 }));
+    let manifest = done(&studio, &data, &demos);
+    assert_eq!(manifest["files"].as_array().map(Vec::len), Some(2), "{manifest}");
+    let request = json!({
+        "object": "cube", "generations": 1, "candidates": 2, "elite": 1, "trials": 1, "check_trials": 2,
+    });
+    let tuned = start(&studio, "tune", &request);
+    let found = done(&studio, &data, &tuned);
+    assert_eq!(found["generations"].as_array().map(Vec::len), Some(2), "{found}");
+    let request = json!({ "object": "cube", "config": SMALL, "script": tuned });
+    let on_top = start(&studio, "expert", &request);
+    done(&studio, &data, &on_top);
+
+    // What the program refuses is the problem of its job, in its own words.
+    let request = json!({ "object": "cube", "config": "num_envs = 1\nspeed = 2\n" });
+    let job = wait(&studio, &start(&studio, "expert", &request), |job| !job.is_unfinished());
+    assert!(
+        job.state == JobState::Failed && job.problem.as_ref().is_some_and(|said| said.contains("speed")),
+        "{job:?}"
+    );
+}
+
+#[test]
+fn a_command_with_events_ends_with_the_one_that_holds_its_input() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+        .args(["--events", "ppo", "--total-steps", "100000000", "--out"])
+        .arg(folder.path().join("run"))
+        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the command starts");
+    let begun = Instant::now();
+    while !folder.path().join("run").exists() {
+        assert!(begun.elapsed() < PATIENCE, "it does not begin");
+        assert_eq!(command.try_wait().expect("a process"), None, "its input is open");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    drop(command.stdin.take());
+    let begun = Instant::now();
+    while command.try_wait().expect("a process").is_none() {
+        if begun.elapsed() > PATIENCE {
+            let _ = command.kill();
+            panic!("it outlives the one that started it");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}

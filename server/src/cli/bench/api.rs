@@ -1,0 +1,425 @@
+//! `palpate bench api`: the API while a thousand jobs wait and many pages watch, and what the control loop does meanwhile.
+//!
+//! The studio is a process of its own with an emulated station, as in a lab; one job runs, all others wait behind it.
+//! `--peer PYTHON` lets MLflow's tracking server do the same in the same run: make runs, log metrics, list.
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::{SocketAddr, TcpStream},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use palpate_emulator::record_session;
+use palpate_server::{Error, assets};
+use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_wire::api::{Job, JobPage};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::{Value, json};
+use tokio::{runtime::Runtime, sync::watch};
+
+use super::{
+    output,
+    stream::{Pace, Watched, quantile, watch_stream},
+};
+
+/// A studio that has not answered by now does not work.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// The loop's first frames tell of the start.
+const SETTLE: Duration = Duration::from_secs(3);
+
+#[derive(Args)]
+pub(crate) struct ApiArgs {
+    /// Jobs that wait
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    jobs: u32,
+    /// Pages that watch
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u16).range(1..=500))]
+    pages: u16,
+    /// For how long the API is asked while they do
+    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u16).range(5..))]
+    seconds: u16,
+    /// Clients that ask one request after the other
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64))]
+    clients: u16,
+    /// Python with the packages mlflow and requests, to measure its tracking server as well
+    #[arg(long, value_name = "PYTHON")]
+    peer: Option<PathBuf>,
+    /// The peer's script
+    #[arg(long, value_name = "FILE", default_value = "tests/peers/mlflow_tracking.py")]
+    peer_script: PathBuf,
+    /// Print the figures as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Of all requests of a kind, ms.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Delays {
+    requests: usize,
+    p50: f64,
+    p99: f64,
+    max: f64,
+}
+
+impl Delays {
+    fn of(seconds: &[f64]) -> Self {
+        let ms = |share| 1e3 * quantile(seconds, share);
+        Self { requests: seconds.len(), p50: ms(0.5), p99: ms(0.99), max: ms(1.0) }
+    }
+}
+
+/// What both servers do.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Work {
+    /// A job is queued, or a run made.
+    create: Delays,
+    /// Hundred of them are listed.
+    list: Delays,
+    /// One is looked up.
+    get: Delays,
+    /// A point of a curve is noted: by the job itself in its folder, or by a request.
+    log_metric: Delays,
+    /// The curves of one are read.
+    read_metrics: Delays,
+}
+
+#[derive(Debug, Serialize)]
+struct ApiBenchReport {
+    jobs: u32,
+    pages: u16,
+    clients: u16,
+    studio: Work,
+    /// Every request to the API while jobs wait and pages watch.
+    all_requests: Delays,
+    /// The control loop meanwhile: mean rate, and rate of its worst second, Hz.
+    loop_hz: [f64; 2],
+    /// Frames that pages got, a second and page.
+    frames_per_page_s: f64,
+    peer: Option<Work>,
+}
+
+pub(super) fn run(args: &ApiArgs) -> Result<(), Error> {
+    let (truth, _unpacked) = assets::truth(Path::new("demo"))?;
+    let data = tempfile::tempdir().map_err(Error::io("make", std::env::temp_dir()))?;
+    record_session(&truth, &data.path().join("sessions/load"), 0, &Bar::new(), &cancel_on_ctrl_c())?;
+    // One job at a time, so that the others wait.
+    let runners = data.path().join("runners.toml");
+    fs::write(&runners, "[process]\ncores = 1\n").map_err(Error::io("write", &runners))?;
+    let studio = Studio::start(data.path())?;
+    let (mut work, all_requests, watched) = measure(args, studio.addr)?;
+    drop(studio);
+    work.log_metric = log_metrics(data.path())?;
+    let loop_hz: Vec<f64> = watched.iter().flat_map(|page| page.loop_hz.iter().copied()).collect();
+    let frames: usize = watched.iter().map(|page| page.made_s.len()).sum();
+    let peer = args.peer.as_deref().map(|python| peer(args, python)).transpose()?;
+    let report = ApiBenchReport {
+        jobs: args.jobs,
+        pages: args.pages,
+        clients: args.clients,
+        studio: work,
+        all_requests,
+        loop_hz: [
+            loop_hz.iter().sum::<f64>() / loop_hz.len().max(1) as f64,
+            loop_hz.iter().copied().fold(f64::INFINITY, f64::min),
+        ],
+        frames_per_page_s: frames as f64 / f64::from(args.pages) / f64::from(args.seconds),
+        peer,
+    };
+    if args.json { output::json(&report) } else { print(&report) }
+}
+
+fn print(report: &ApiBenchReport) -> Result<(), Error> {
+    output::line(&format!(
+        "{} jobs wait, {} pages watch ({:.1} frames a second each), {} clients ask: p50 {:.1} ms, p99 {:.1} ms of {} requests; \
+         control loop {:.1} Hz, worst second {:.1} Hz",
+        report.jobs,
+        report.pages,
+        report.frames_per_page_s,
+        report.clients,
+        report.all_requests.p50,
+        report.all_requests.p99,
+        report.all_requests.requests,
+        report.loop_hz[0],
+        report.loop_hz[1]
+    ))?;
+    output::line(&format!("{:28} {:>18} {:>18}", "p50 / p99, ms", "palpate", "MLflow"))?;
+    let shown = |delays: &Delays| format!("{:.2} / {:.2}", delays.p50, delays.p99);
+    let rows: [(&str, fn(&Work) -> &Delays); 5] = [
+        ("create", |work| &work.create),
+        ("list 100", |work| &work.list),
+        ("look one up", |work| &work.get),
+        ("note a point of a curve", |work| &work.log_metric),
+        ("read the curves of one", |work| &work.read_metrics),
+    ];
+    for (name, of) in rows {
+        let peer = report.peer.as_ref().map_or_else(|| "-".to_owned(), |peer| shown(of(peer)));
+        output::line(&format!("{name:28} {:>18} {peer:>18}", shown(of(&report.studio))))?;
+    }
+    Ok(())
+}
+
+/// Queues the jobs, lets the pages watch, and asks.
+fn measure(args: &ApiArgs, addr: SocketAddr) -> Result<(Work, Delays, Vec<Watched>), Error> {
+    let mut client = Client::connect(addr)?;
+    // Holds the core that there is, and tells how far it is now and then.
+    let first = json!({ "kind": "blind", "request": { "seeds": 1_000_000 }, "resources": { "cores": 1 } });
+    let first: Job = client.ask("POST", "jobs", Some(&first))?.0;
+    let waiting = json!({ "kind": "diagnose", "request": { "session": "load" } });
+    let (mut created, mut ids) = (Vec::new(), Vec::new());
+    for _ in 0..args.jobs {
+        let (job, seconds): (Job, _) = client.ask("POST", "jobs", Some(&waiting))?;
+        created.push(seconds);
+        ids.push(job.id);
+    }
+    let runtime = Runtime::new()
+        .map_err(|err| Error::Internal(format!("failed to start the pages' threads: {err}")))?;
+    let (end, ends) = watch::channel(false);
+    let begun = Instant::now();
+    let pages: Vec<_> = (0..args.pages)
+        .map(|_| runtime.spawn(watch_stream(addr, Pace::AsItComes, begun, ends.clone())))
+        .collect();
+    thread::sleep(SETTLE);
+    let until = Instant::now() + Duration::from_secs(u64::from(args.seconds));
+    let asked: Vec<Result<Asked, Error>> = thread::scope(|scope| {
+        let clients: Vec<_> =
+            (0..args.clients).map(|number| scope.spawn(move || ask_until(addr, number, until))).collect();
+        let broken = || Err(Error::Internal("a client ended".to_owned()));
+        clients.into_iter().map(|client| client.join().unwrap_or_else(|_| broken())).collect()
+    });
+    end.send_replace(true);
+    let mut watched = Vec::new();
+    for page in pages {
+        let page = runtime.block_on(page);
+        watched.push(page.map_err(|err| Error::Internal(format!("a page ended: {err}")))??);
+    }
+    let mut all = Asked::default();
+    for asked in asked {
+        let Asked { list, get, metrics } = asked?;
+        all.list.extend(list);
+        all.get.extend(get);
+        all.metrics.extend(metrics);
+    }
+    let page: JobPage = client.ask("GET", "jobs?state=queued&limit=1000", None)?.0;
+    if (page.jobs.len() as u32) < args.jobs.min(1000) {
+        return Err(Error::Internal(format!("only {} of {} jobs waited", page.jobs.len(), args.jobs)));
+    }
+    // Jobs outlive their studio; these must not.
+    for id in ids.iter().chain([&first.id]) {
+        client.ask::<Job>("POST", &format!("jobs/{id}/cancel"), None)?;
+    }
+    let patience = Instant::now();
+    while client.ask::<Job>("GET", &format!("jobs/{}", first.id), None)?.0.is_unfinished() {
+        if patience.elapsed() > PATIENCE {
+            return Err(Error::Internal(format!("job {} does not end", first.id)));
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    let every = [&all.list[..], &all.get, &all.metrics].concat();
+    let work = Work {
+        create: Delays::of(&created),
+        list: Delays::of(&all.list),
+        get: Delays::of(&all.get),
+        read_metrics: Delays::of(&all.metrics),
+        ..Work::default()
+    };
+    Ok((work, Delays::of(&every), watched))
+}
+
+/// How long requests took, s.
+#[derive(Default)]
+struct Asked {
+    list: Vec<f64>,
+    get: Vec<f64>,
+    metrics: Vec<f64>,
+}
+
+/// Asks one request after the other, as a script does that looks after its jobs.
+fn ask_until(addr: SocketAddr, number: u16, until: Instant) -> Result<Asked, Error> {
+    let mut client = Client::connect(addr)?;
+    let mut asked = Asked::default();
+    for round in u64::from(number).. {
+        if Instant::now() >= until {
+            break;
+        }
+        asked.list.push(client.ask::<JobPage>("GET", "jobs?limit=100", None)?.1);
+        let job = format!("jobs/diagnosis-{}", 1 + round % 100);
+        asked.get.push(client.ask::<Job>("GET", &job, None)?.1);
+        asked.metrics.push(client.exchange("GET", &format!("{job}/metrics"), None)?.1);
+        // A person's script does not ask all the time.
+        thread::sleep(Duration::from_millis(20));
+    }
+    Ok(asked)
+}
+
+/// Notes points as a job does: a line appended to a file of its folder.
+fn log_metrics(data: &Path) -> Result<Delays, Error> {
+    let folder = palpate_jobs::JobFolder::at(data.join("runs/diagnosis-1"));
+    let mut seconds = Vec::new();
+    for step in 0..1000 {
+        let point = json!({ "step": step, "loss": 1.0 / f64::from(step + 1) });
+        let begun = Instant::now();
+        folder.append_metrics(&point)?;
+        seconds.push(begun.elapsed().as_secs_f64());
+    }
+    Ok(Delays::of(&seconds))
+}
+
+/// Lets MLflow's tracking server do the same.
+fn peer(args: &ApiArgs, python: &Path) -> Result<Work, Error> {
+    let output = Command::new(python)
+        .arg(&args.peer_script)
+        .args(["--runs", &args.jobs.to_string(), "--seconds", &args.seconds.to_string()])
+        .args(["--clients", &args.clients.to_string()])
+        .stderr(Stdio::inherit())
+        .output()
+        .map_err(Error::io("start", python))?;
+    if !output.status.success() {
+        return Err(Error::Internal(format!("{:?} failed: {}", args.peer_script, output.status)));
+    }
+    serde_json::from_slice(&output.stdout)
+        .map_err(|err| Error::Internal(format!("{:?} gave no figures: {err}", args.peer_script)))
+}
+
+/// `palpate serve --emulate demo`.
+struct Studio {
+    process: Child,
+    addr: SocketAddr,
+}
+
+impl Studio {
+    fn start(data: &Path) -> Result<Self, Error> {
+        let failed = |what: &str| Error::Internal(format!("the studio did not start: {what}"));
+        let program = std::env::current_exe().map_err(Error::io("find", "palpate"))?;
+        let mut process = Command::new(program)
+            .args(["serve", "--emulate", "demo", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .arg(data)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|err| failed(&err.to_string()))?;
+        let line = process.stdout.take().map(|stdout| {
+            let mut line = String::new();
+            BufReader::new(stdout).read_line(&mut line).map(|_| line)
+        });
+        let line = line.and_then(Result::ok).unwrap_or_default();
+        let said: Value = serde_json::from_str(&line).unwrap_or_default();
+        let addr = said["url"].as_str().and_then(|url| url.strip_prefix("http://")?.parse().ok());
+        match addr {
+            Some(addr) => Ok(Self { process, addr }),
+            None => {
+                // It is of no use.
+                let _ = process.kill();
+                let _ = process.wait();
+                Err(failed(&format!("it said {line:?}")))
+            }
+        }
+    }
+}
+
+impl Drop for Studio {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = Command::new("kill").args(["-TERM", &self.process.id().to_string()]).status();
+        let _ = self.process.wait();
+    }
+}
+
+/// A connection that stays open.
+struct Client {
+    stream: BufReader<TcpStream>,
+}
+
+impl Client {
+    fn connect(addr: SocketAddr) -> Result<Self, Error> {
+        let stream = TcpStream::connect(addr).map_err(|err| broken(&err))?;
+        stream
+            .set_nodelay(true)
+            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
+            .map_err(|err| broken(&err))?;
+        Ok(Self { stream: BufReader::new(stream) })
+    }
+
+    /// The answer, and how long it took, s.
+    fn ask<T: DeserializeOwned>(
+        &mut self,
+        method: &str,
+        path: &str,
+        body: Option<&Value>,
+    ) -> Result<(T, f64), Error> {
+        let (answer, seconds) = self.exchange(method, path, body)?;
+        let answer = serde_json::from_slice(&answer).map_err(|err| broken(&err))?;
+        Ok((answer, seconds))
+    }
+
+    fn exchange(&mut self, method: &str, path: &str, body: Option<&Value>) -> Result<(Vec<u8>, f64), Error> {
+        let body = body.map(Value::to_string).unwrap_or_default();
+        let head = format!(
+            "{method} /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+            body.len()
+        );
+        let begun = Instant::now();
+        self.stream.get_mut().write_all((head + &body).as_bytes()).map_err(|err| broken(&err))?;
+        let (status, answer) = self.answer().map_err(|err| broken(&err))?;
+        let seconds = begun.elapsed().as_secs_f64();
+        match status {
+            200..300 => Ok((answer, seconds)),
+            _ => {
+                let said = String::from_utf8_lossy(&answer).into_owned();
+                Err(Error::Internal(format!("{method} {path} was answered by {status}: {said}")))
+            }
+        }
+    }
+
+    fn answer(&mut self) -> std::io::Result<(u16, Vec<u8>)> {
+        let (mut status, mut length, mut is_chunked) = (0, 0, false);
+        loop {
+            let line = self.line()?;
+            if line.is_empty() {
+                break;
+            }
+            if let Some(rest) = line.strip_prefix("HTTP/1.1 ") {
+                status = rest.get(..3).and_then(|code| code.parse().ok()).unwrap_or(0);
+            }
+            let lower = line.to_ascii_lowercase();
+            if let Some(value) = lower.strip_prefix("content-length:") {
+                length = value.trim().parse().unwrap_or(0);
+            }
+            is_chunked |= lower.starts_with("transfer-encoding:") && lower.contains("chunked");
+        }
+        let mut body = Vec::new();
+        if !is_chunked {
+            body.resize(length, 0);
+            self.stream.read_exact(&mut body)?;
+            return Ok((status, body));
+        }
+        loop {
+            let size = usize::from_str_radix(self.line()?.trim(), 16).unwrap_or(0);
+            let start = body.len();
+            body.resize(start + size, 0);
+            self.stream.read_exact(&mut body[start..])?;
+            self.line()?;
+            if size == 0 {
+                return Ok((status, body));
+            }
+        }
+    }
+
+    /// Without its end.
+    fn line(&mut self) -> std::io::Result<String> {
+        let mut line = String::new();
+        if self.stream.read_line(&mut line)? == 0 {
+            return Err(std::io::ErrorKind::UnexpectedEof.into());
+        }
+        Ok(line.trim_end().to_owned())
+    }
+}
+
+fn broken(err: &dyn std::fmt::Display) -> Error {
+    Error::Internal(format!("a request failed: {err}"))
+}

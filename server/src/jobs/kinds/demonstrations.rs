@@ -1,0 +1,49 @@
+//! `palpate-train demos` as a job.
+
+use std::path::PathBuf;
+
+use palpate_wire::api::DemonstrationsRequest;
+use serde_json::Value;
+
+use super::{
+    JobKind, JobWork, parse,
+    training::{Arguments, DEMONSTRATIONS_DIR, PolicyOf, TRAINING, check_counts, check_start, model_file},
+};
+use crate::{Error, Store};
+
+/// Rolls a policy out and keeps what succeeds.
+pub(crate) const DEMONSTRATIONS: JobKind = JobKind {
+    name: "demonstrations",
+    prefix: "demonstrations-",
+    resources: TRAINING,
+    needs_trainer: true,
+    check,
+    work,
+};
+
+fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
+    let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;
+    check_counts(&[("count", Some(request.count)), ("shard_demos", request.shard_demos)])?;
+    check_start(request.start_cm)?;
+    let mut files = PolicyOf::find(store, &request.policy)?.own_files(store);
+    files.extend(model_file(store, request.model.as_deref())?);
+    Ok(files)
+}
+
+fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
+    let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;
+    let out = cx.folder.file(DEMONSTRATIONS_DIR);
+    if !out.exists() {
+        cx.forget_metrics()?;
+    }
+    let arguments = PolicyOf::find(cx.store, &request.policy)?
+        .task(Arguments::of("demos"), cx.store)
+        .with("count", request.count.to_string())
+        .maybe("shard-demos", request.shard_demos)
+        .with("seed", cx.seed.to_string())
+        .path("model", model_file(cx.store, request.model.as_deref())?)
+        .maybe("start-cm", request.start_cm)
+        .with("out", out);
+    let report = cx.train(arguments)?;
+    cx.save_report(&report)
+}

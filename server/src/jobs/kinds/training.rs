@@ -1,0 +1,364 @@
+//! What the kinds that `palpate-train` works on share: what their requests refer to, and its arguments.
+
+use std::{ffi::OsString, fs, path::PathBuf};
+
+use palpate_jobs::JobFolder;
+use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
+use palpate_wire::api::{ExpertRequest, JobSpec, JobState, Resources};
+use serde_json::Value;
+
+use super::{JobWork, LONG};
+use crate::{Error, Store, assets, data::files, jobs::trainer::Listener};
+
+/// What a training learns.
+pub(crate) const POLICY_FILE: &str = "policy.safetensors";
+/// The script of a job: what a tuning found, or what an expert is learned on top of.
+pub(crate) const SCRIPT_FILE: &str = "script.toml";
+/// The encoder that a pretraining found.
+pub(super) const ENCODER_FILE: &str = "encoder.safetensors";
+/// Folder of a training: its checkpoint, configuration and metrics.
+pub(super) const TRAINING_DIR: &str = "training";
+/// Folder of demonstrations.
+pub(super) const DEMONSTRATIONS_DIR: &str = "demonstrations";
+/// Minutes to hours on every core.
+pub(super) const TRAINING: Resources = LONG;
+
+/// The script where an object has none of its own.
+const USUAL_SCRIPT: &str = "xarm6_leap_cube";
+
+/// Arguments of `palpate-train`.
+#[derive(Default)]
+pub(super) struct Arguments(Vec<OsString>);
+
+impl Arguments {
+    pub(super) fn of(command: &str) -> Self {
+        Self(vec![command.into()])
+    }
+
+    /// `--name value`.
+    pub(super) fn with(mut self, name: &str, value: impl Into<OsString>) -> Self {
+        self.0.extend([format!("--{name}").into(), value.into()]);
+        self
+    }
+
+    /// `--name value`, if there is one.
+    pub(super) fn maybe(self, name: &str, value: Option<impl ToString>) -> Self {
+        match value {
+            Some(value) => self.with(name, value.to_string()),
+            None => self,
+        }
+    }
+
+    /// `--name`, if it is wanted.
+    pub(super) fn flag(mut self, name: &str, is_wanted: bool) -> Self {
+        if is_wanted {
+            self.0.push(format!("--{name}").into());
+        }
+        self
+    }
+
+    /// `--name path`, if there is one.
+    pub(super) fn path(self, name: &str, path: Option<PathBuf>) -> Self {
+        match path {
+            Some(path) => self.with(name, path),
+            None => self,
+        }
+    }
+}
+
+impl JobWork<'_> {
+    /// Runs `palpate-train` beside the shipped assets; gives its report.
+    pub(super) fn train(&self, arguments: Arguments) -> Result<Value, Error> {
+        self.run_trainer(arguments)?.ok_or_else(|| {
+            Error::Internal(
+                "palpate-train ended without a report; is it of the same version as palpate?".to_owned(),
+            )
+        })
+    }
+
+    /// Runs it where no report is wanted.
+    pub(super) fn run_trainer(&self, arguments: Arguments) -> Result<Option<Value>, Error> {
+        let workplace = Workplace::make(self.folder)?;
+        let listener = Listener { progress: self.progress, metrics: self.metrics, cancel: self.cancel };
+        self.trainer.run(&workplace.0, &arguments.0, &listener)
+    }
+
+    /// Writes the text of a configuration, if there is one; gives its path.
+    pub(super) fn config_file(&self, text: Option<&str>) -> Result<Option<PathBuf>, Error> {
+        let Some(text) = text else { return Ok(None) };
+        let path = self.folder.file("config.toml");
+        files::write(&path, text.as_bytes())?;
+        Ok(Some(path))
+    }
+
+    /// The text of a file that a request names.
+    pub(super) fn text_of(&self, place: &Place) -> Result<String, Error> {
+        match place {
+            Place::Own(path) => Ok(read_text(path, MAX_TEXT_BYTES)?),
+            Place::Shipped(path) => assets::text(path.trim_start_matches("assets/"))
+                .map(str::to_owned)
+                .ok_or_else(|| Error::Internal(format!("{path} is not shipped"))),
+        }
+    }
+
+    /// Removes what an attempt that begins from the start left of its curves.
+    pub(super) fn forget_metrics(&self) -> Result<(), Error> {
+        let path = self.folder.file("metrics.jsonl");
+        match fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::Io { action: "remove", path, source })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A folder that holds the shipped assets, as `palpate-train` looks for them. It goes when dropped.
+struct Workplace(PathBuf);
+
+impl Workplace {
+    fn make(folder: &JobFolder) -> Result<Self, Error> {
+        let path = folder.file("work");
+        if path.exists() {
+            // What an attempt that was killed left.
+            fs::remove_dir_all(&path).map_err(Error::io("remove", &path))?;
+        }
+        let workplace = Self(path);
+        assets::unpack_to(&workplace.0.join("assets"))?;
+        Ok(workplace)
+    }
+}
+
+impl Drop for Workplace {
+    fn drop(&mut self) {
+        // One that stays takes some megabytes until the job is deleted.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A policy that a request names.
+pub(super) struct PolicyOf {
+    /// Its file.
+    pub(super) file: Place,
+    /// The object that it was trained with.
+    object: String,
+    /// The script that it was trained on top of.
+    script: Option<Place>,
+}
+
+/// Where something is.
+pub(super) enum Place {
+    /// A file of the data folder.
+    Own(PathBuf),
+    /// A shipped file, relative to the folder that palpate-train runs in.
+    Shipped(String),
+}
+
+impl Place {
+    /// As an argument.
+    pub(super) fn argument(&self) -> OsString {
+        match self {
+            Self::Own(path) => path.into(),
+            Self::Shipped(path) => path.into(),
+        }
+    }
+
+    /// The file, if it is one that can change.
+    pub(super) fn own(&self) -> Option<PathBuf> {
+        match self {
+            Self::Own(path) => Some(path.clone()),
+            Self::Shipped(_) => None,
+        }
+    }
+}
+
+impl PolicyOf {
+    /// The policy called `name`: a job of kind `expert`, or a shipped one.
+    pub(super) fn find(store: &Store, name: &str) -> Result<Self, Error> {
+        files::check_id("policy", name)?;
+        if let Some((folder, spec)) = job(store, name)? {
+            let file = outcome(&folder, &spec, name, &super::expert::EXPERT, POLICY_FILE)?;
+            let request: ExpertRequest = super::parse(&super::expert::EXPERT, &spec.request)?;
+            let script = (!request.without_script).then(|| Place::Own(folder.file(SCRIPT_FILE)));
+            return Ok(Self { file: Place::Own(file), object: request.object, script });
+        }
+        let shipped = assets::names_in("policies", ".safetensors");
+        if !shipped.contains(&name) {
+            return Err(Error::Argument(format!(
+                "no policy {name:?}: there is no such job of kind \"expert\", and shipped are {}",
+                shipped.join(", ")
+            )));
+        }
+        Ok(Self {
+            file: Place::Shipped(format!("assets/policies/{name}.safetensors")),
+            object: name.to_owned(),
+            script: Some(script_for(store, None, name)?),
+        })
+    }
+
+    /// The files of the data folder that it is made of.
+    pub(super) fn own_files(&self, store: &Store) -> Vec<PathBuf> {
+        let script = self.script.as_ref().and_then(Place::own);
+        self.file.own().into_iter().chain(script).chain(object_file(store, &self.object)).collect()
+    }
+
+    /// What tells palpate-train the task that it was trained for.
+    pub(super) fn task(&self, arguments: Arguments, store: &Store) -> Arguments {
+        let arguments =
+            arguments.with("policy", self.file.argument()).with("object", object(store, &self.object));
+        match &self.script {
+            Some(script) => arguments.with("script", script.argument()),
+            None => arguments.flag("without-script", true),
+        }
+    }
+}
+
+/// The folder of job `id` and what it was asked, if there is such a job.
+fn job(store: &Store, id: &str) -> Result<Option<(JobFolder, JobSpec)>, Error> {
+    files::check_id("job", id)?;
+    let folder = JobFolder::at(store.root().join("runs").join(id));
+    if !folder.file("spec.json").is_file() {
+        return Ok(None);
+    }
+    let spec = folder.spec()?;
+    Ok(Some((folder, spec)))
+}
+
+/// File `name` of the job `id`, which must be of `kind` and done.
+fn outcome(
+    folder: &JobFolder,
+    spec: &JobSpec,
+    id: &str,
+    kind: &super::JobKind,
+    name: &str,
+) -> Result<PathBuf, Error> {
+    if spec.kind != kind.name {
+        return Err(Error::Argument(format!(
+            "job {id:?} is of kind {:?}; give one of kind {:?}",
+            spec.kind, kind.name
+        )));
+    }
+    if folder.last_exit().is_none_or(|exit| exit.outcome != JobState::Done) {
+        return Err(Error::Conflict(format!(
+            "job {id:?} is not done; wait until it is, or give another one"
+        )));
+    }
+    let path = folder.file(name);
+    if !path.exists() {
+        return Err(Error::Conflict(format!(
+            "job {id:?} has no {name} any more; run it again, or give another one"
+        )));
+    }
+    Ok(path)
+}
+
+/// The folder of the demonstrations of job `id`, and every file in it.
+pub(super) fn demonstrations(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
+    let Some((folder, spec)) = job(store, id)? else {
+        return Err(Error::Argument(format!(
+            "no job {id:?}; give jobs of kind \"demonstrations\", which GET /api/v1/jobs?kind=demonstrations lists"
+        )));
+    };
+    let dir = outcome(&folder, &spec, id, &super::demonstrations::DEMONSTRATIONS, DEMONSTRATIONS_DIR)?;
+    let mut found = Vec::new();
+    for entry in fs::read_dir(&dir).map_err(Error::io("read", &dir))? {
+        let path = entry.map_err(Error::io("read", &dir))?.path();
+        if path.is_file() {
+            found.push(path);
+        }
+    }
+    found.sort();
+    Ok((dir, found))
+}
+
+/// The script called `name`, or the one for `object`.
+pub(super) fn script_for(store: &Store, name: Option<&str>, object: &str) -> Result<Place, Error> {
+    let shipped = assets::names_in("grasp/scripts", ".toml");
+    let at = |name: &str| Place::Shipped(format!("assets/grasp/scripts/{name}.toml"));
+    let Some(name) = name else {
+        return Ok(at(if shipped.contains(&object) { object } else { USUAL_SCRIPT }));
+    };
+    if let Some((folder, spec)) = job(store, name)? {
+        return Ok(Place::Own(outcome(&folder, &spec, name, &super::tune::TUNE, SCRIPT_FILE)?));
+    }
+    if !shipped.contains(&name) {
+        return Err(Error::Argument(format!(
+            "no script {name:?}: there is no such job of kind \"tune\", and shipped are {}",
+            shipped.join(", ")
+        )));
+    }
+    Ok(at(name))
+}
+
+/// The usual script.
+pub(super) fn usual_script(store: &Store) -> Result<Place, Error> {
+    script_for(store, Some(USUAL_SCRIPT), "")
+}
+
+/// Refuses an object that there is not; gives the files of one's own objects that are read.
+pub(super) fn check_object(store: &Store, id: &str) -> Result<Option<PathBuf>, Error> {
+    files::check_id("object", id)?;
+    let own = object_file(store, id);
+    let shipped = assets::names_in("objects", ".toml");
+    if own.is_none() && !shipped.contains(&id) {
+        return Err(Error::Argument(format!("no object {id:?}; shipped are {}", shipped.join(", "))));
+    }
+    Ok(own)
+}
+
+/// The file of object `id`, if it is one's own.
+fn object_file(store: &Store, id: &str) -> Option<PathBuf> {
+    let path = store.root().join("objects").join(format!("{id}.toml"));
+    path.is_file().then_some(path)
+}
+
+/// Object `id` as palpate-train takes it.
+pub(super) fn object(store: &Store, id: &str) -> OsString {
+    object_file(store, id).map_or_else(|| id.into(), Into::into)
+}
+
+/// The file of the saved model `id`, if one is wanted other than the station's own.
+pub(super) fn model_file(store: &Store, id: Option<&str>) -> Result<Option<PathBuf>, Error> {
+    match id {
+        None | Some("nominal") => Ok(None),
+        Some(id) => {
+            store.model(id)?;
+            store.model_file(id).map(Some)
+        }
+    }
+}
+
+/// Refuses numbers that make no sense before a job waits with them.
+pub(super) fn check_counts(counts: &[(&str, Option<u64>)]) -> Result<(), Error> {
+    match counts.iter().find(|(_, count)| *count == Some(0)) {
+        Some((name, _)) => Err(Error::Argument(format!("{name} = 0; expected at least 1"))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses places of starts that make no sense.
+pub(super) fn check_start(start_cm: Option<f64>) -> Result<(), Error> {
+    match start_cm {
+        Some(start_cm) if !(start_cm.is_finite() && start_cm >= 0.0) => {
+            Err(Error::Argument(format!("start_cm = {start_cm}; expected a number that is not negative")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a way to learn that there is not.
+pub(super) fn check_preset(preset: Option<&str>, config: Option<&str>) -> Result<(), Error> {
+    match (preset, config) {
+        (Some(_), Some(_)) => {
+            Err(Error::Argument("preset and config are two ways to learn; give one of them".to_owned()))
+        }
+        (Some(preset), _) if !["quick", "paper"].contains(&preset) => {
+            Err(Error::Argument(format!("no preset {preset:?}; expected \"quick\" or \"paper\"")))
+        }
+        (_, Some(config)) => match config.parse::<toml::Table>() {
+            Ok(_) => Ok(()),
+            Err(err) => Err(Error::Content(format!("config: {}", err.to_string().trim().replace('\n', " ")))),
+        },
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,160 @@
+//! Jobs that `palpate-train` works on, and which kinds of jobs a studio can do.
+
+use serde::{Deserialize, Serialize};
+
+use super::Resources;
+
+/// `GET /api/v1/kinds`: a kind of job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct JobKindDocument {
+    /// As requests name it.
+    pub kind: String,
+    /// What it needs of the machine, where a request does not say so.
+    pub resources: Resources,
+    /// Whether this studio can do it on its own computer.
+    pub is_available: bool,
+    /// Why not, and what to do.
+    pub problem: Option<String>,
+}
+
+/// Request of a job of kind `expert`: learns to grasp one object by touch. An attempt that was cut off goes on from its last
+/// checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ExpertRequest {
+    /// Id of the object, shipped or in `objects/` of the data folder.
+    pub object: String,
+    /// How to learn: `quick` or `paper`; absent means `quick`.
+    #[serde(default)]
+    pub preset: Option<String>,
+    /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
+    #[serde(default)]
+    pub config: Option<String>,
+    /// Steps of all environments together; absent means the configuration's.
+    #[serde(default)]
+    pub total_steps: Option<u64>,
+    /// The script that is learned on top of: a job of kind `tune`, or the name of a shipped one; absent means the one that is
+    /// shipped for the object, or the usual one.
+    #[serde(default)]
+    pub script: Option<String>,
+    /// Learn the whole motion instead of what is added to a script.
+    #[serde(default)]
+    pub without_script: bool,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// Half the edge length of the square that objects start in, cm; absent means the world's.
+    #[serde(default)]
+    pub start_cm: Option<f64>,
+    /// The robot feels nothing.
+    #[serde(default)]
+    pub silence_touch: bool,
+}
+
+/// Request of a job of kind `evaluation`: scores a policy in fresh trials.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct EvaluationRequest {
+    /// A job of kind `expert`, or the name of a shipped policy.
+    pub policy: String,
+    /// Trials; absent means the protocol's, or 50.
+    #[serde(default)]
+    pub trials: Option<u64>,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// Half the edge length of the square that objects start in, cm; a protocol says so itself.
+    #[serde(default)]
+    pub start_cm: Option<f64>,
+    /// The robot feels nothing.
+    #[serde(default)]
+    pub silence_touch: bool,
+    /// Compare under this shipped protocol: `paper`, `wide`, `wide_20s` or `claim`.
+    #[serde(default)]
+    pub protocol: Option<String>,
+    /// Under a protocol: compare with script, blind repetition, an oracle and the silenced policy.
+    #[serde(default)]
+    pub controls: bool,
+}
+
+/// Request of a job of kind `demonstrations`: rolls a policy out and keeps what succeeds. An attempt that was cut off goes on
+/// from its last file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct DemonstrationsRequest {
+    /// A job of kind `expert`, or the name of a shipped policy.
+    pub policy: String,
+    /// How many.
+    pub count: u64,
+    /// Demonstrations in a file; absent means 64.
+    #[serde(default)]
+    pub shard_demos: Option<u64>,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// Half the edge length of the square that objects start in, cm; absent means the world's.
+    #[serde(default)]
+    pub start_cm: Option<f64>,
+}
+
+/// Request of a job of kind `pretraining`: pretrains the tactile encoder on demonstrations. An attempt that was cut off goes on
+/// from its last checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PretrainingRequest {
+    /// Jobs of kind `demonstrations`, at least one.
+    pub demonstrations: Vec<String>,
+    /// How to learn: `quick` or `paper`; absent means `quick`.
+    #[serde(default)]
+    pub preset: Option<String>,
+    /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
+    #[serde(default)]
+    pub config: Option<String>,
+    /// How often to go through the samples; absent means the configuration's.
+    #[serde(default)]
+    pub epochs: Option<u64>,
+    /// Tell the encoder what taxels feel only, not where they are.
+    #[serde(default)]
+    pub without_positions: bool,
+    /// Tell the encoder where taxels are only, not what they feel.
+    #[serde(default)]
+    pub silence_touch: bool,
+}
+
+/// Request of a job of kind `tune`: tunes a closing script on one object by the cross-entropy method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct TuneRequest {
+    /// Id of the object, shipped or in `objects/` of the data folder.
+    pub object: String,
+    /// The script to begin with: a job of kind `tune`, or the name of a shipped one; absent means the usual one.
+    #[serde(default)]
+    pub script: Option<String>,
+    /// Rounds of candidates; absent means 8.
+    #[serde(default)]
+    pub generations: Option<u64>,
+    /// Scripts drawn in each; absent means 64.
+    #[serde(default)]
+    pub candidates: Option<u64>,
+    /// The best of them, which the next ones are drawn around; absent means 10.
+    #[serde(default)]
+    pub elite: Option<u64>,
+    /// Trials of each candidate; absent means 4.
+    #[serde(default)]
+    pub trials: Option<u64>,
+    /// Trials that choose the best generation; absent means 50.
+    #[serde(default)]
+    pub check_trials: Option<u64>,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// Half the edge length of the square that objects start in, cm; absent means the world's.
+    #[serde(default)]
+    pub start_cm: Option<f64>,
+}
