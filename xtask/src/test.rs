@@ -54,7 +54,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo.args(["--", filter]);
     }
     let workspace = shell::run(&mut cargo);
-    let grasping = mujoco::test(&palpate, &skipped, args.filter.as_deref());
+    let grasping = mujoco::test(&palpate, &artifacts, &skipped, args.filter.as_deref());
     eprintln!("screenshots and reports: {}", artifacts.display());
     skip::report(&skipped);
     workspace.and(grasping)?;

@@ -2,6 +2,7 @@
 #![cfg(feature = "mujoco")]
 
 mod against_hand;
+mod campaign_page;
 mod campaigns;
 mod comparisons;
 mod demonstrations;
