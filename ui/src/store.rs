@@ -482,7 +482,13 @@ impl Store {
             | Request::CreateToken(_)
             | Request::RevokeToken(_)
             | Request::Audit
-            | Request::Metrics) => self.people.receive(&request, result),
+            | Request::Metrics) => {
+                self.people.receive(&request, result);
+                // The server calls whoever logged in by that name, whatever this browser remembers of others.
+                if let Some(name) = self.people.login() {
+                    name.clone_into(&mut self.control.operator);
+                }
+            }
             // Whether it could be stopped or not: where the run stands now is what matters.
             Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
             Request::CancelDiagnosis(run) => self.outbox.push(Request::Diagnosis(run)),

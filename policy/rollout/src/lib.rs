@@ -9,6 +9,7 @@
 //! Nothing here simulates: it needs no physics library, and the server needs nothing of it.
 
 mod campaign;
+mod command;
 pub mod fit;
 pub mod inject;
 mod journal;
@@ -23,4 +24,5 @@ pub mod task;
 pub mod trial;
 pub mod verdict;
 
+pub use command::command;
 pub use run::{RolloutArgs, run};

@@ -263,13 +263,16 @@ async fn converse(
     opened: &std::sync::mpsc::SyncSender<anyhow::Result<()>>,
 ) {
     let open = async |path: &str| {
-        let url = format!("ws://{}/api/v1/{path}", studio.address());
+        let url = studio.socket_url(path);
         let mut request = ClientRequestBuilder::new(url.parse()?);
         if let Some(token) = studio.token() {
             request = request.with_header("Authorization", format!("Bearer {token}"));
         }
-        let connected = tokio_tungstenite::connect_async(request).await;
-        connected.map(|(socket, _)| socket).with_context(|| format!("failed to connect to {url}"))
+        let connected = async {
+            let stream = studio.connect().await?;
+            anyhow::Ok(tokio_tungstenite::client_async(request, stream).await?.0)
+        };
+        connected.await.with_context(|| format!("failed to connect to {url}"))
     };
     let sockets = async { anyhow::Ok((open("control").await?, open("stream").await?)) };
     let (control, mut stream) = match sockets.await {

@@ -30,6 +30,9 @@ pub struct Head {
     pub object: String,
     /// File of what moved the hand.
     pub policy: String,
+    /// It was told that it feels nothing.
+    #[serde(default)]
+    pub is_silenced: bool,
     /// `None` where a person placed the object.
     pub start: Option<KnownStart>,
     /// Id of the station.

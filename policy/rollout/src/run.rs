@@ -51,6 +51,9 @@ pub struct RolloutArgs {
     /// Address of the studio, as `palpate serve` prints it
     #[arg(long, default_value = "http://127.0.0.1:8080")]
     url: String,
+    /// Certificates in PEM that vouch for a studio that speaks TLS, as a copy of `tls/cert.pem` in its data folder does
+    #[arg(long, value_name = "FILE")]
+    ca_file: Option<PathBuf>,
     /// A learned policy: a training's folder, a checkpoint or an exported file; without one the script alone runs. With
     /// `--campaign`, ID=PATH for a policy of the campaign whose own source is not to be used; may be repeated
     #[arg(long)]
@@ -169,7 +172,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         };
         bail!("nobody is there to place the object: give --operator, or {placed}");
     }
-    let studio = Studio::new(&args.url, std::env::var(TOKEN).ok())?;
+    let studio = Studio::new(&args.url, std::env::var(TOKEN).ok(), args.ca_file.as_deref())?;
     if let Some(id) = &args.campaign {
         let options = campaign::Options {
             id,

@@ -34,6 +34,9 @@ pub(crate) struct CompareRolloutArgs {
     /// Folder of the rollout: its `--out`
     #[arg(long)]
     rollout: PathBuf,
+    /// Only the trials of these numbers, with commas between: those of one policy and object of a campaign
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
+    only: Vec<u64>,
     /// Sensor model: "nominal", which is that of the station, or a file; may be given several times [default: nominal]
     #[arg(long = "model", value_name = "nominal|FILE")]
     models: Vec<String>,
@@ -79,7 +82,7 @@ pub(crate) fn run(args: &CompareRolloutArgs) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         files::check_out(out)?;
     }
-    let records = read::folder(&args.rollout)?;
+    let records = only(read::folder(&args.rollout)?, &args.only, &args.rollout)?;
     let num_recorded = records.len();
     let head = one_kind(&records)?;
     let named = Named::of(&head)?;
@@ -138,14 +141,26 @@ pub(crate) fn run(args: &CompareRolloutArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The records of the trials of these `numbers`; all without numbers.
+fn only(mut records: Vec<Recorded>, numbers: &[u64], folder: &Path) -> anyhow::Result<Vec<Recorded>> {
+    if let Some(missing) =
+        numbers.iter().find(|&&number| records.iter().all(|record| record.head.trial != number))
+    {
+        bail!("--only names {missing}, and {folder:?} holds no record of a trial of that number");
+    }
+    records.retain(|record| numbers.is_empty() || numbers.contains(&record.head.trial));
+    Ok(records)
+}
+
 /// What the trials share, if they share it.
 fn one_kind(records: &[Recorded]) -> anyhow::Result<read::Head> {
     let first = &records.first().context("there are no records")?.head;
     let kind = |head: &read::Head| {
-        let read::Head { object, policy, files, control_rate_hz, joints, channels, .. } = head;
+        let read::Head { object, policy, is_silenced, files, control_rate_hz, joints, channels, .. } = head;
         (
             object.clone(),
             policy.clone(),
+            *is_silenced,
             files.clone(),
             control_rate_hz.to_bits(),
             joints.clone(),
@@ -156,8 +171,15 @@ fn one_kind(records: &[Recorded]) -> anyhow::Result<read::Head> {
     let other = records.iter().find(|record| kind(&record.head) != kind(first));
     if let Some(other) = other {
         bail!(
-            "{} is of another object, policy, file, station or region of starts than the trials before; compare them apart",
+            "{} is of another object, policy, file, station or region of starts than the trials before, or the policy was told \
+             that it feels nothing in one of them alone; compare them apart, by --only",
             other.path.display()
+        );
+    }
+    if first.is_silenced {
+        bail!(
+            "{} is of a policy that was told that it feels nothing; it is compared as it is with its touch alone",
+            records[0].path.display()
         );
     }
     Ok(first.clone())

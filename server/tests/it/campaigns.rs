@@ -62,6 +62,10 @@ async fn campaign_is_made_run_scored_and_exported() {
     assert!(csv.header(header::CONTENT_TYPE).starts_with("text/csv"), "{:?}", csv.body);
     let text = String::from_utf8(csv.body.to_vec()).unwrap();
     assert!(text.contains("close,cube,seen,2,2,1,"), "{text}");
+    let trials = get(&app, "/api/v1/campaigns/first-trials/tables/trials.csv").await;
+    assert!(trials.header(header::CONTENT_TYPE).starts_with("text/csv"), "{:?}", trials.body);
+    let rows = String::from_utf8(trials.body.to_vec()).unwrap();
+    assert_eq!(rows.lines().count(), 1 + 8, "{rows}");
     let out = data.path("results.csv");
     let printed = palpate_ok(&[
         "campaign",

@@ -1,8 +1,8 @@
 //! Where a campaign stands: its plan, and everything that its log says applied in order.
 
 use palpate_wire::api::{
-    Attempt, Campaign, CampaignPlan, CampaignSummary, RolloutOutcome, ScoreRequest, Trial, TrialScore,
-    TrialState, TrialVerdict,
+    Attempt, Campaign, CampaignPlan, CampaignPolicy, CampaignSummary, RolloutOutcome, ScoreRequest, Trial,
+    TrialScore, TrialState, TrialVerdict,
 };
 
 use crate::{
@@ -320,7 +320,14 @@ impl State {
         if is_blind {
             // Order and starts follow from the seed, so it would tell which policy is tried when.
             plan.seed = 0;
-            plan.policies.iter_mut().for_each(|policy| policy.source.clear());
+            // A name may say what to expect.
+            for (policy, number) in plan.policies.iter_mut().zip(1..) {
+                *policy = CampaignPolicy {
+                    id: format!("policy {number}"),
+                    source: String::new(),
+                    is_silenced: false,
+                };
+            }
         }
         let trials: Vec<Trial> = self
             .planned

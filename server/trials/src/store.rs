@@ -20,6 +20,7 @@ use crate::{
     log::{Change, Entry, Log},
     plan::check_plan,
     results,
+    tables::trials_csv,
 };
 
 /// Largest plan that is read, bytes.
@@ -122,13 +123,26 @@ impl Campaigns {
     /// # Errors
     /// No such campaign; a file that cannot be used; it is blind and not closed.
     pub fn results(&self, id: &str, viewer: &Viewer) -> Result<CampaignResults, TrialsError> {
+        results::of(&self.unblinded(id, viewer)?, &self.published)
+    }
+
+    /// Every attempt of campaign `id` as comma-separated values. Refused as its results are.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn trials_csv(&self, id: &str, viewer: &Viewer) -> Result<String, TrialsError> {
+        trials_csv(&self.unblinded(id, viewer)?.view(viewer))
+    }
+
+    /// The campaign `id`, unless `viewer` is a scorer who is not to know yet which policy was which.
+    fn unblinded(&self, id: &str, viewer: &Viewer) -> Result<State, TrialsError> {
         let state = self.look(id, State::clone)?;
         if state.plan.is_blind && viewer.is_scorer && state.closed.is_none() {
             return Err(TrialsError::Conflict(format!(
                 "campaign {id:?} is blind; scorers see its results once it is closed"
             )));
         }
-        results::of(&state, &self.published)
+        Ok(state)
     }
 
     /// The object of `trial` is placed and its rollout begins.

@@ -2,7 +2,9 @@
 
 use std::fmt::Write as _;
 
-use palpate_wire::api::{CampaignResults, PolicyComparison, PolicyResult, PublishedResult, SuccessRate};
+use palpate_wire::api::{
+    Campaign, CampaignResults, PolicyComparison, PolicyResult, PublishedResult, SuccessRate, TrialVerdict,
+};
 
 use crate::{TrialsError, results::rate};
 
@@ -198,7 +200,6 @@ fn sentence(comparison: &PolicyComparison) -> String {
 
 fn csv(results: &CampaignResults) -> Result<String, TrialsError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let failed = |err: csv::Error| TrialsError::Argument(format!("the table cannot be written: {err}"));
     let header = [
         "policy",
         "object",
@@ -216,7 +217,7 @@ fn csv(results: &CampaignResults) -> Result<String, TrialsError> {
         "void",
         "open",
     ];
-    writer.write_record(header).map_err(failed)?;
+    writer.write_record(header).map_err(unwritten)?;
     let figures = |rate: &SuccessRate| {
         let ends = rate.wilson_95.into_iter().chain(rate.clopper_pearson_95).map(|end| end.to_string());
         let share = rate.rate.map_or_else(String::new, |rate| rate.to_string());
@@ -235,7 +236,7 @@ fn csv(results: &CampaignResults) -> Result<String, TrialsError> {
                 .into_iter()
                 .chain(figures(&object.rate))
                 .chain(counts.iter().map(u64::to_string));
-            writer.write_record(record).map_err(failed)?;
+            writer.write_record(record).map_err(unwritten)?;
         }
         let groups = [("seen", policy.seen), ("unseen", policy.unseen), ("overall", Some(policy.overall))];
         for (group, rate) in groups {
@@ -253,11 +254,97 @@ fn csv(results: &CampaignResults) -> Result<String, TrialsError> {
                 .into_iter()
                 .chain(figures(&rate))
                 .chain(counts);
-            writer.write_record(record).map_err(failed)?;
+            writer.write_record(record).map_err(unwritten)?;
         }
     }
+    finished(writer)
+}
+
+fn unwritten(err: csv::Error) -> TrialsError {
+    TrialsError::Argument(format!("the table cannot be written: {err}"))
+}
+
+fn finished(writer: csv::Writer<Vec<u8>>) -> Result<String, TrialsError> {
     let bytes = writer.into_inner().map_err(|err| TrialsError::Argument(err.to_string()))?;
     String::from_utf8(bytes).map_err(|err| TrialsError::Argument(err.to_string()))
+}
+
+/// Every attempt of every trial of `campaign`, in order, as comma-separated values. A trial that was not begun has a row too.
+pub(crate) fn trials_csv(campaign: &Campaign) -> Result<String, TrialsError> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let header = [
+        "trial",
+        "policy",
+        "object",
+        "group",
+        "start",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+        "attempt",
+        "began",
+        "verdict",
+        "scores",
+        "settled_by",
+        "notes",
+        "suggested",
+        "time_to_grasp_s",
+        "held_s",
+        "take",
+        "record",
+    ];
+    writer.write_record(header).map_err(unwritten)?;
+    for trial in &campaign.trials {
+        let object = campaign.plan.objects.iter().find(|object| object.id == trial.object);
+        let group = object.and_then(|object| object.group.clone()).unwrap_or_default();
+        let start = &trial.start;
+        let begins = [
+            trial.number.to_string(),
+            trial.policy.clone().unwrap_or_default(),
+            trial.object.clone(),
+            group,
+            trial.start_number.to_string(),
+            start.x_m.to_string(),
+            start.y_m.to_string(),
+            start.yaw_rad.to_string(),
+        ];
+        if trial.attempts.is_empty() {
+            let rest = vec![String::new(); header.len() - begins.len()];
+            writer.write_record(begins.iter().chain(&rest)).map_err(unwritten)?;
+        }
+        for (attempt, number) in trial.attempts.iter().zip(0..) {
+            let outcome = attempt.outcome.as_ref();
+            let name = |verdict: Option<TrialVerdict>| verdict.map_or("", TrialVerdict::name).to_owned();
+            let seconds = |time: Option<f64>| time.map_or_else(String::new, |time| time.to_string());
+            let scores: Vec<String> = attempt
+                .scores
+                .iter()
+                .map(|score| format!("{}: {}", score.scorer, score.verdict.name()))
+                .collect();
+            let notes: Vec<String> = attempt
+                .scores
+                .iter()
+                .chain(&attempt.settled)
+                .filter(|score| !score.note.is_empty())
+                .map(|score| format!("{}: {}", score.scorer, score.note))
+                .collect();
+            let rest = [
+                number.to_string(),
+                attempt.began.clone(),
+                name(attempt.verdict),
+                scores.join("; "),
+                attempt.settled.as_ref().map(|score| score.scorer.clone()).unwrap_or_default(),
+                notes.join("; "),
+                name(outcome.and_then(|outcome| outcome.suggested)),
+                seconds(outcome.and_then(|outcome| outcome.time_to_grasp_s)),
+                seconds(outcome.and_then(|outcome| outcome.held_s)),
+                attempt.take.clone().unwrap_or_default(),
+                outcome.and_then(|outcome| outcome.record.clone()).unwrap_or_default(),
+            ];
+            writer.write_record(begins.iter().chain(&rest)).map_err(unwritten)?;
+        }
+    }
+    finished(writer)
 }
 
 fn latex(results: &CampaignResults) -> Result<String, TrialsError> {

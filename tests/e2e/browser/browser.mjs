@@ -33,6 +33,21 @@ export async function openBrowser({ width = 1280, height = 800, colorScheme = "l
   return { context, page, errors: collectErrors(page) };
 }
 
+/** A browser whose contexts share nothing, as computers of several people do. */
+export async function launchBrowser() {
+  setPriority(10);
+  return chromium.launch({ executablePath, args: FLAGS });
+}
+
+/** The first window of somebody else's computer, which trusts whatever certificate a studio made for itself. */
+export async function openContext(browser, { width = 1280, height = 800, hasTouch = false } = {}) {
+  const context = await browser.newContext({ viewport: { width, height }, hasTouch, ignoreHTTPSErrors: true });
+  // Several pages that are drawn by one processor come slowly.
+  context.setDefaultTimeout(180_000);
+  const page = await context.newPage();
+  return { context, page, errors: collectErrors(page) };
+}
+
 /** Another window of the same browser. */
 export async function openPage(context) {
   const page = await context.newPage();

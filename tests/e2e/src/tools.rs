@@ -1,7 +1,6 @@
 //! What `cargo xtask test` set up, and the session that the tests share.
 
 use std::{
-    io::Write as _,
     path::{Path, PathBuf},
     process::Command,
     sync::OnceLock,
@@ -30,7 +29,7 @@ impl Tools {
     /// # Panics
     /// If they are missing: a test that cannot run has not passed.
     pub fn find() -> Option<Self> {
-        if is_skipped("e2e") {
+        if skip::leaves_out("e2e") {
             return None;
         }
         let tools = Self::from_env();
@@ -46,7 +45,7 @@ impl Tools {
     /// # Panics
     /// As [`Self::find`].
     pub fn find_with_browser() -> Option<Self> {
-        if is_skipped("browser") { None } else { Self::find() }
+        if skip::leaves_out("browser") { None } else { Self::find() }
     }
 
     fn from_env() -> Option<Self> {
@@ -64,19 +63,6 @@ impl Tools {
     pub fn palpate(&self) -> Command {
         Command::new(&self.palpate)
     }
-}
-
-/// Whether `PALPATE_SKIP` names `tool`, so that the test that asks is left out. `cargo xtask test` counts these tests.
-fn is_skipped(tool: &str) -> bool {
-    let is_named =
-        std::env::var("PALPATE_SKIP").is_ok_and(|skip| skip.split([',', ' ']).any(|word| word == tool));
-    if let Some(list) = std::env::var_os("PALPATE_SKIPPED").filter(|_| is_named) {
-        let test = std::thread::current().name().unwrap_or("a test").to_owned();
-        let file = std::fs::OpenOptions::new().append(true).create(true).open(list);
-        let noted = file.and_then(|mut file| file.write_all(format!("{tool} {test}\n").as_bytes()));
-        noted.expect("the list of tests that are left out");
-    }
-    is_named
 }
 
 /// The checkout's root.

@@ -2,7 +2,10 @@
 //! page, its state is in the bar and the rest in the menu.
 
 use egui::{Align, Layout, RichText, accesskit::Role};
-use palpate_wire::proto::{ControlState, control_state::Phase};
+use palpate_wire::{
+    api::Scope,
+    proto::{ControlState, control_state::Phase},
+};
 
 use super::{StudioApp, bars::elided, overlays::dialog};
 use crate::{
@@ -143,7 +146,14 @@ impl StudioApp {
     /// Who commands, and how that changes.
     fn holder_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, state: &ControlState, frozen: bool) {
         let holder = self.store.control.holder(Some(state));
-        let usable = self.store.control.is_open() && !frozen;
+        let lacks = self.store.people.lacks(palpate_wire::api::Role::Operator, Scope::Control);
+        let usable = self.store.control.is_open() && !frozen && lacks.is_none();
+        let why_not = lacks.map_or_else(String::new, |me| {
+            format!(
+                "You are {} ({}): you can watch, and press STOP. Operators take control.",
+                me.name, me.role
+            )
+        });
         match holder {
             Holder::Me => {
                 ui.label(RichText::new("You have control").strong());
@@ -158,7 +168,11 @@ impl StudioApp {
                 ui.label(RichText::new("Nobody has control").color(palette.text_weak));
                 let waits = self.store.control.waits_for("Take control");
                 let button = egui::Button::new(RichText::new("Take control").strong());
-                if ui.add_enabled(usable && !waits, button).clicked() {
+                let mut response = ui.add_enabled(usable && !waits, button);
+                if !why_not.is_empty() {
+                    response = response.on_disabled_hover_text(why_not);
+                }
+                if response.clicked() {
                     self.acquire(false);
                 }
                 self.who_ui(ui, palette);
@@ -167,9 +181,12 @@ impl StudioApp {
                 let shown = format!("{} has control", elided(&name, MAX_NAME));
                 ui.label(RichText::new(shown).strong().color(palette.warning))
                     .on_hover_text(format!("{name} has control. You can watch, and press STOP"));
-                let response = ui
+                let mut response = ui
                     .add_enabled(usable, egui::Button::new("Take over\u{2026}"))
                     .on_hover_text("Asks you once more, naming who has control");
+                if !why_not.is_empty() {
+                    response = response.on_disabled_hover_text(why_not);
+                }
                 response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, usable, "Take over"));
                 if response.clicked() {
                     self.strip.take_over = Some(name);
@@ -180,7 +197,8 @@ impl StudioApp {
 
     /// Under which name control is asked for, and how to change it.
     fn who_ui(&mut self, ui: &mut egui::Ui, palette: &Palette) {
-        if !self.store.control.has_name() {
+        // Whoever logged in is called by that name, which stands in the bar.
+        if !self.store.control.has_name() || self.store.people.login().is_some() {
             return;
         }
         let name = elided(self.store.control.operator.trim(), MAX_OWN_NAME);

@@ -1,5 +1,6 @@
 //! Trials: campaigns of policies on the hand, run, scored and counted.
 
+mod beside;
 mod form;
 mod place;
 mod results;
@@ -7,7 +8,7 @@ mod run;
 mod score;
 
 use egui::RichText;
-use palpate_wire::api::{Campaign, CampaignSummary, TrialState};
+use palpate_wire::api::{Campaign, CampaignSummary, Role, Scope, TrialState};
 
 use super::{
     ScreenContext,
@@ -42,9 +43,15 @@ impl Part {
     const ALL: [(Self, &'static str, &'static str); 3] =
         [(Self::Run, "run", "Run"), (Self::Score, "score", "Score"), (Self::Results, "results", "Results")];
 
-    fn of(route: &Route) -> Self {
-        let slug = route.part.as_deref().unwrap_or("run");
-        Self::ALL.iter().find(|(_, known, _)| *known == slug).map_or(Self::Run, |(part, ..)| *part)
+    /// The part that the address names; otherwise what whoever sits here is there for.
+    fn of(cx: &mut ScreenContext<'_>) -> Self {
+        let named = cx.route.part.as_deref();
+        if let Some((part, ..)) = Self::ALL.iter().find(|(_, slug, _)| Some(*slug) == named) {
+            return *part;
+        }
+        let people = &mut cx.store.people;
+        let runs = people.lacks(Role::Operator, Scope::Control).is_none();
+        if runs || people.lacks(Role::Scorer, Scope::Score).is_some() { Self::Run } else { Self::Score }
     }
 }
 
@@ -70,6 +77,14 @@ pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Tria
     let Some(shown) = asked.or_else(|| campaigns.first().map(|campaign| campaign.id.clone())) else {
         let text = "A campaign tries policies on the hand, object by object, from the same starts for each. People score \
             every trial, also from another room; success rates with intervals and comparisons come out.";
+        if !plans(cx) {
+            egui::CentralPanel::default().show(ui, |ui| {
+                ui.heading("No campaign yet");
+                ui.label(text);
+                ui.label("Operators plan campaigns.");
+            });
+            return;
+        }
         if empty_ui(ui, "No campaign yet", text, "Plan a campaign") {
             state.form = Some(form::FormState::default());
         }
@@ -90,12 +105,17 @@ pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Tria
                 entry_ui(ui, cx, campaign, campaign.id == shown);
             }
             ui.add_space(8.0);
-            if ui.button("Plan a campaign").clicked() {
+            if plans(cx) && ui.button("Plan a campaign").clicked() {
                 state.form = Some(form::FormState::default());
             }
         });
     });
     egui::CentralPanel::default().show(ui, |ui| campaign_ui(ui, cx, state, &shown));
+}
+
+/// Whether whoever sits here may make campaigns.
+fn plans(cx: &mut ScreenContext<'_>) -> bool {
+    cx.store.people.lacks(Role::Operator, Scope::Data).is_none()
 }
 
 fn to(id: &str, part: Part) -> Route {
@@ -123,9 +143,10 @@ fn narrow_list_ui(
         }
     });
     if chosen != shown {
-        *cx.go_to = Some(to(&chosen, Part::of(cx.route)));
+        let part = Part::of(cx);
+        *cx.go_to = Some(to(&chosen, part));
     }
-    ui.button("Plan a campaign").clicked()
+    plans(cx) && ui.button("Plan a campaign").clicked()
 }
 
 fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSummary, is_chosen: bool) {
@@ -147,12 +168,13 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSu
         egui::WidgetInfo::selected(egui::accesskit::Role::Button, true, is_chosen, name)
     });
     if response.clicked() {
-        *cx.go_to = Some(to(&campaign.id, Part::of(cx.route)));
+        let part = Part::of(cx);
+        *cx.go_to = Some(to(&campaign.id, part));
     }
 }
 
 fn campaign_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TrialsState, id: &str) {
-    let part = Part::of(cx.route);
+    let part = Part::of(cx);
     let as_scorer = part == Part::Score;
     let name = cx.store.control.operator.clone();
     let campaign = match cx.store.campaigns.campaign(id, &name, as_scorer) {

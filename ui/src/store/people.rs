@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use palpate_wire::api::{CreatedToken, Me, NewPerson, NewToken, Person, PersonChanges, Role, Scope, Token};
+use palpate_wire::api::{
+    CreatedToken, Me, NewPerson, NewToken, Person, PersonChanges, Role, Scope, Token, Via,
+};
 use serde::Deserialize;
 
 use super::{Loadable, ask, parse_json, reset, shared};
@@ -53,6 +55,17 @@ impl PeopleTable {
     /// Whether whoever sits here has `role` and a part of the API. `false` until it is known.
     pub fn may(&mut self, role: Role, scope: Scope) -> bool {
         self.me().ready().is_some_and(|me| me.role >= role && me.scopes.contains(&scope))
+    }
+
+    /// Who sits here, where they are known to lack `role` or a part of the API. Where that is not known, the server decides.
+    pub fn lacks(&mut self, role: Role, scope: Scope) -> Option<Arc<Me>> {
+        let me = self.me().ready().cloned()?;
+        (me.role < role || !me.scopes.contains(&scope)).then_some(me)
+    }
+
+    /// Under which name the server knows whoever sits here; `None` without a login.
+    pub fn login(&self) -> Option<&str> {
+        self.me.ready().filter(|me| me.via != Via::Local).map(|me| me.name.as_str())
     }
 
     /// People who may log in; only admins are told.

@@ -6,14 +6,17 @@ use palpate_ui::api_client::{ApiEvent, CampaignAct, Request};
 use palpate_wire::{
     api::{
         Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignResults, CampaignSummary,
-        FailureModes, PolicyResult, RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart, TrialState,
-        TrialVerdict,
+        FailureModes, PolicyResult, Role as May, RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart,
+        TrialState, TrialVerdict, Via,
     },
     proto::{Changed, StreamMessage, stream_message},
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, full_api, page, page_of};
+use crate::{
+    fixture::{FakeWindow, SharedApi, full_api, page, page_of},
+    home::me,
+};
 
 fn campaign(state: TrialState) -> Campaign {
     let plan = CampaignPlan {
@@ -177,6 +180,84 @@ fn nobody_scores_without_a_name() {
     assert!(acts(&api).is_empty());
 }
 
+/// The same studio, where somebody of `role` is logged in as ada.
+fn seen_by(role: May, campaign: &Campaign) -> SharedApi {
+    let api = with(campaign);
+    {
+        let mut fake = api.0.borrow_mut();
+        fake.answer(&Request::Me, serde_json::to_vec(&me(role, Via::Session)).expect("it is plain data"));
+        for as_scorer in [false, true] {
+            fake.answer(&seen("ada", as_scorer), serde_json::to_vec(campaign).expect("it is plain data"));
+        }
+    }
+    api
+}
+
+#[test]
+fn a_viewer_is_offered_nothing_that_moves_or_scores() {
+    for state in [TrialState::Waiting, TrialState::Running, TrialState::Unscored] {
+        let api = seen_by(May::Viewer, &campaign(state));
+        let mut harness = page(&api, &FakeWindow::at("#/trials"));
+        harness.run_steps(3);
+        harness.get_by_label_contains("You are ada (viewer): you can watch.");
+        for name in
+            ["It is placed: begin", "It has ended", "Take a break", "Close the campaign", "Plan a campaign"]
+        {
+            assert!(harness.query_by_label(name).is_none(), "{name}");
+        }
+        let mut harness = page(&api, &FakeWindow::at("#/trials?campaign=first-trials&part=score"));
+        harness.run_steps(3);
+        harness.get_by_label_contains("Scorers and operators score trials.");
+        harness.key_press(Key::S);
+        harness.run_steps(3);
+        assert!(harness.query_by_label("Score: success").is_none() && acts(&api).is_empty());
+    }
+}
+
+#[test]
+fn a_scorer_who_logged_in_comes_to_score_under_their_own_name() {
+    let mut blind = campaign(TrialState::Unscored);
+    blind.plan.is_blind = true;
+    blind.trials.iter_mut().for_each(|trial| trial.policy = None);
+    let api = seen_by(May::Scorer, &blind);
+    // Whoever sat at this browser before is of no account.
+    let mut harness = page(&api, &FakeWindow::of("Olga", "#/trials"));
+    harness.run_steps(4);
+    harness.get_by_label("You score as ada.");
+    harness.key_press(Key::S);
+    harness.run_steps(3);
+    let acts = acts(&api);
+    let [CampaignAct::Score(1, score)] = acts.as_slice() else { panic!("{acts:?}") };
+    assert_eq!((score.scorer.as_str(), score.verdict), ("ada", TrialVerdict::Success));
+    // Beside the verdicts, they watch: nothing there moves, and no results are asked for before it is closed.
+    let mut harness = page(&api, &FakeWindow::at("#/trials?campaign=first-trials&part=run"));
+    harness.run_steps(3);
+    harness.get_by_label("Trial 2 of 2: cube");
+    harness.get_by_label_contains("you can watch and score. Operators run trials.");
+    let mut harness = page(&api, &FakeWindow::at("#/trials?campaign=first-trials&part=results"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("This campaign is blind: its results stand here once it is closed.");
+    let sent = &api.0.borrow().sent;
+    assert!(!sent.iter().any(|request| matches!(request, Request::CampaignResults(_))), "{sent:?}");
+}
+
+#[test]
+fn whoever_may_not_plan_is_told_who_does() {
+    let api = full_api();
+    {
+        let mut fake = api.0.borrow_mut();
+        fake.answer(&Request::Campaigns, b"[]".to_vec());
+        fake.answer(
+            &Request::Me,
+            serde_json::to_vec(&me(May::Scorer, Via::Session)).expect("it is plain data"),
+        );
+    }
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_label("Operators plan campaigns.");
+    assert!(harness.query_by_label("Plan a campaign").is_none());
+}
+
 #[test]
 fn what_others_do_is_seen_without_reloading() {
     let api = with(&campaign(TrialState::Waiting));
@@ -234,6 +315,55 @@ fn what_an_empty_screen_says_is_not_cut_on_a_phone() {
     let rect = harness.get_by_label_contains("A campaign tries policies on the hand").rect();
     // The rail is on the left.
     assert!(rect.left() >= 48.0 && rect.right() <= phone[0], "{rect:?}");
+}
+
+#[test]
+fn what_can_be_compared_with_the_simulator_is_a_command_to_copy() {
+    let mut made = campaign(TrialState::Unscored);
+    made.plan.policies.push(CampaignPolicy {
+        id: "numb".into(),
+        source: "policy.safetensors".into(),
+        is_silenced: true,
+    });
+    let first = made.trials[0].clone();
+    let trial = |number: u32, policy: &str, verdict: TrialVerdict, record: &str| {
+        let mut trial = Trial { number, policy: Some(policy.into()), ..first.clone() };
+        trial.attempts[0].verdict = Some(verdict);
+        if let Some(outcome) = &mut trial.attempts[0].outcome {
+            outcome.record = Some(record.into());
+        }
+        trial
+    };
+    made.trials = vec![
+        trial(1, "dp", TrialVerdict::Success, "runs/first night/trial-0001-0.jsonl"),
+        trial(2, "numb", TrialVerdict::Success, "runs/first night/trial-0002-0.jsonl"),
+        trial(3, "dp", TrialVerdict::Void, "runs/first night/trial-0003-0.jsonl"),
+        trial(4, "dp", TrialVerdict::Slip, "runs/first night/trial-0004-0.jsonl"),
+        trial(5, "dp", TrialVerdict::Slip, "trial-0005-0.jsonl"),
+    ];
+    let api = with(&made);
+    let results = CampaignResults {
+        campaign: "first-trials".into(),
+        planned: 5,
+        scored: 5,
+        policies: Vec::new(),
+        comparisons: Vec::new(),
+        agreement: None,
+        published: Vec::new(),
+    };
+    let body = serde_json::to_vec(&results).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::CampaignResults("first-trials".into()), body);
+    for size in [[390.0, 844.0], [1280.0, 800.0]] {
+        let at = FakeWindow::at("#/trials?campaign=first-trials&part=results");
+        let mut harness = page_of(&api, &at, size);
+        harness.get_by_label("Compare with the simulator").click();
+        harness.run_steps(20);
+        harness.get_by_label_contains("This runs outside the studio");
+        harness.get_by_label("palpate-train compare-rollout --rollout 'runs/first night' --only 1,4");
+        let copy = harness.get_by_role_and_label(Role::Button, "Copy the command for dp on cube").rect();
+        assert!(copy.right() <= size[0], "{copy:?}");
+        assert!(harness.query_by_label_contains("for numb").is_none());
+    }
 }
 
 #[test]

@@ -107,9 +107,38 @@ fn what_was_simulated_is_found_again_to_the_bit_and_what_cannot_be_compared_is_c
     spoiled(4, &|lines| lines.last_mut().expect("a line")["outcome"]["suggested"] = json!("void"));
     spoiled(5, &|lines| drop(lines.pop()));
 
-    let (dir, out) = (rollout.to_str().expect("a path"), folder.path().join("compared.json"));
-    let call =
-        ["compare-rollout", "--rollout", dir, "--model", "nominal", "--model", MODEL, "--json", "--out"];
+    // Another object, and a policy that was told that it feels nothing, as one folder of a campaign has them.
+    spoiled(6, &|lines| lines[0]["trial"]["object"] = json!("ball"));
+    spoiled(7, &|lines| lines[0]["trial"]["is_silenced"] = json!(true));
+    let dir = rollout.to_str().expect("a path");
+    for (only, expected) in [
+        ("0,1,6", "compare them apart, by --only"),
+        ("0,7", "compare them apart, by --only"),
+        ("7", "was told that it feels nothing"),
+        ("0,9", "--only names 9"),
+    ] {
+        let refused = palpate_train()
+            .args(["compare-rollout", "--rollout", dir, "--only", only])
+            .output()
+            .expect("the command starts");
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success() && said.contains(expected), "{only}: {said}");
+    }
+
+    let out = folder.path().join("compared.json");
+    let call = [
+        "compare-rollout",
+        "--rollout",
+        dir,
+        "--only",
+        "0,1,2,3,4,5",
+        "--model",
+        "nominal",
+        "--model",
+        MODEL,
+        "--json",
+        "--out",
+    ];
     let output = palpate_train()
         .args([&call[..], &[out.to_str().expect("a path")]].concat())
         .output()

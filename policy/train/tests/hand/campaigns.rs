@@ -20,8 +20,8 @@ const PATIENCE: Duration = Duration::from_secs(300);
 const VERDICTS: [TrialVerdict; 4] =
     [TrialVerdict::Success, TrialVerdict::Slip, TrialVerdict::EmptyGrasp, TrialVerdict::Success];
 
-/// Somebody with a role, and the token of what they use.
-fn somebody(palpate: &Path, data: &Path, name: &str, role: &str, scopes: &str) -> String {
+/// Somebody with a role, whose password is "a password of NAME", and the token of what they use.
+pub(crate) fn somebody(palpate: &Path, data: &Path, name: &str, role: &str, scopes: &str) -> String {
     let mut add = Command::new(palpate)
         .args(["people", "add", name, "--role", role, "--data"])
         .arg(data)
@@ -69,13 +69,14 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
     let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
     let running = Ready::start(
         Command::new(&palpate)
-            .args(["serve", "--login", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .args(["serve", "--login", "--tls", "--json", "--listen", "127.0.0.1:0", "--data"])
             .arg(&data)
             .args(serve),
     );
     let line: Value = serde_json::from_str(&running.line).expect("an address");
     let url = line["url"].as_str().expect("an address");
-    let studio = |token: &str| Studio::new(url, Some(token.to_owned())).expect("a studio");
+    let cert = data.join("tls/cert.pem");
+    let studio = |token: &str| Studio::new(url, Some(token.to_owned()), Some(&cert)).expect("a studio");
     let (operator, scorer, viewer) = (studio(&operator_token), studio(&scorer_token), studio(&viewer_token));
 
     let plan = json!({
@@ -95,8 +96,23 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
     let short = folder.path().join("world.toml");
     std::fs::write(&short, world.replace("episode_s = 10.0", "episode_s = 6.0")).expect("a file");
     let out = folder.path().join("night");
+    // A certificate that vouches for another studio is no reason to talk to this one.
+    let other = folder.path().join("other");
+    let another = Ready::start(
+        Command::new(&palpate)
+            .args(["serve", "--tls", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .arg(&other),
+    );
+    assert!(another.line.contains("https://"), "{}", another.line);
+    let wrong =
+        Studio::new(url, Some(operator_token.clone()), Some(&other.join("tls/cert.pem"))).expect("a studio");
+    let problem = wrong.get::<Value>("/campaigns").expect_err("another certificate").to_string();
+    assert!(problem.contains("does --ca-file"), "{problem}");
+    drop(another);
     let mut rollout = palpate_train()
-        .args(["rollout", "--campaign", "night", "--url", url, "--operator"])
+        .args(["rollout", "--campaign", "night", "--url", url, "--ca-file"])
+        .arg(&cert)
+        .arg("--operator")
         .arg(found["operator"].as_str().expect("a socket"))
         .arg("--world")
         .arg(&short)

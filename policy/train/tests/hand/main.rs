@@ -3,7 +3,9 @@
 #![cfg(feature = "mujoco")]
 
 mod against_hand;
+mod campaign_page;
 mod campaigns;
+mod jobs;
 mod rollouts;
 mod station;
 

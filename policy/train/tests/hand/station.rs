@@ -40,15 +40,9 @@ impl Drop for Ready {
     }
 }
 
-/// The `palpate` command; `None` where `PALPATE_SKIP` names `e2e`, and `cargo xtask test` counts that.
+/// The `palpate` command; `None` where `PALPATE_SKIP` names `e2e`.
 pub(crate) fn palpate() -> Option<PathBuf> {
-    let is_named = |skip: String| skip.split([',', ' ']).any(|word| word == "e2e");
-    if std::env::var("PALPATE_SKIP").is_ok_and(is_named) {
-        if let Some(list) = std::env::var_os("PALPATE_SKIPPED") {
-            let test = std::thread::current().name().unwrap_or("a test").to_owned();
-            let mut file = std::fs::OpenOptions::new().append(true).create(true).open(list).expect("a list");
-            writeln!(file, "e2e {test}").expect("a line");
-        }
+    if skip::leaves_out("e2e") {
         return None;
     }
     let palpate = std::env::var_os("PALPATE_BIN").map(PathBuf::from);
@@ -57,6 +51,31 @@ pub(crate) fn palpate() -> Option<PathBuf> {
         "the studio is set up by `cargo xtask test`; PALPATE_SKIP=e2e leaves these tests out"
     );
     palpate
+}
+
+/// What a test needs that opens the page.
+pub(crate) struct Browser {
+    /// The `palpate` command, with the page inside.
+    pub(crate) palpate: PathBuf,
+    /// The folder of the scripts, with what drives the browser.
+    pub(crate) scripts: PathBuf,
+    /// Where pictures go.
+    pub(crate) artifacts: PathBuf,
+}
+
+/// A browser; `None` where `PALPATE_SKIP` names `e2e` or `browser`.
+pub(crate) fn browser() -> Option<Browser> {
+    if skip::leaves_out("browser") {
+        return None;
+    }
+    let palpate = palpate()?;
+    let path = |name: &str| {
+        let path = std::env::var_os(name).map(PathBuf::from);
+        path.expect(
+            "the browser is set up by `cargo xtask test`; PALPATE_SKIP=browser leaves these tests out",
+        )
+    };
+    Some(Browser { palpate, scripts: path("PALPATE_BROWSER_TESTS"), artifacts: path("PALPATE_ARTIFACTS") })
 }
 
 /// Asks the operator of the station.

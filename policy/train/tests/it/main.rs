@@ -5,7 +5,6 @@ mod cloning;
 mod comparisons;
 mod demonstrations;
 mod encoders;
-mod jobs;
 mod policies;
 
 use std::path::Path;

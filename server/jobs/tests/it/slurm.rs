@@ -2,8 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    env, fs,
-    io::Write as _,
+    fs,
     net::TcpListener,
     path::{Path, PathBuf},
     process::{Command, Output, Stdio},
@@ -47,22 +46,10 @@ fn slurm_conf(dir: &Path, host: &str, ports: [u16; 2]) -> String {
     )
 }
 
-/// Whether `PALPATE_SKIP` names slurm; `cargo xtask test` counts the tests that are left out so.
-fn is_skipped() -> bool {
-    let is_named =
-        env::var("PALPATE_SKIP").is_ok_and(|skip| skip.split([',', ' ']).any(|word| word == "slurm"));
-    if let Some(list) = env::var_os("PALPATE_SKIPPED").filter(|_| is_named) {
-        let test = std::thread::current().name().unwrap_or("a test").to_owned();
-        let mut file = fs::OpenOptions::new().append(true).create(true).open(list).unwrap();
-        file.write_all(format!("slurm {test}\n").as_bytes()).unwrap();
-    }
-    is_named
-}
-
 impl Cluster {
     /// `None` where `PALPATE_SKIP` names slurm.
     fn start() -> Option<Self> {
-        if is_skipped() {
+        if skip::leaves_out("slurm") {
             return None;
         }
         let missing: Vec<&str> =

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use axum::{
     Json,
-    extract::State,
-    http::{StatusCode, header},
+    extract::{FromRequestParts, State},
+    http::{StatusCode, header, request::Parts},
     response::{IntoResponse, Response},
 };
 use palpate_people::Principal;
@@ -40,15 +40,38 @@ pub(super) struct View {
     as_scorer: bool,
 }
 
-/// Who looks or acts: a login's own name counts before the `given` one, and who is no operator sees what scorers see.
-fn viewer(principal: &Principal, peer: &str, given: &str, as_scorer: bool) -> Viewer {
-    let name = match (principal.is_local(), given.trim()) {
-        (false, _) => principal.name().to_string(),
-        // The address without the port, which is another one for each connection.
-        (true, "") => peer.rsplit_once(':').map_or(peer, |(address, _)| address).to_owned(),
-        (true, given) => given.to_owned(),
-    };
-    Viewer { name, is_scorer: as_scorer || principal.role() < Role::Operator }
+/// Who looks or acts.
+pub(super) struct Who {
+    principal: Principal,
+    peer: Arc<str>,
+}
+
+impl FromRequestParts<Arc<AppState>> for Who {
+    type Rejection = Response;
+
+    async fn from_request_parts(parts: &mut Parts, state: &Arc<AppState>) -> Result<Self, Response> {
+        let Asking(principal) = Asking::from_request_parts(parts, state).await?;
+        let Ok(Peer(peer)) = Peer::from_request_parts(parts, state).await;
+        Ok(Self { principal, peer })
+    }
+}
+
+impl Who {
+    /// A login's own name counts before the `given` one, and who is no operator sees what scorers see.
+    fn viewer(&self, given: &str, as_scorer: bool) -> Viewer {
+        let name = match (self.principal.is_local(), given.trim()) {
+            (false, _) => self.principal.name().to_string(),
+            // The address without the port, which is another one for each connection.
+            (true, "") => self.peer.rsplit_once(':').map_or(&*self.peer, |(address, _)| address).to_owned(),
+            (true, given) => given.to_owned(),
+        };
+        Viewer { name, is_scorer: as_scorer || self.principal.role() < Role::Operator }
+    }
+
+    /// As nothing else is said.
+    fn operator(&self) -> Viewer {
+        self.viewer("", false)
+    }
 }
 
 /// Lists campaigns, newest first.
@@ -80,14 +103,13 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<
 )]
 pub(super) async fn create(
     State(state): State<Arc<AppState>>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
     Body(plan): Body<CampaignPlan>,
 ) -> Answer<Response> {
     let campaign = state
         .run(Kind::Read, move |state| {
             let id = files::slug(&plan.name)?;
-            let campaign = state.campaigns().create(&id, plan, &viewer(&principal, &peer, "", false))?;
+            let campaign = state.campaigns().create(&id, plan, &who.operator())?;
             state.hub().publish_changed(List::Campaigns, &id);
             Ok(campaign)
         })
@@ -112,10 +134,9 @@ pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
     Params(view): Params<View>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    let viewer = viewer(&principal, &peer, &view.scorer, view.as_scorer);
+    let viewer = who.viewer(&view.scorer, view.as_scorer);
     state.run(Kind::Read, move |state| Ok(Json(state.campaigns().campaign(&id, &viewer)?))).await
 }
 
@@ -136,14 +157,14 @@ pub(super) async fn results(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
     Params(view): Params<View>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<CampaignResults>> {
-    let viewer = viewer(&principal, &peer, &view.scorer, view.as_scorer);
+    let viewer = who.viewer(&view.scorer, view.as_scorer);
     state.run(Kind::Compute, move |state| Ok(Json(state.campaigns().results(&id, &viewer)?))).await
 }
 
-/// Answers with the results as a file: `results.csv`, `results.tex`, `results.txt` or `results.svg`.
+/// Answers with the results as a file, `results.csv`, `results.tex`, `results.txt` or `results.svg`, or with every attempt,
+/// `trials.csv`.
 #[utoipa::path(
     get,
     path = "/campaigns/{campaign}/tables/{file}",
@@ -165,18 +186,25 @@ pub(super) async fn table(
     State(state): State<Arc<AppState>>,
     Ids((id, file)): Ids<(String, String)>,
     Params(view): Params<View>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Response> {
+    let viewer = who.viewer(&view.scorer, view.as_scorer);
     let format = file.strip_prefix("results.").and_then(Format::from_ending);
-    let Some(format) = format else {
-        let hint = "expected results.txt, results.csv, results.tex or results.svg";
-        return Err(Problem(Error::NotFound { what: "table", id: file, hint }));
+    let (format, text) = match format {
+        Some(format) => {
+            let render =
+                move |state: &AppState| Ok(render(&state.campaigns().results(&id, &viewer)?, format)?);
+            (format, state.run(Kind::Compute, render).await?)
+        }
+        None if file == "trials.csv" => {
+            let trials = move |state: &AppState| Ok(state.campaigns().trials_csv(&id, &viewer)?);
+            (Format::Csv, state.run(Kind::Read, trials).await?)
+        }
+        None => {
+            let hint = "expected results.txt, results.csv, results.tex, results.svg or trials.csv";
+            return Err(Problem(Error::NotFound { what: "table", id: file, hint }));
+        }
     };
-    let viewer = viewer(&principal, &peer, &view.scorer, view.as_scorer);
-    let text = state
-        .run(Kind::Compute, move |state| Ok(render(&state.campaigns().results(&id, &viewer)?, format)?))
-        .await?;
     Ok(([(header::CONTENT_TYPE, format.media_type())], text).into_response())
 }
 
@@ -195,11 +223,9 @@ pub(super) async fn table(
 pub(super) async fn begin(
     State(state): State<Arc<AppState>>,
     Ids((id, trial)): Ids<(String, u32)>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| campaigns.begin(id, trial, &viewer(&principal, &peer, "", false)))
-        .await
+    change(&state, id, move |campaigns, id| campaigns.begin(id, trial, &who.operator())).await
 }
 
 /// Ends a trial with what its rollout says.
@@ -220,12 +246,11 @@ pub(super) async fn begin(
 pub(super) async fn outcome(
     State(state): State<Arc<AppState>>,
     Ids((id, trial)): Ids<(String, u32)>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
     Body(end): Body<TrialEnd>,
 ) -> Answer<Json<Campaign>> {
     change(&state, id, move |campaigns, id| {
-        campaigns.end(id, (trial, end.attempt), &end.outcome, &viewer(&principal, &peer, "", false))
+        campaigns.end(id, (trial, end.attempt), &end.outcome, &who.operator())
     })
     .await
 }
@@ -250,11 +275,10 @@ pub(super) async fn score(
     State(state): State<Arc<AppState>>,
     Ids((id, trial)): Ids<(String, u32)>,
     Params(view): Params<View>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
     Body(request): Body<ScoreRequest>,
 ) -> Answer<Json<Campaign>> {
-    let viewer = viewer(&principal, &peer, &request.scorer, view.as_scorer);
+    let viewer = who.viewer(&request.scorer, view.as_scorer);
     change(&state, id, move |campaigns, id| campaigns.score(id, trial, &request, &viewer)).await
 }
 
@@ -278,11 +302,10 @@ pub(super) async fn unscore(
     State(state): State<Arc<AppState>>,
     Ids((id, trial)): Ids<(String, u32)>,
     Params(view): Params<View>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
     Body(back): Body<ScoreBack>,
 ) -> Answer<Json<Campaign>> {
-    let viewer = viewer(&principal, &peer, &back.scorer, view.as_scorer);
+    let viewer = who.viewer(&back.scorer, view.as_scorer);
     change(&state, id, move |campaigns, id| campaigns.unscore(id, (trial, back.attempt), &viewer)).await
 }
 
@@ -304,11 +327,10 @@ pub(super) async fn unscore(
 pub(super) async fn settle(
     State(state): State<Arc<AppState>>,
     Ids((id, trial)): Ids<(String, u32)>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
     Body(request): Body<ScoreRequest>,
 ) -> Answer<Json<Campaign>> {
-    let viewer = viewer(&principal, &peer, &request.scorer, false);
+    let viewer = who.viewer(&request.scorer, false);
     change(&state, id, move |campaigns, id| campaigns.settle(id, trial, &request, &viewer)).await
 }
 
@@ -327,10 +349,9 @@ pub(super) async fn settle(
 pub(super) async fn pause(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| campaigns.pause(id, &viewer(&principal, &peer, "", false))).await
+    step(&state, id, &who, Campaigns::pause).await
 }
 
 /// Goes on with a paused campaign.
@@ -348,10 +369,9 @@ pub(super) async fn pause(
 pub(super) async fn resume(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| campaigns.resume(id, &viewer(&principal, &peer, "", false))).await
+    step(&state, id, &who, Campaigns::resume).await
 }
 
 /// Closes a campaign: no trial is made any more, and a blind one is open to everybody.
@@ -369,10 +389,9 @@ pub(super) async fn resume(
 pub(super) async fn close(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| campaigns.close(id, &viewer(&principal, &peer, "", false))).await
+    step(&state, id, &who, Campaigns::close).await
 }
 
 /// Goes on with a closed campaign, unless it was blind.
@@ -390,10 +409,20 @@ pub(super) async fn close(
 pub(super) async fn reopen(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
-    Asking(principal): Asking,
-    Peer(peer): Peer,
+    who: Who,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| campaigns.reopen(id, &viewer(&principal, &peer, "", false))).await
+    step(&state, id, &who, Campaigns::reopen).await
+}
+
+/// Leads campaign `id` to its next state.
+async fn step(
+    state: &Arc<AppState>,
+    id: String,
+    who: &Who,
+    act: fn(&Campaigns, &str, &Viewer) -> Result<Campaign, TrialsError>,
+) -> Answer<Json<Campaign>> {
+    let viewer = who.operator();
+    change(state, id, move |campaigns, id| act(campaigns, id, &viewer)).await
 }
 
 /// Changes campaign `id`, and tells everybody.

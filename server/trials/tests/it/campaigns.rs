@@ -151,9 +151,10 @@ fn blind_scorer_learns_nothing_before_the_campaign_is_closed() {
     assert_eq!((seen.next_to_score, seen.plan.seed, trial.start.seed), (Some(1), 0, 0));
     assert_eq!((trial.policy.clone(), trial.attempts[0].outcome.clone()), (None, None));
     assert!(trial.attempts[0].scores.is_empty(), "another scorer's verdict is no business of Ben's");
-    let text = serde_json::to_string(&seen.trials).unwrap();
+    let text = serde_json::to_string(&seen).unwrap();
     assert!(!text.contains("secret") && !text.contains("lifted by"), "{text}");
     assert!(campaigns.results("first", &scorer("Ben")).is_err());
+    assert!(campaigns.trials_csv("first", &scorer("Ben")).is_err());
     assert_eq!(campaigns.campaign("first", &scorer("Ada")).unwrap().next_to_score, None);
 
     campaigns.score("first", 1, &says(0, TrialVerdict::Slip), &scorer("Ben")).unwrap();

@@ -44,6 +44,31 @@ fn csv_table_has_a_row_for_each_policy_object_and_group() {
 }
 
 #[test]
+fn csv_of_trials_has_every_attempt_and_every_trial_that_was_not_begun() {
+    let dir = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::new(dir.path(), Vec::new());
+    let made = campaigns.create("first", plan(&["a", "b"], &[("cube", "seen")], 1), &operator()).unwrap();
+    make(&campaigns, "first", 1, TrialVerdict::Void);
+    campaigns.begin("first", 1, &operator()).unwrap();
+    let csv = campaigns.trials_csv("first", &operator()).unwrap();
+    let rows: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let named = |row: usize, name: &str| {
+        let column = rows[0].iter().position(|column| *column == name).unwrap_or_else(|| panic!("no {name}"));
+        rows[row][column]
+    };
+    assert_eq!(rows.len(), 4, "{csv}");
+    for (row, [trial, attempt, verdict]) in
+        [["1", "0", "void"], ["1", "1", ""], ["2", "", ""]].iter().enumerate()
+    {
+        let found = [named(row + 1, "trial"), named(row + 1, "attempt"), named(row + 1, "verdict")];
+        assert_eq!(found, [*trial, *attempt, *verdict], "{csv}");
+        let policy = made.trials[trial.parse::<usize>().unwrap() - 1].policy.as_deref();
+        assert_eq!(Some(named(row + 1, "policy")), policy);
+    }
+    assert!(named(1, "scores").ends_with(": void") && named(2, "scores").is_empty(), "{csv}");
+}
+
+#[test]
 fn latex_table_escapes_names() {
     insta::assert_snapshot!(render(&results(), Format::Latex).unwrap());
 }

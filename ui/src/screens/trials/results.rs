@@ -1,8 +1,11 @@
 //! What the verdicts say: rates with intervals, failures, comparisons, agreement, and ways to take them along.
 
 use egui::RichText;
-use palpate_wire::api::{Campaign, CampaignResults, PolicyComparison, PolicyResult, SuccessRate};
+use palpate_wire::api::{
+    Campaign, CampaignResults, PolicyComparison, PolicyResult, Role, Scope, SuccessRate,
+};
 
+use super::beside::beside_ui;
 use crate::{
     screens::{ScreenContext, duration_text, failed_ui, loading_ui},
     store::Loadable,
@@ -15,6 +18,13 @@ const LINE: f32 = 24.0;
 
 pub(super) fn results_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
     let id = &campaign.summary.id;
+    let is_kept_back = campaign.plan.is_blind
+        && campaign.summary.closed.is_none()
+        && cx.store.people.lacks(Role::Operator, Scope::Read).is_some();
+    if is_kept_back {
+        ui.label("This campaign is blind: its results stand here once it is closed.");
+        return;
+    }
     let results = match cx.store.campaigns.results(id) {
         Loadable::Ready(results) => results,
         Loadable::Failed(error) => return failed_ui(ui, cx, "The results did not arrive", &error),
@@ -40,7 +50,9 @@ pub(super) fn results_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign
             ui.hyperlink_to(label, format!("/api/v1/campaigns/{id}/tables/results.{ending}"));
         }
         ui.hyperlink_to("JSON", format!("/api/v1/campaigns/{id}/results"));
+        ui.hyperlink_to("every trial (CSV)", format!("/api/v1/campaigns/{id}/tables/trials.csv"));
     });
+    beside_ui(ui, cx, campaign);
     for published in &results.published {
         ui.label(
             RichText::new(format!("{}: {}.", published.label, published.source))

@@ -1,7 +1,9 @@
 //! Running a campaign: place the object, let the policy move, go on to the next.
 
 use egui::RichText;
-use palpate_wire::api::{Campaign, RolloutOutcome, ScoreRequest, Trial, TrialEnd, TrialState, TrialVerdict};
+use palpate_wire::api::{
+    Campaign, Role, RolloutOutcome, Scope, ScoreRequest, Trial, TrialEnd, TrialState, TrialVerdict,
+};
 
 use super::{
     place::{place_ui, words},
@@ -31,13 +33,29 @@ pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &C
         }
     }
     ui.add_space(10.0);
-    settle_ui(ui, cx, campaign);
+    if decides(cx) {
+        settle_ui(ui, cx, campaign);
+    }
     ui.horizontal_wrapped(|ui| {
-        pause_ui(ui, cx, campaign);
-        close_ui(ui, cx, campaign);
+        if runs(cx) {
+            pause_ui(ui, cx, campaign);
+        }
+        if decides(cx) {
+            close_ui(ui, cx, campaign);
+        }
     });
     ui.add_space(10.0);
     list_ui(ui, cx, campaign);
+}
+
+/// Whether whoever sits here may run trials.
+fn runs(cx: &mut ScreenContext<'_>) -> bool {
+    cx.store.people.lacks(Role::Operator, Scope::Control).is_none()
+}
+
+/// Whether whoever sits here may close the campaign, and decide where scorers differ.
+fn decides(cx: &mut ScreenContext<'_>) -> bool {
+    cx.store.people.lacks(Role::Operator, Scope::Data).is_none()
 }
 
 fn trial(campaign: &Campaign, number: u32) -> Option<&Trial> {
@@ -45,11 +63,8 @@ fn trial(campaign: &Campaign, number: u32) -> Option<&Trial> {
 }
 
 fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, trial: &Trial) {
-    let policy = trial.policy.as_deref().unwrap_or_default();
-    ui.strong(format!(
-        "Trial {} of {}: {} with {policy}",
-        trial.number, campaign.summary.planned, trial.object
-    ));
+    let policy = trial.policy.as_ref().map_or_else(String::new, |policy| format!(" with {policy}"));
+    ui.strong(format!("Trial {} of {}: {}{policy}", trial.number, campaign.summary.planned, trial.object));
     if ui.available_width() < BESIDE {
         place_ui(ui, &cx.palette, &campaign.plan, &trial.start);
         step_ui(ui, cx, campaign, trial);
@@ -66,6 +81,19 @@ fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, t
 
 /// What is to be done with the trial now.
 fn step_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign, trial: &Trial) {
+    if let Some(me) = cx.store.people.lacks(Role::Operator, Scope::Control) {
+        let begins = words(&trial.start);
+        ui.label(match trial.state {
+            TrialState::Running => format!("It runs now, with {} at {begins}.", trial.object),
+            _ => format!("{} is placed at {begins}; then it begins.", trial.object),
+        });
+        let may = if me.role < Role::Scorer { "watch" } else { "watch and score" };
+        ui.label(
+            RichText::new(format!("You are {} ({}): you can {may}. Operators run trials.", me.name, me.role))
+                .color(cx.palette.text_weak),
+        );
+        return;
+    }
     if trial.state == TrialState::Running {
         return running_ui(ui, cx, campaign, trial);
     }
@@ -208,6 +236,7 @@ fn list_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
                 ui.horizontal(|ui| {
                     ui.label(verdict.map_or("", TrialVerdict::label));
                     let can_repeat = verdict == Some(TrialVerdict::Void)
+                        && runs(cx)
                         && campaign.summary.closed.is_none()
                         && !cx.store.campaigns.is_busy;
                     if can_repeat && ui.small_button(format!("Repeat trial {}", trial.number)).clicked() {

@@ -1,7 +1,7 @@
 //! Scoring a trial, from the next chair or another room: keys alone are enough.
 
 use egui::{Key, RichText};
-use palpate_wire::api::{Campaign, ScoreBack, ScoreRequest, Trial, TrialState, TrialVerdict};
+use palpate_wire::api::{Campaign, Role, Scope, ScoreBack, ScoreRequest, Trial, TrialState, TrialVerdict};
 
 use super::place::words;
 use crate::{
@@ -34,6 +34,14 @@ pub(super) fn score_ui(
     state: &mut ScoreState,
     campaign: &Campaign,
 ) {
+    if let Some(me) = cx.store.people.lacks(Role::Scorer, Scope::Score) {
+        ui.label(format!(
+            "You are {} ({}): you can watch. Scorers and operators score trials.",
+            me.name, me.role
+        ));
+        live_ui(ui, cx);
+        return;
+    }
     if !name_ui(ui, cx, state, campaign) {
         return;
     }
@@ -70,6 +78,10 @@ fn name_ui(
 ) -> bool {
     let has_name = !cx.store.control.operator.trim().is_empty();
     ui.horizontal_wrapped(|ui| {
+        if let Some(name) = cx.store.people.login() {
+            ui.label(format!("You score as {name}."));
+            return;
+        }
         let label = ui.label("You score as");
         let field = egui::TextEdit::singleline(&mut cx.store.control.operator)
             .hint_text("your name")

@@ -9,6 +9,7 @@ use palpate_wire::api::{Job, JobKindDocument, JobState};
 use serde_json::{Value, json};
 
 use super::station::{Ready, palpate};
+use super::{palpate_train, turn};
 
 /// Whatever is waited for comes long before this, unless it never does.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -66,6 +67,7 @@ fn done(studio: &Studio, data: &Path, id: &str) -> Value {
 #[test]
 fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     let Some(palpate) = palpate() else { return };
+    let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let (running, studio) = serve(&palpate, &data);
@@ -160,10 +162,9 @@ fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
 #[test]
 fn a_command_with_events_ends_with_the_one_that_holds_its_input() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate-train"))
+    let mut command = palpate_train()
         .args(["--events", "ppo", "--total-steps", "100000000", "--out"])
         .arg(folder.path().join("run"))
-        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
