@@ -421,14 +421,15 @@ fn every_taxel_has_a_name_that_says_what_it_reads() {
         let (mut harness, page) = harness(page(&station, Source::Replay));
         harness.run();
         harness.get_by_label("REPLAY");
-        let first = &station.layout.channels[0].id;
+        let first = station.layout.channel_label(0);
         let unit = |channel: &Channel| station.layout.streams[channel.stream].raw_unit.clone();
         harness.get_by_label(&format!("{first}: 0 {}, not active", unit(&station.layout.channels[0])));
         page.borrow_mut().playback.seek(1.5);
         harness.run();
-        for channel in &station.layout.channels {
+        for (idx, channel) in station.layout.channels.iter().enumerate() {
             let reading = station.streams[channel.stream].on_threshold * 2.0;
-            harness.get_by_label(&format!("{}: {reading:.0} {}, active", channel.id, unit(channel)));
+            let label = station.layout.channel_label(idx);
+            harness.get_by_label(&format!("{label}: {reading:.0} {}, active", unit(channel)));
         }
     }
 }
@@ -438,14 +439,14 @@ fn clicking_a_taxel_pins_and_selects_it_and_again_lets_it_go() {
     let leap = station("xarm6_leap");
     let (mut harness, page) = harness(page(&leap, Source::Replay));
     harness.run();
-    let name = "thumb_tip.3: 0 counts, not active";
+    let name = "Thumb tip \u{b7} 3: 0 counts, not active";
     harness.get_by_role_and_label(Role::Button, name).click();
     harness.run();
     let channel = leap.layout.channels.iter().position(|channel| channel.id == "thumb_tip.3");
     assert_eq!(page.borrow().playback.pinned, channel);
     assert!(page.borrow().playback.selected.contains(&channel.expect("a thumb")));
-    harness.get_by_label("Trace of thumb_tip.3, 4 s before and after the cursor");
-    harness.get_by_label("Thumb tip, TwinTac, on link thumb_distal");
+    harness.get_by_label("Trace of Thumb tip \u{b7} 3, 4 s before and after the cursor");
+    harness.get_by_label("thumb_tip.3, TwinTac, on link thumb_distal");
     harness.get_by_label("Unpin").click();
     harness.run();
     assert_eq!(page.borrow().playback.pinned, None);
@@ -458,7 +459,7 @@ fn simulated_touch_is_never_shown_as_real() {
     let (mut harness, page) = harness(page(&leap, Source::Replay));
     page.borrow_mut().playback.seek(1.1);
     harness.run();
-    let id = &leap.layout.channels[0].id;
+    let id = leap.layout.channel_label(0);
     harness.get_by_label(&format!("{id}: 300 counts, active"));
     harness.get_by_label("Nominal").click();
     harness.run();
@@ -545,7 +546,7 @@ fn live_says_so_and_freezes_in_words_when_the_connection_breaks() {
     harness.run();
     harness.get_by_label("LIVE (EMULATED)");
     harness.get_by_label("tap, index tip");
-    harness.get_by_label(&format!("{}: 7 counts, active", leap.layout.channels[0].id));
+    harness.get_by_label(&format!("{}: 7 counts, active", leap.layout.channel_label(0)));
     page.borrow_mut().store.receive(ApiEvent::SocketClosed, 1.0, "14:03:12");
     harness.run();
     harness.get_by_label("FROZEN SINCE 14:03:12");
