@@ -193,8 +193,8 @@ impl Route {
         self
     }
 
-    /// Reads a hash, with or without `#`. Unknown screens are kept as [`Self::lost`]; unknown keys are left out, so that a
-    /// link from another version still opens.
+    /// Reads a hash, with or without `#`. Unknown screens are kept as [`Self::lost`]; unknown keys are left out, so that
+    /// a link from another version still opens.
     pub fn from_hash(hash: &str) -> Self {
         let hash = hash.trim_start_matches('#').trim_start_matches('/');
         let (path, query) = hash.split_once('?').unwrap_or((hash, ""));

@@ -197,8 +197,8 @@ pub enum Part {
 /// Width of the list or form on a wide page.
 const CHOICE_WIDTH: f32 = 292.0;
 
-/// The two halves beside each other; on a narrow page one at a time, with tabs called `names`. There the second one comes
-/// up when `chosen` changes, because something was chosen.
+/// The two halves beside each other; on a narrow page one at a time, with tabs called `names`. There the second one
+/// comes up when `chosen` changes, because something was chosen.
 pub fn two_parts_ui(
     ui: &mut egui::Ui,
     id: &str,

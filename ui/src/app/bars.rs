@@ -361,7 +361,8 @@ pub(super) fn elided(name: &str, max: usize) -> String {
     letters[..head].iter().chain(&['\u{2026}']).chain(&letters[letters.len() - tail..]).collect()
 }
 
-/// A button called `what` that shows the `current` one and opens a list of others, as ids and lines; gives what was picked.
+/// A button called `what` that shows the `current` one and opens a list of others, as ids and lines; gives what was
+/// picked.
 fn picker_ui(
     ui: &mut egui::Ui,
     what: &str,

@@ -266,8 +266,8 @@ fn container_of(role: &str) -> Option<(&'static str, &'static str)> {
 /// Distance from an element's id to that of the list that it begins.
 const LIST_ID: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// egui's options and tabs stand in no list, and a list is what makes them count as "2 of 5": one goes before each run of
-/// them. A box that is open tells which list that is.
+/// egui's options and tabs stand in no list, and a list is what makes them count as "2 of 5": one goes before each run
+/// of them. A box that is open tells which list that is.
 fn with_lists(nodes: Vec<MirrorNode>) -> Vec<MirrorNode> {
     let mut listed: Vec<MirrorNode> = Vec::with_capacity(nodes.len());
     for run in nodes.chunk_by(|a, b| a.role == b.role && a.layer == b.layer) {
