@@ -129,7 +129,7 @@ fn failed_targets(stderr: &str) -> usize {
         let rest = line.strip_prefix("error: ")?;
         rest.strip_suffix(" targets failed:").or_else(|| rest.strip_suffix(" target failed:"))?.parse().ok()
     });
-    counts.last().unwrap_or(0)
+    counts.max().unwrap_or(0)
 }
 
 #[cfg(test)]

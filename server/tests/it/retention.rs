@@ -155,7 +155,7 @@ async fn command_says_what_would_go_and_why() {
 fn copy(from: &Path, to: &Path) {
     for (path, bytes) in tree(from) {
         let path = to.join(path.strip_prefix(from).unwrap());
-        if bytes.is_empty() && !path.extension().is_some_and(|extension| extension == "mcap") {
+        if bytes.is_empty() && path.extension().is_none_or(|extension| extension != "mcap") {
             fs::create_dir_all(path).unwrap();
         } else {
             fs::create_dir_all(path.parent().unwrap()).unwrap();

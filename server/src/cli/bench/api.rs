@@ -149,16 +149,12 @@ fn print(report: &ApiBenchReport) -> Result<(), Error> {
     ))?;
     output::line(&format!("{:28} {:>18} {:>18}", "p50 / p99, ms", "palpate", "MLflow"))?;
     let shown = |delays: &Delays| format!("{:.2} / {:.2}", delays.p50, delays.p99);
-    let rows: [(&str, fn(&Work) -> &Delays); 5] = [
-        ("create", |work| &work.create),
-        ("list 100", |work| &work.list),
-        ("look one up", |work| &work.get),
-        ("note a point of a curve", |work| &work.log_metric),
-        ("read the curves of one", |work| &work.read_metrics),
-    ];
-    for (name, of) in rows {
-        let peer = report.peer.as_ref().map_or_else(|| "-".to_owned(), |peer| shown(of(peer)));
-        output::line(&format!("{name:28} {:>18} {peer:>18}", shown(of(&report.studio))))?;
+    let columns =
+        |work: &Work| [&work.create, &work.list, &work.get, &work.log_metric, &work.read_metrics].map(shown);
+    let names = ["create", "list 100", "look one up", "note a point of a curve", "read the curves of one"];
+    let peer = report.peer.as_ref().map_or_else(|| ["-"; 5].map(str::to_owned), columns);
+    for (name, (studio, peer)) in names.iter().zip(columns(&report.studio).iter().zip(&peer)) {
+        output::line(&format!("{name:28} {studio:>18} {peer:>18}"))?;
     }
     Ok(())
 }
