@@ -76,6 +76,15 @@ fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
 }
 
 #[test]
+fn the_shipped_policy_fits_the_shipped_station() {
+    let policy = "clone:assets/policies/imitation/searching.safetensors";
+    let args =
+        ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy", policy];
+    let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
+    assert_eq!(compared["overall"]["trials"], 2);
+}
+
+#[test]
 fn what_cannot_be_learned_from_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let (empty, out) = (folder.path().join("empty"), folder.path().join("out"));
