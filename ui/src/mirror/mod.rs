@@ -10,7 +10,7 @@ mod dom;
 pub mod model;
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, VecDeque},
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -63,7 +63,8 @@ pub struct MirrorPlugin {
     model: MirrorModel,
     inbox: MirrorInbox,
     sink: MirrorSink,
-    pending_text: Option<PendingText>,
+    /// One field after the other: a frame may take so long that the next one is filled in meanwhile.
+    pending_texts: VecDeque<PendingText>,
     updated_s: f64,
 }
 
@@ -71,11 +72,11 @@ impl MirrorPlugin {
     /// A mirror that shows nothing yet.
     pub fn new(inbox: MirrorInbox, sink: MirrorSink) -> Self {
         let model = MirrorModel::default();
-        Self { model, inbox, sink, pending_text: None, updated_s: f64::NEG_INFINITY }
+        Self { model, inbox, sink, pending_texts: VecDeque::new(), updated_s: f64::NEG_INFINITY }
     }
 
     fn push_pending_text(&mut self, input: &mut egui::RawInput) -> bool {
-        let Some(mut pending) = self.pending_text.take() else { return false };
+        let Some(mut pending) = self.pending_texts.pop_front() else { return false };
         if self.model.focus() == Some(pending.node) {
             let select_all = egui::Event::Key {
                 key: egui::Key::A,
@@ -90,12 +91,12 @@ impl MirrorPlugin {
             } else {
                 egui::Event::Paste(pending.text)
             });
-            return false;
+            return !self.pending_texts.is_empty();
         }
         input.events.push(action(pending.node, Action::Focus, None));
         pending.frames_left = pending.frames_left.saturating_sub(1);
         if pending.frames_left > 0 {
-            self.pending_text = Some(pending);
+            self.pending_texts.push_front(pending);
         }
         true
     }
@@ -120,7 +121,9 @@ impl egui::Plugin for MirrorPlugin {
                     input.events.push(action(node, Action::SetValue, data));
                 }
                 MirrorEvent::SetText(node, text) => {
-                    self.pending_text = Some(PendingText { node, text, frames_left: 10 });
+                    // Of what is typed into one field the newest counts.
+                    self.pending_texts.retain(|pending| pending.node != node);
+                    self.pending_texts.push_back(PendingText { node, text, frames_left: 10 });
                 }
                 MirrorEvent::Key(key, modifiers) => input.events.push(key_event(key, modifiers)),
             }

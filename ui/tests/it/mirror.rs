@@ -13,6 +13,7 @@ struct Form {
     presses: usize,
     share: f64,
     name: String,
+    town: String,
     on: bool,
 }
 
@@ -51,6 +52,8 @@ fn form() -> (Harness<'static, Form>, MirrorInbox, Seen) {
             ui.add(egui::Slider::new(&mut form.share, 0.0..=10.0).text("Share"));
             let label = ui.label("Your name");
             ui.text_edit_singleline(&mut form.name).labelled_by(label.id);
+            let label = ui.label("Your town");
+            ui.text_edit_singleline(&mut form.town).labelled_by(label.id);
         },
         Form::default(),
     );
@@ -98,6 +101,17 @@ fn click_number_and_text_reach_the_widgets() {
     send(MirrorEvent::SetText(field, String::new()));
     harness.run_steps(5);
     assert_eq!(harness.state().name, "");
+}
+
+#[test]
+fn fields_that_are_filled_within_one_frame_both_get_their_text() {
+    let (mut harness, inbox, seen) = form();
+    let [name, town] = ["Your name", "Your town"].map(|label| find(&seen, "textbox", label).id);
+    let texts = [(name, "A"), (town, "Paris"), (name, "Ada")];
+    let events = texts.map(|(field, text)| MirrorEvent::SetText(field, text.to_owned()));
+    inbox.lock().expect("no panic so far").extend(events);
+    harness.run_steps(10);
+    assert_eq!((harness.state().name.as_str(), harness.state().town.as_str()), ("Ada", "Paris"));
 }
 
 #[test]
