@@ -33,7 +33,7 @@ fn serve(palpate: &Path, data: &Path) -> (Ready, Studio) {
             .arg(data),
     );
     let line: Value = serde_json::from_str(&running.line).expect("an address");
-    let studio = Studio::new(line["url"].as_str().expect("an address"), None).expect("a studio");
+    let studio = Studio::new(line["url"].as_str().expect("an address"), None, None).expect("a studio");
     (running, studio)
 }
 

@@ -3,7 +3,6 @@
 #![cfg(feature = "mujoco")]
 
 mod against_hand;
-mod campaign_page;
 mod campaigns;
 mod jobs;
 mod rollouts;
