@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -282,13 +283,14 @@ def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
     assert set(kinds) >= {"calibrate", "diagnose", *trainings}
     # Where palpate-train is missing, that is said of all of them.
     assert len({kinds[kind].problem for kind in trainings}) == 1
-    for ask in (
+    asks: list[Callable[[], object]] = [
         lambda: p.jobs.tune("no such object"),
         lambda: p.jobs.expert("no such object"),
         lambda: p.jobs.evaluation("no such policy"),
         lambda: p.jobs.demonstrations("no such policy", 4),
         lambda: p.jobs.pretraining(["no such job"]),
-    ):
+    ]
+    for ask in asks:
         with pytest.raises(PalpateError) as caught:
             ask()
         assert caught.value.status in (400, 409), caught.value

@@ -486,7 +486,7 @@ class JobPage:
 
 
 @dataclass(frozen=True)
-class JobKind:
+class JobKindDocument:
     """A kind of job, and whether the studio can do it; `problem` says why not."""
 
     kind: str

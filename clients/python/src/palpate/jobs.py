@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import builtins
 import json
 import time
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import palpate.documents as documents
-from palpate.documents import JobKind, JobPage, decode
+from palpate.documents import JobKindDocument, JobPage, decode
 from palpate.errors import PalpateError
 from palpate.runs import POLL_S, progress_bar
 
@@ -143,13 +144,13 @@ class Jobs:
         answer = self._palpate.connection.json("POST", "/jobs", body=body, headers=headers)
         return Job(self._palpate, decode(documents.Job, answer))
 
-    def kinds(self) -> list[JobKind]:
+    def kinds(self) -> builtins.list[JobKindDocument]:
         """The kinds of jobs, and which of them the studio can do."""
-        return decode(list[JobKind], self._palpate.connection.json("GET", "/kinds"))
+        return decode(list[JobKindDocument], self._palpate.connection.json("GET", "/kinds"))
 
     def expert(
         self,
-        object: str,  # noqa: A002
+        object: str,
         *,
         preset: str | None = None,
         config: str | None = None,
@@ -262,7 +263,7 @@ class Jobs:
 
     def tune(
         self,
-        object: str,  # noqa: A002
+        object: str,
         *,
         script: str | Job | None = None,
         generations: int | None = None,
