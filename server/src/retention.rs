@@ -1,8 +1,9 @@
 //! What goes from a data folder by itself: old jobs to the trash, their logs, and what has been in the trash for long.
 //!
-//! Nothing goes unless the configuration gives a number of days. [`plan`] says what would go and why, and touches nothing;
-//! [`carry_out`] does what a plan says. Two rules stand above the numbers: an accepted take is never deleted, also not out of
-//! the trash, and nothing goes that something refers to: jobs that were asked for with it, campaigns, saved models.
+//! Nothing goes unless the configuration gives a number of days. [`plan`] says what would go and why, and touches
+//! nothing; [`carry_out`] does what a plan says. Two rules stand above the numbers: an accepted take is never deleted,
+//! also not out of the trash, and nothing goes that something refers to: jobs that were asked for with it, campaigns,
+//! saved models.
 
 use std::{
     fs,
@@ -105,7 +106,8 @@ pub fn plan(data: &Path, config: RetentionConfig, now: SystemTime) -> Result<Ret
     plan_with(&root, &scheduler, config, now)
 }
 
-/// Does what `plan` says, whether a studio has the folder open or not. What cannot be done is logged, and the rest is done.
+/// Does what `plan` says, whether a studio has the folder open or not. What cannot be done is logged, and the rest is
+/// done.
 pub fn carry_out(data: &Path, plan: &RetentionPlan) -> Result<(), Error> {
     let (root, scheduler) = board::beside_a_studio(data, None)?;
     carry_out_with(&root, &scheduler, plan)

@@ -147,7 +147,8 @@ pub struct Route {
     pub object: Option<String>,
     /// Campaign shown, by id.
     pub campaign: Option<String>,
-    /// Which part is shown: of a campaign `run`, `score` or `results`; of Settings `people`, `tokens`, `storage` or `audit`.
+    /// Which part is shown: of a campaign `run`, `score` or `results`; of Settings `people`, `tokens`, `storage` or
+    /// `audit`.
     pub part: Option<String>,
     /// Job shown, by id.
     pub job: Option<String>,
@@ -193,8 +194,8 @@ impl Route {
         self
     }
 
-    /// Reads a hash, with or without `#`. Unknown screens are kept as [`Self::lost`]; unknown keys are left out, so that
-    /// a link from another version still opens.
+    /// Reads a hash, with or without `#`. Unknown screens are kept as [`Self::lost`]; unknown keys are left out, so
+    /// that a link from another version still opens.
     pub fn from_hash(hash: &str) -> Self {
         let hash = hash.trim_start_matches('#').trim_start_matches('/');
         let (path, query) = hash.split_once('?').unwrap_or((hash, ""));

@@ -83,9 +83,9 @@ impl Sources {
     }
 }
 
-/// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; `clone:PATH` for one that imitates an
-/// expert; without one the script alone runs) among it, and refuses what does not belong together by the name of what
-/// differs.
+/// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; `clone:PATH` for one that
+/// imitates an expert; without one the script alone runs) among it, and refuses what does not belong together by the
+/// name of what differs.
 ///
 /// # Errors
 /// A studio without a station, files that cannot be read or do not fit the station's robot, a policy of another task.

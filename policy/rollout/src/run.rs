@@ -127,8 +127,8 @@ pub struct Outcome {
     pub policy: String,
     /// The policy was told that it feels nothing.
     pub is_silenced: bool,
-    /// How the trial began: what the object's place was made of, and where it was; `null` where a person placed the object
-    /// outside a campaign.
+    /// How the trial began: what the object's place was made of, and where it was; `null` where a person placed the
+    /// object outside a campaign.
     pub start: Value,
     /// What the robot itself takes it for.
     pub suggested: Verdict,
@@ -538,7 +538,8 @@ pub(crate) fn hold(link: &Link, station: &Station) {
     wait_until(link, Instant::now() + REST);
 }
 
-/// Arms the station. It is asked whatever the newest frame says: that may still show it as whoever had control before left it.
+/// Arms the station. It is asked whatever the newest frame says: that may still show it as whoever had control before
+/// left it.
 fn arm(hand: &Hand<'_>) -> anyhow::Result<()> {
     let link = hand.link;
     // One that has just been given back lets go first.
@@ -584,8 +585,8 @@ fn go(hand: &Hand<'_>, station: &Station, positions: &[f64], is_holding: bool) -
             // The station forgets targets when it holds.
             told.set(Instant::now());
             let control = frame.live.control.clone().unwrap_or_default();
-            // Fingers that open beside the table would leave the workspace, and that holds the arm too: it goes on alone
-            // for a moment, away from there.
+            // Fingers that open beside the table would leave the workspace, and that holds the arm too: it goes on
+            // alone for a moment, away from there.
             let arm_alone = control.phase() == Phase::Holding && !told_arm_alone.get();
             told_arm_alone.set(arm_alone);
             let mut now = wanted.clone();

@@ -1,4 +1,5 @@
-//! Requests over HTTP to a studio: where it is, who asks, which certificate it must show, and why something was not done.
+//! Requests over HTTP to a studio: where it is, who asks, which certificate it must show, and why something was not
+//! done.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -75,8 +76,8 @@ pub enum RequestError {
 }
 
 impl Studio {
-    /// The studio at `url`, as `palpate serve` prints it, asked with `token` where people have to log in. One that speaks TLS
-    /// must show a certificate that `ca_file` vouches for.
+    /// The studio at `url`, as `palpate serve` prints it, asked with `token` where people have to log in. One that
+    /// speaks TLS must show a certificate that `ca_file` vouches for.
     ///
     /// # Errors
     /// Another address than one over HTTP; a token that fits no header; a file without certificates, or none for TLS.

@@ -13,7 +13,8 @@ pub struct Array {
     pub values: Vec<f32>,
 }
 
-/// Makes first parameters one after the other. Each array has a generator of its own: seed, purpose, and how many came before.
+/// Makes first parameters one after the other. Each array has a generator of its own: seed, purpose, and how many came
+/// before.
 #[derive(Clone, Debug)]
 pub struct ArrayBuilder {
     arrays: Vec<Array>,

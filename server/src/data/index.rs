@@ -1,7 +1,7 @@
 //! What takes hold, kept in the database, so that a studio with a thousand sessions lists them without decoding a file.
 //!
-//! Files are the truth: an entry counts for a file of the same length and time only, and everything here can be made again
-//! from them (`palpate index rebuild`). Reading and writing may fail, and the takes are then decoded instead.
+//! Files are the truth: an entry counts for a file of the same length and time only, and everything here can be made
+//! again from them (`palpate index rebuild`). Reading and writing may fail, and the takes are then decoded instead.
 
 use std::{
     fs::Metadata,

@@ -1,7 +1,8 @@
-//! `palpate-train` as a child process: the program that learns, which is built apart so that the studio never links MuJoCo.
+//! `palpate-train` as a child process: the program that learns, which is built apart so that the studio never links
+//! MuJoCo.
 //!
-//! It is told to print events (`palpate_terminal::events`), and ends when this process does, for its standard input then
-//! ends. What it prints besides goes to the log of the job.
+//! It is told to print events (`palpate_terminal::events`), and ends when this process does, for its standard input
+//! then ends. What it prints besides goes to the log of the job.
 
 use std::{
     env,
@@ -31,8 +32,8 @@ const MAX_LINE_BYTES: usize = 16 << 20;
 const MAX_LOGGED_CHARS: usize = 1000;
 /// Whether somebody asks to stop is looked at this often.
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
-/// A request to stop is passed on after this. Where it went to the whole process group, as studios and terminals send it, the
-/// program has it already, and a second one would end it before it has left its folder in order.
+/// A request to stop is passed on after this. Where it went to the whole process group, as studios and terminals send
+/// it, the program has it already, and a second one would end it before it has left its folder in order.
 const PASS_ON_AFTER: Duration = Duration::from_secs(2);
 
 /// Where `palpate-train` is looked for.

@@ -4,8 +4,8 @@
 //! - `{"event": "metrics", "point": {"step": 7, "loss": 0.5}}`: a point of its curves, numbers by name.
 //! - `{"event": "report", "report": {...}}`: what came out, once.
 //!
-//! What is meant for people stays on standard error. Whoever reads the events holds the command's standard input open: the
-//! command ends when that ends, so that it does not outlive a program that was killed.
+//! What is meant for people stays on standard error. Whoever reads the events holds the command's standard input open:
+//! the command ends when that ends, so that it does not outlive a program that was killed.
 
 use std::{
     io::{Read as _, Write as _},
@@ -65,7 +65,8 @@ pub fn progress(fraction: f64, stage: &str) {
     }
 }
 
-/// Adds a point to the curves, if events are printed: the numbers of `values` by name, those of objects in it by both names.
+/// Adds a point to the curves, if events are printed: the numbers of `values` by name, those of objects in it by both
+/// names.
 pub fn metrics(step: u64, values: &impl Serialize) {
     if are_printed() {
         print(&json!({ "event": "metrics", "point": point(step, values) }));

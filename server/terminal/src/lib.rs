@@ -51,7 +51,8 @@ impl Drop for Bar {
     }
 }
 
-/// A flag that the first Ctrl-C or SIGTERM sets, so that the job can leave the disk in order; the second one ends the process.
+/// A flag that the first Ctrl-C or SIGTERM sets, so that the job can leave the disk in order; the second one ends the
+/// process.
 pub fn cancel_on_ctrl_c() -> Arc<Cancel> {
     let cancel = Arc::new(Cancel::default());
     let asked = cancel.clone();

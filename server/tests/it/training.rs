@@ -1,5 +1,5 @@
-//! Trainings as jobs: what is refused, what is asked of `palpate-train`, and what becomes of what it says. A shell script
-//! stands in for the program; `policy/train/tests/it/jobs.rs` has the real one.
+//! Trainings as jobs: what is refused, what is asked of `palpate-train`, and what becomes of what it says. A shell
+//! script stands in for the program; `policy/train/tests/it/jobs.rs` has the real one.
 
 use std::{
     fs,
@@ -16,7 +16,8 @@ use serde_json::{Value, json};
 
 use crate::support::{Data, access, arg, get, palpate_ok, palpate_refuses, post, send};
 
-/// Writes what it is asked to `asked.txt` of the job, and leaves a policy, a script or demonstrations as the program does.
+/// Writes what it is asked to `asked.txt` of the job, and leaves a policy, a script or demonstrations as the program
+/// does.
 const STAND_IN: &str = r#"#!/bin/sh
 out=
 previous=

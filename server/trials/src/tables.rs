@@ -269,7 +269,8 @@ fn finished(writer: csv::Writer<Vec<u8>>) -> Result<String, TrialsError> {
     String::from_utf8(bytes).map_err(|err| TrialsError::Argument(err.to_string()))
 }
 
-/// Every attempt of every trial of `campaign`, in order, as comma-separated values. A trial that was not begun has a row too.
+/// Every attempt of every trial of `campaign`, in order, as comma-separated values. A trial that was not begun has a
+/// row too.
 pub(crate) fn trials_csv(campaign: &Campaign) -> Result<String, TrialsError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let header = [

@@ -57,7 +57,8 @@ impl PeopleTable {
         self.me().ready().is_some_and(|me| me.role >= role && me.scopes.contains(&scope))
     }
 
-    /// Who sits here, where they are known to lack `role` or a part of the API. Where that is not known, the server decides.
+    /// Who sits here, where they are known to lack `role` or a part of the API. Where that is not known, the server
+    /// decides.
     pub fn lacks(&mut self, role: Role, scope: Scope) -> Option<Arc<Me>> {
         let me = self.me().ready().cloned()?;
         (me.role < role || !me.scopes.contains(&scope)).then_some(me)

@@ -41,8 +41,8 @@ struct ProcessFile {
     nice: Option<i32>,
 }
 
-/// The runners of the data folder `root`, the usual one first. `command` is what runs a job on this computer: a program, and
-/// what comes before `--dir DIR`.
+/// The runners of the data folder `root`, the usual one first. `command` is what runs a job on this computer: a
+/// program, and what comes before `--dir DIR`.
 pub fn runners(root: &Path, command: Vec<PathBuf>) -> Result<Vec<Arc<dyn Runner>>, JobsError> {
     let path = root.join("runners.toml");
     let problem = |problem: String| JobsError::Content { path: path.clone(), problem };

@@ -1,4 +1,5 @@
-//! `palpate bench api`: the API while a thousand jobs wait and many pages watch, and what the control loop does meanwhile.
+//! `palpate bench api`: the API while a thousand jobs wait and many pages watch, and what the control loop does
+//! meanwhile.
 //!
 //! The studio is a process of its own with an emulated station, as in a lab; one job runs, all others wait behind it.
 //! `--peer PYTHON` lets MLflow's tracking server do the same in the same run: make runs, log metrics, list.

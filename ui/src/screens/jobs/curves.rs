@@ -25,8 +25,8 @@ const FEW: usize = 6;
 pub struct Curves(BTreeMap<String, Vec<(f64, f64)>>);
 
 impl Curves {
-    /// From a JSON object a line. Lines that are none are left out; of a step that comes twice, because an attempt went on from
-    /// a checkpoint, the last one counts.
+    /// From a JSON object a line. Lines that are none are left out; of a step that comes twice, because an attempt went
+    /// on from a checkpoint, the last one counts.
     pub fn parse(text: &str) -> Self {
         let mut curves: BTreeMap<String, BTreeMap<u64, (f64, f64)>> = BTreeMap::new();
         for line in text.lines() {

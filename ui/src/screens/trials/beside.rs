@@ -1,4 +1,5 @@
-//! How the trials of a campaign are compared with the simulator: commands to copy, because it is done outside the studio.
+//! How the trials of a campaign are compared with the simulator: commands to copy, because it is done outside the
+//! studio.
 
 use std::collections::BTreeMap;
 
