@@ -1,11 +1,12 @@
 //! What lies over the screens: help (what words mean, the list of shortcuts) and the palette. `Esc` closes each.
 
-use egui::{Key, RichText};
+use egui::{Align2, Key, RichText, Vec2};
 
 use super::{glossary, stop};
 use crate::{commands::Command, route::Route, screens::heading_ui, theme::Palette};
 
-/// A dialog at most `width` wide in the middle of what the bar leaves: it scrolls rather than reach over STOP.
+/// A dialog at most `width` wide below the bar: it scrolls rather than reach over STOP. It hangs from its top, because
+/// a window of another size has not told its height yet when it is opened again, and its middle would be elsewhere.
 pub(super) fn dialog<R>(
     ctx: &egui::Context,
     id: &str,
@@ -15,7 +16,8 @@ pub(super) fn dialog<R>(
     let screen = ctx.content_rect();
     let below = screen.with_min_y(stop::stop_rect(screen).bottom() + stop::GAP);
     let id = egui::Id::unique(id);
-    egui::Modal::new(id).area(egui::Modal::default_area(id).constrain_to(below)).show(ctx, |ui| {
+    let area = egui::Modal::default_area(id).anchor(Align2::CENTER_TOP, Vec2::ZERO).constrain_to(below);
+    egui::Modal::new(id).area(area).show(ctx, |ui| {
         // Less the frame's margins.
         ui.set_width(width.min(below.width() - 24.0));
         egui::ScrollArea::vertical().max_height(below.height() - 24.0).show(ui, contents).inner

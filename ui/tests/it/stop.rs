@@ -154,6 +154,25 @@ fn dialogs_palette_and_menus_take_nothing_from_stop() {
 }
 
 #[test]
+fn a_palette_that_was_open_in_a_larger_window_takes_nothing_from_stop_in_a_smaller_one() {
+    let mut bench = bench([320.0, 640.0]);
+    bench.harness.key_press_modifiers(Modifiers::COMMAND, Key::K);
+    bench.harness.run_steps(4);
+    bench.harness.get_by_label("Command");
+    bench.harness.key_press(Key::Escape);
+    bench.harness.run_steps(3);
+    bench.harness.set_size(egui::vec2(640.0, 400.0));
+    bench.harness.run_steps(2);
+    bench.harness.key_press_modifiers(Modifiers::COMMAND, Key::K);
+    // In its first frames the palette has the height of the larger window.
+    for frame in 0..4 {
+        bench.harness.step();
+        assert_eq!(in_the_way(&bench), [], "frame {frame}");
+    }
+    bench.harness.get_by_label("Command");
+}
+
+#[test]
 fn tooltips_and_refusals_take_nothing_from_stop() {
     for size in SIZES {
         let mut bench = bench(size);
