@@ -50,55 +50,59 @@ pub(crate) fn install(ctx: &egui::Context, canvas: &web_sys::HtmlCanvasElement) 
 /// Seconds between updates of the mirror: while a take plays, numbers change in every frame, and nobody reads so fast.
 const UPDATE_EVERY_S: f64 = 0.05;
 
-/// Text on its way into a field: the field must have egui's focus before it takes any.
-#[derive(Debug)]
-struct PendingText {
-    node: u64,
-    text: String,
-    frames_left: u32,
-}
+/// So many frames a text waits for its field to take egui's focus.
+const MAX_FRAMES_TO_FOCUS: u32 = 10;
 
 /// See the module.
 pub struct MirrorPlugin {
     model: MirrorModel,
     inbox: MirrorInbox,
     sink: MirrorSink,
-    /// One field after the other: a frame may take so long that the next one is filled in meanwhile.
-    pending_texts: VecDeque<PendingText>,
+    /// What was done and egui does not know yet, oldest first. A text takes two frames, and what comes after it waits:
+    /// a page may draw so slowly that the next field is filled, or a button is pressed, meanwhile.
+    queue: VecDeque<MirrorEvent>,
+    /// What a pointer did after a text that waits. STOP does not wait: the browser sends it by itself.
+    held: Vec<egui::Event>,
+    frames_to_focus_left: u32,
+    focus: Option<u64>,
     updated_s: f64,
 }
 
 impl MirrorPlugin {
     /// A mirror that shows nothing yet.
     pub fn new(inbox: MirrorInbox, sink: MirrorSink) -> Self {
-        let model = MirrorModel::default();
-        Self { model, inbox, sink, pending_texts: VecDeque::new(), updated_s: f64::NEG_INFINITY }
+        Self {
+            model: MirrorModel::default(),
+            inbox,
+            sink,
+            queue: VecDeque::new(),
+            held: Vec::new(),
+            frames_to_focus_left: MAX_FRAMES_TO_FOCUS,
+            focus: None,
+            updated_s: f64::NEG_INFINITY,
+        }
     }
 
-    fn push_pending_text(&mut self, input: &mut egui::RawInput) -> bool {
-        let Some(mut pending) = self.pending_texts.pop_front() else { return false };
-        if self.model.focus() == Some(pending.node) {
-            let select_all = egui::Event::Key {
-                key: egui::Key::A,
-                physical_key: None,
-                pressed: true,
-                repeat: false,
-                modifiers: egui::Modifiers::COMMAND,
-            };
-            input.events.push(select_all);
-            input.events.push(if pending.text.is_empty() {
+    /// Puts `text` into the field `node` if egui's focus is there, and asks for the focus otherwise. Whether the text
+    /// needs no further frame.
+    fn push_text(&mut self, node: u64, text: &str, input: &mut egui::RawInput) -> bool {
+        if self.focus == Some(node) {
+            self.model.written(node, text);
+            input.events.push(key_event(egui::Key::A, egui::Modifiers::COMMAND));
+            input.events.push(if text.is_empty() {
                 key_event(egui::Key::Backspace, egui::Modifiers::NONE)
             } else {
-                egui::Event::Paste(pending.text)
+                egui::Event::Paste(text.to_owned())
             });
-            return !self.pending_texts.is_empty();
+            return true;
         }
-        input.events.push(action(pending.node, Action::Focus, None));
-        pending.frames_left = pending.frames_left.saturating_sub(1);
-        if pending.frames_left > 0 {
-            self.pending_texts.push_front(pending);
+        input.events.push(action(node, Action::Focus, None));
+        self.frames_to_focus_left -= 1;
+        if self.frames_to_focus_left == 0 {
+            // The element shows again what egui has.
+            self.model.written(node, text);
         }
-        true
+        self.frames_to_focus_left == 0
     }
 }
 
@@ -108,8 +112,13 @@ impl egui::Plugin for MirrorPlugin {
     }
 
     fn input_hook(&mut self, ctx: &egui::Context, input: &mut egui::RawInput) {
-        let events = std::mem::take(&mut *self.inbox.lock().unwrap_or_else(PoisonError::into_inner));
-        for event in events {
+        self.queue.extend(std::mem::take(&mut *self.inbox.lock().unwrap_or_else(PoisonError::into_inner)));
+        let is_waiting =
+            !self.held.is_empty() || self.queue.iter().any(|event| matches!(event, MirrorEvent::SetText(..)));
+        if is_waiting {
+            self.held.extend(input.events.extract_if(.., |event| is_of_pointer(event)));
+        }
+        while let Some(event) = self.queue.pop_front() {
             match event {
                 MirrorEvent::Click(node) => input.events.push(action(node, Action::Click, None)),
                 MirrorEvent::Focus(node) => {
@@ -121,20 +130,23 @@ impl egui::Plugin for MirrorPlugin {
                     input.events.push(action(node, Action::SetValue, data));
                 }
                 MirrorEvent::SetText(node, text) => {
-                    // Of what is typed into one field the newest counts.
-                    self.pending_texts.retain(|pending| pending.node != node);
-                    self.pending_texts.push_back(PendingText { node, text, frames_left: 10 });
+                    if self.push_text(node, &text, input) {
+                        self.frames_to_focus_left = MAX_FRAMES_TO_FOCUS;
+                    } else {
+                        self.queue.push_front(MirrorEvent::SetText(node, text));
+                    }
+                    ctx.request_repaint();
+                    return;
                 }
                 MirrorEvent::Key(key, modifiers) => input.events.push(key_event(key, modifiers)),
             }
         }
-        if self.push_pending_text(input) {
-            ctx.request_repaint();
-        }
+        input.events.append(&mut self.held);
     }
 
     fn output_hook(&mut self, ctx: &egui::Context, output: &mut egui::FullOutput) {
         let Some(update) = &output.platform_output.accesskit_update else { return };
+        self.focus = Some(update.focus.0);
         let now_s = ctx.input(|input| input.time);
         let early_s = self.updated_s + UPDATE_EVERY_S - now_s;
         if early_s > 0.0 {
@@ -165,6 +177,21 @@ fn action(node: u64, action: Action, data: Option<ActionData>) -> egui::Event {
         target_node: NodeId(node),
         data,
     })
+}
+
+/// Whether `event` is of a mouse, a finger or a pen.
+fn is_of_pointer(event: &egui::Event) -> bool {
+    use egui::Event;
+    matches!(
+        event,
+        Event::PointerMoved(_)
+            | Event::MouseMoved(_)
+            | Event::PointerButton { .. }
+            | Event::PointerGone
+            | Event::MouseWheel { .. }
+            | Event::Zoom(_)
+            | Event::Touch { .. }
+    )
 }
 
 fn key_event(key: egui::Key, modifiers: egui::Modifiers) -> egui::Event {

@@ -129,6 +129,13 @@ impl MirrorModel {
         self.focus
     }
 
+    /// Somebody wrote `text` into an element: where egui has another one at the next update, that one is what changed.
+    pub fn written(&mut self, id: u64, text: &str) {
+        if let Some(node) = self.nodes.iter_mut().find(|node| node.id == id) {
+            text.clone_into(&mut node.text);
+        }
+    }
+
     /// Takes over a whole tree (egui sends no partial ones) and tells what changed. `place_of` tells where a widget
     /// can be seen, if that is known.
     pub fn update(&mut self, update: &TreeUpdate, place_of: impl Fn(u64) -> Option<Place>) -> Vec<Change> {

@@ -15,6 +15,7 @@ struct Form {
     name: String,
     town: String,
     on: bool,
+    is_locked: bool,
 }
 
 type Seen = Arc<Mutex<Vec<MirrorNode>>>;
@@ -51,7 +52,8 @@ fn form() -> (Harness<'static, Form>, MirrorInbox, Seen) {
             ui.checkbox(&mut form.on, "Switch");
             ui.add(egui::Slider::new(&mut form.share, 0.0..=10.0).text("Share"));
             let label = ui.label("Your name");
-            ui.text_edit_singleline(&mut form.name).labelled_by(label.id);
+            let name = egui::TextEdit::singleline(&mut form.name).interactive(!form.is_locked);
+            ui.add(name).labelled_by(label.id);
             let label = ui.label("Your town");
             ui.text_edit_singleline(&mut form.town).labelled_by(label.id);
         },
@@ -66,6 +68,13 @@ fn find(seen: &Seen, role: &str, name: &str) -> MirrorNode {
     let found: Vec<_> = seen.iter().filter(|node| node.role == role && node.name == name).collect();
     assert_eq!(found.len(), 1, "{role} {name:?} among {seen:#?}");
     found[0].clone()
+}
+
+/// Writes into an element, as whoever fills a field does before the page hears of it.
+fn write(seen: &Seen, id: u64, text: &str) {
+    for node in seen.lock().expect("no panic so far").iter_mut().filter(|node| node.id == id) {
+        text.clone_into(&mut node.text);
+    }
 }
 
 #[test]
@@ -94,6 +103,7 @@ fn click_number_and_text_reach_the_widgets() {
     send(MirrorEvent::SetText(field, "Ada".into()));
     harness.run_steps(5);
     assert_eq!(harness.state().name, "Ada");
+    write(&seen, field, "Grace");
     send(MirrorEvent::SetText(field, "Grace".into()));
     harness.run_steps(5);
     assert_eq!(harness.state().name, "Grace");
@@ -112,6 +122,47 @@ fn fields_that_are_filled_within_one_frame_both_get_their_text() {
     inbox.lock().expect("no panic so far").extend(events);
     harness.run_steps(10);
     assert_eq!((harness.state().name.as_str(), harness.state().town.as_str()), ("Ada", "Paris"));
+}
+
+#[test]
+fn a_field_gets_its_text_before_what_was_pressed_after_it() {
+    // The button is pressed in the frame that fills the field, in the one after it, and so on.
+    for num_frames_between in 0..4 {
+        let (mut harness, inbox, seen) = form();
+        let town = find(&seen, "textbox", "Your town").id;
+        let [left, top, width, height] = find(&seen, "button", "Press me").rect.expect("a place");
+        let text = MirrorEvent::SetText(town, "Paris".to_owned());
+        inbox.lock().expect("no panic so far").push(text);
+        harness.run_steps(num_frames_between);
+        let pos = egui::pos2(left + width / 2.0, top + height / 2.0);
+        // All within one frame, as a page gets it that draws slowly.
+        let events = &mut harness.input_mut().events;
+        events.push(egui::Event::PointerMoved(pos));
+        for pressed in [true, false] {
+            let (button, modifiers) = (egui::PointerButton::Primary, egui::Modifiers::NONE);
+            events.push(egui::Event::PointerButton { pos, button, pressed, modifiers });
+        }
+        harness.run_steps(6);
+        let form = harness.state();
+        assert_eq!((form.town.as_str(), form.presses), ("Paris", 1), "{num_frames_between} frames");
+    }
+}
+
+#[test]
+fn a_field_that_takes_no_text_shows_what_it_has() {
+    let (mut harness, inbox, seen) = form();
+    harness.state_mut().is_locked = true;
+    let name = find(&seen, "textbox", "Your name").id;
+    inbox.lock().expect("no panic so far").push(MirrorEvent::SetText(name, "Ada".to_owned()));
+    // As in a browser, where the element has the text before the page knows.
+    let mut was_put_back = false;
+    for _ in 0..20 {
+        write(&seen, name, "Ada");
+        harness.run_steps(1);
+        was_put_back |= find(&seen, "textbox", "Your name").text.is_empty();
+    }
+    assert!(was_put_back);
+    assert_eq!(harness.state().name, "");
 }
 
 #[test]
