@@ -9,6 +9,7 @@ pub mod api_client;
 pub mod app;
 pub mod commands;
 pub mod mirror;
+pub mod pacing;
 pub mod playback;
 pub mod route;
 pub mod screens;

@@ -45,6 +45,7 @@ async fn run() -> Result<(), String> {
                 let state = cc.wgpu_render_state.as_ref();
                 let surface = state.map(|state| Surface::new(state.target_format, &state.adapter));
                 crate::mirror::install(&cc.egui_ctx, &mirror_canvas);
+                cc.egui_ctx.add_plugin(crate::pacing::PressPacing::default());
                 let api = Box::new(fetch::WebApi::new(cc.egui_ctx.clone()));
                 let app = StudioApp::new(
                     &cc.egui_ctx,
