@@ -3,7 +3,10 @@
 //! [`Api`] is what the page needs from the outside; the browser's own `fetch` and `WebSocket` implement it on the web,
 //! [`FakeApi`] in tests.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
 
 use palpate_wire::{
     api::{
@@ -432,6 +435,9 @@ pub trait Api {
     /// seen and has the focus; `None` ends that.
     fn beat(&mut self, lease: Option<u64>);
 
+    /// From now on, what comes on the stream socket is drawn within this time.
+    fn draw_stream_within(&mut self, within: Duration);
+
     /// What came in since the last call, in order.
     fn poll(&mut self) -> Vec<ApiEvent>;
 }
@@ -467,6 +473,8 @@ pub struct FakeApi {
     pub commands: Vec<ControlRequest>,
     /// The lease that is kept alive.
     pub beating: Option<u64>,
+    /// How soon what comes on the stream is drawn.
+    pub stream_within: Duration,
     counter: ControlCounter,
 }
 
@@ -508,6 +516,10 @@ impl Api for FakeApi {
 
     fn beat(&mut self, lease: Option<u64>) {
         self.beating = lease;
+    }
+
+    fn draw_stream_within(&mut self, within: Duration) {
+        self.stream_within = within;
     }
 
     fn poll(&mut self) -> Vec<ApiEvent> {

@@ -14,6 +14,8 @@ mod strip;
 pub(crate) use stop::STOP_NAME;
 pub(crate) use stop::is_narrow;
 
+use std::time::Duration;
+
 use overlays::Place;
 
 use crate::{
@@ -30,7 +32,9 @@ use crate::{
 /// Seconds between attempts to open the stream socket again.
 const RECONNECT_AFTER_S: f64 = 2.0;
 /// The page is painted at least this often while it holds the lease.
-const CONTROL_REPAINT: std::time::Duration = std::time::Duration::from_millis(50);
+const CONTROL_REPAINT: Duration = Duration::from_millis(50);
+/// So soon is the station's state drawn in the bar of a screen that shows nothing else of the stream.
+const BAR_REPAINT: Duration = Duration::from_millis(200);
 /// Seconds between writes of the cursor's time to the address bar: browsers refuse more than a few a second.
 const ADDRESS_EVERY_S: f64 = 0.5;
 /// The space bar still means STOP this long after torque went off, s: a station that disarms by itself may do so just
@@ -219,6 +223,7 @@ impl StudioApp {
         self.write_title();
         self.send_commands();
         self.keep_control(&ctx);
+        self.api.draw_stream_within(stream_within(self.route.screen));
         let lease = self.store.control.lease();
         for request in self.store.take_outbox() {
             self.api.send(lease, request);
@@ -510,5 +515,13 @@ impl StudioApp {
         if let Some(take) = take.ready() {
             self.playback.step_frames(take, step);
         }
+    }
+}
+
+/// How soon what comes on the stream is drawn on `screen`. Without a graphics card a frame costs a good part of a core.
+fn stream_within(screen: Screen) -> Duration {
+    match screen {
+        Screen::Hand | Screen::Record | Screen::Timelines => Duration::ZERO,
+        _ => BAR_REPAINT,
     }
 }

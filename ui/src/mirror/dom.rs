@@ -68,6 +68,10 @@ impl MirrorDom {
         let root: HtmlElement = document.create_element("div")?.unchecked_into();
         root.set_id(ROOT_ID);
         canvas.parent_node().ok_or(JsValue::NULL)?.insert_before(&root, canvas.next_sibling().as_ref())?;
+        // What is typed comes to the canvas through a field of eframe's, which stands after it and has no name.
+        if let Some(field) = root.next_element_sibling().filter(|next| next.has_type::<HtmlInputElement>()) {
+            field.set_attribute("aria-label", "Keyboard")?;
+        }
         canvas.set_attribute("role", "application")?;
         canvas.set_attribute("aria-label", "Palpate")?;
         canvas.set_attribute("aria-owns", ROOT_ID)?;
@@ -79,7 +83,7 @@ impl MirrorDom {
             listeners.push(closure);
             Ok(())
         };
-        for name in ["pointerdown", "mousemove", "wheel"] {
+        for name in ["pointerdown", "pointerup", "mousemove", "wheel"] {
             let (canvas, root) = (canvas.clone(), root.clone());
             listen(name, Box::new(move |event| hand_on(&event, &canvas, &root)))?;
         }
@@ -320,7 +324,11 @@ fn write(element: &HtmlElement, node: &MirrorNode, zoom: f32) -> Result<(), JsVa
                 attribute("aria-valuemin", number.min.map(|value| value.to_string()).as_deref())?;
                 attribute("aria-valuemax", number.max.map(|value| value.to_string()).as_deref())?;
             }
-            element.set_text_content(Some(&node.text));
+            // A button or a picture is called by its name; what it shows beside is read out after it.
+            let is_beside = matches!(node.role, "button" | "img") && !node.name.is_empty();
+            let (text, beside) = if is_beside { ("", node.text.as_str()) } else { (node.text.as_str(), "") };
+            attribute("aria-description", Some(beside).filter(|beside| !beside.is_empty()))?;
+            element.set_text_content(Some(text));
         }
     }
 
@@ -381,7 +389,8 @@ fn hand_on(event: &web_sys::Event, canvas: &HtmlCanvasElement, root: &HtmlElemen
         event.prevent_default();
     }
     let Ok(copy) = copy_of(event) else { return };
-    // eframe asks the document what lies under the pointer: it must be the canvas while it asks.
+    // eframe asks the document what lies under the pointer: it must be the canvas while it asks. Otherwise it would take
+    // no release of a press that still waits for its frame.
     root.set_class_name("through");
     let _ = canvas.dispatch_event(&copy);
     root.set_class_name("");
@@ -393,7 +402,9 @@ fn copy_of(event: &web_sys::Event) -> Result<web_sys::Event, JsValue> {
     let name = event.type_();
     Ok(match name.as_str() {
         "wheel" => web_sys::WheelEvent::new_with_event_init_dict(&name, init.unchecked_ref())?.into(),
-        "pointerdown" => web_sys::PointerEvent::new_with_event_init_dict(&name, init.unchecked_ref())?.into(),
+        "pointerdown" | "pointerup" => {
+            web_sys::PointerEvent::new_with_event_init_dict(&name, init.unchecked_ref())?.into()
+        }
         _ => web_sys::MouseEvent::new_with_mouse_event_init_dict(&name, init.unchecked_ref())?.into(),
     })
 }

@@ -1,6 +1,10 @@
 //! `fetch` and `WebSocket` as an [`Api`].
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::{Cell, RefCell},
+    rc::Rc,
+    time::Duration,
+};
 
 use wasm_bindgen::{JsCast as _, JsValue, closure::Closure};
 use wasm_bindgen_futures::JsFuture;
@@ -21,6 +25,7 @@ pub(super) struct WebApi {
     inbox: Inbox,
     socket: Option<Socket>,
     control: ControlSocket,
+    stream_within: Rc<Cell<Duration>>,
 }
 
 /// An open socket with the closures that it calls; they must live as long as it does.
@@ -43,14 +48,25 @@ impl Drop for Socket {
 
 impl WebApi {
     pub(super) fn new(ctx: egui::Context) -> Self {
-        Self { ctx, inbox: Inbox::default(), socket: None, control: ControlSocket::default() }
+        Self {
+            ctx,
+            inbox: Inbox::default(),
+            socket: None,
+            control: ControlSocket::default(),
+            stream_within: Rc::default(),
+        }
     }
 
     fn deliver(&self) -> impl Fn(ApiEvent) + Clone + 'static {
         let (ctx, inbox) = (self.ctx.clone(), self.inbox.clone());
+        let stream_within = self.stream_within.clone();
         move |event| {
+            let within = match event {
+                ApiEvent::SocketMessage(_) => stream_within.get(),
+                _ => Duration::ZERO,
+            };
             inbox.borrow_mut().push(event);
-            ctx.request_repaint();
+            ctx.request_repaint_after(within);
         }
     }
 }
@@ -91,6 +107,10 @@ impl Api for WebApi {
 
     fn beat(&mut self, lease: Option<u64>) {
         self.control.beat(lease);
+    }
+
+    fn draw_stream_within(&mut self, within: Duration) {
+        self.stream_within.set(within);
     }
 
     fn poll(&mut self) -> Vec<ApiEvent> {

@@ -5,6 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     path::Path,
     rc::Rc,
+    time::Duration,
 };
 
 use base64::Engine as _;
@@ -53,6 +54,10 @@ impl Api for SharedApi {
 
     fn beat(&mut self, lease: Option<u64>) {
         self.0.borrow_mut().beat(lease);
+    }
+
+    fn draw_stream_within(&mut self, within: Duration) {
+        self.0.borrow_mut().draw_stream_within(within);
     }
 
     fn poll(&mut self) -> Vec<ApiEvent> {

@@ -9,7 +9,10 @@ use palpate_ui::{
 use palpate_wire::proto::{Changed, StreamMessage, stream_message};
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, copied, deliver, full_api, page, page_of};
+use crate::{
+    fixture::{FakeWindow, SharedApi, app, copied, deliver, full_api, page, page_of},
+    live::{Bench, nothing_recorded},
+};
 
 #[test]
 fn rail_leads_to_every_screen_and_back() {
@@ -288,4 +291,17 @@ fn lists_follow_what_others_do() {
     harness.run_steps(4);
     let sent = std::mem::take(&mut api.0.borrow_mut().sent);
     assert!(sent.contains(&Request::Models) && sent.contains(&Request::Diagnoses), "{sent:?}");
+}
+
+#[test]
+fn screens_without_the_live_hand_draw_the_stream_less_often() {
+    let mut bench = Bench::of(FakeWindow::at("#/home"), &nothing_recorded(), [1280.0, 800.0]);
+    for screen in Screen::ALL {
+        bench.window.0.borrow_mut().entries.push(format!("#/{}", screen.label().to_lowercase()));
+        bench.harness.run_steps(4);
+        assert_eq!(app(&bench.harness).screen(), screen);
+        let shows_it = matches!(screen, Screen::Hand | Screen::Record | Screen::Timelines);
+        let within_ms = bench.api.0.borrow().stream_within.as_millis();
+        assert_eq!(within_ms, if shows_it { 0 } else { 200 }, "{screen:?}");
+    }
 }
