@@ -115,6 +115,8 @@ impl StudioApp {
         surface: Option<Surface>,
     ) -> Self {
         theme::install(ctx);
+        // A button that is pressed for long is pressed, and where a frame takes a second every press is long.
+        ctx.options_mut(|options| options.input_options.max_click_duration = f64::INFINITY);
         if let Some(theme) = platform.saved_theme() {
             ctx.set_theme(theme);
         }

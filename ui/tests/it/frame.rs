@@ -305,3 +305,17 @@ fn screens_without_the_live_hand_draw_the_stream_less_often() {
         assert_eq!(within_ms, if shows_it { 0 } else { 200 }, "{screen:?}");
     }
 }
+
+#[test]
+fn a_button_that_is_pressed_for_long_is_pressed() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/home"));
+    let pos = harness.get_by_role_and_label(Role::Button, "Jobs").rect().center();
+    let (button, modifiers) = (egui::PointerButton::Primary, Modifiers::NONE);
+    harness.event(egui::Event::PointerMoved(pos));
+    harness.event(egui::Event::PointerButton { pos, button, pressed: true, modifiers });
+    // Each step is 20 ms.
+    harness.run_steps(150);
+    harness.event(egui::Event::PointerButton { pos, button, pressed: false, modifiers });
+    harness.run_steps(4);
+    assert_eq!(app(&harness).screen(), Screen::Jobs);
+}
