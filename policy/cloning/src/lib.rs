@@ -28,6 +28,6 @@ pub use episodes::{Episode, Episodes, Step};
 pub use error::CloneError;
 pub use file::POLICY_FILE;
 pub use history::{History, Moment, Shape};
-pub use palpate_training::{CHECKPOINT_FILE, METRICS_FILE, Start};
-pub use run::{CONFIG_FILE, Data, Finish, Progress, train};
+pub use palpate_training::{CHECKPOINT_FILE, Finish, METRICS_FILE, Progress, Start};
+pub use run::{CONFIG_FILE, Data, train};
 pub use trainer::Trainer;

@@ -1,9 +1,8 @@
 //! A cloning in a folder: configuration, checkpoint and metrics as files.
 
-use std::{collections::BTreeMap, ops::ControlFlow, path::Path, time::Instant};
+use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
-use palpate_training::{CHECKPOINT_FILE, MetricsLog, Start, TrainingError, file_error, write_in_one_move};
-use serde::Serialize;
+use palpate_training::{Finish, Judgement, Learner, Progress, Start};
 
 use crate::cloned::Robot;
 use crate::{CloneConfig, CloneError, Episodes, Trainer};
@@ -23,38 +22,56 @@ pub struct Data<'a> {
     pub sources: BTreeMap<String, String>,
 }
 
-/// Why a training ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Finish {
-    /// It made the configuration's updates.
-    Updates,
-    /// Whoever watched wanted no more. The checkpoint is the last one before.
-    Cancelled,
+/// A trainer with its episodes.
+struct Cloning<'a> {
+    trainer: Trainer,
+    train: &'a Episodes,
+    held_out: &'a Episodes,
 }
 
-/// How far a training is.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Progress {
-    /// Updates done.
-    pub update: u64,
-    /// Share of the configuration's updates that are done, in 0..=1.
-    pub fraction: f64,
-    /// Time until they are all done, as fast as since this run began or resumed, s.
-    pub eta_s: f64,
-    /// Mean loss of the updates since the last checkpoint, and of held-out episodes, after an update that ends with
-    /// one.
-    pub losses: Option<[f64; 2]>,
-}
+impl Learner for Cloning<'_> {
+    type Error = CloneError;
+    type Losses = f64;
+    type Terms = f64;
 
-/// One line of the metrics file.
-#[derive(Serialize)]
-struct MetricsLine {
-    update: u64,
-    learning_rate: f64,
-    gradient_norm: f64,
-    samples_per_s: f64,
-    train: f64,
-    held_out: f64,
+    fn updates(&self) -> u64 {
+        self.trainer.updates()
+    }
+
+    fn num_updates(&self) -> u64 {
+        self.trainer.config().updates
+    }
+
+    fn updates_per_epoch(&self) -> Option<u64> {
+        None
+    }
+
+    fn checkpoint_updates(&self) -> u64 {
+        self.trainer.config().checkpoint_updates
+    }
+
+    fn batch_size(&self) -> usize {
+        self.trainer.config().batch_size
+    }
+
+    fn learning_rate(&self) -> f64 {
+        self.trainer.learning_rate()
+    }
+
+    fn update(&mut self, losses: &mut f64) -> Result<f64, CloneError> {
+        let (loss, norm) = self.trainer.update(self.train)?;
+        *losses += loss;
+        Ok(norm)
+    }
+
+    fn judge(&mut self, losses: &f64, num_updates: u64) -> Result<Judgement<f64>, CloneError> {
+        let losses = [losses / num_updates as f64, self.trainer.judge(self.held_out)?];
+        Ok(Judgement { terms: losses, losses })
+    }
+
+    fn to_checkpoint(&self) -> Vec<u8> {
+        self.trainer.to_checkpoint()
+    }
 }
 
 /// Learns in `folder`, where configuration, metrics and checkpoints are kept; `watch` sees each update and may end it.
@@ -68,54 +85,15 @@ pub fn train(
     data: Data<'_>,
     watch: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<(Trainer, Finish), CloneError> {
-    std::fs::create_dir_all(folder).map_err(file_error("create", folder))?;
-    let mut log = MetricsLog::open(folder)?;
-    let checkpoint = folder.join(CHECKPOINT_FILE);
-    let mut trainer = match (start, checkpoint.exists()) {
-        (Start::Fresh, true) => return Err(TrainingError::RunExists(folder.to_owned()).into()),
-        (Start::Resume, true) => {
-            let bytes = std::fs::read(&checkpoint).map_err(file_error("read", &checkpoint))?;
-            Trainer::from_checkpoint(config, data.robot, data.train, data.sources, &checkpoint, &bytes)?
-        }
-        _ => Trainer::new(config, data.robot, data.train, data.sources)?,
-    };
-    write_in_one_move(&folder.join(CONFIG_FILE), trainer.config().to_toml().as_bytes())?;
-    log.keep_up_to(trainer.updates())?;
-
-    let (began, first, all) = (Instant::now(), trainer.updates(), trainer.config().updates);
-    let (mut losses_sum, mut norms, mut since, mut last) = (0.0, 0.0, Instant::now(), first);
-    while trainer.updates() < all {
-        let (loss, norm) = trainer.update(data.train)?;
-        losses_sum += loss;
-        norms += norm;
-        let update = trainer.updates();
-        let mut losses = None;
-        if update.is_multiple_of(trainer.config().checkpoint_updates) || update == all {
-            let updates = (update - last) as f64;
-            let [train, held_out] = [losses_sum / updates, trainer.judge(data.held_out)?];
-            log.append(&MetricsLine {
-                update,
-                learning_rate: trainer.learning_rate(),
-                gradient_norm: norms / updates,
-                samples_per_s: updates * trainer.config().batch_size as f64 / since.elapsed().as_secs_f64(),
-                train,
-                held_out,
-            })?;
-            log.sync()?;
-            write_in_one_move(&checkpoint, &trainer.to_checkpoint())?;
-            losses = Some([train, held_out]);
-            (losses_sum, norms, since, last) = (0.0, 0.0, Instant::now(), update);
-        }
-        let secs_per_update = began.elapsed().as_secs_f64() / (update - first) as f64;
-        let progress = Progress {
-            update,
-            fraction: update as f64 / all as f64,
-            eta_s: secs_per_update * (all - update) as f64,
-            losses,
+    let Data { robot, train, held_out, sources } = data;
+    let learner = |checkpoint: Option<(&Path, &[u8])>| {
+        let trainer = match checkpoint {
+            Some((path, bytes)) => Trainer::from_checkpoint(config, robot, train, sources, path, bytes)?,
+            None => Trainer::new(config, robot, train, sources)?,
         };
-        if watch(&progress).is_break() && update < all {
-            return Ok((trainer, Finish::Cancelled));
-        }
-    }
-    Ok((trainer, Finish::Updates))
+        Ok(Cloning { trainer, train, held_out })
+    };
+    let to_toml = |learner: &Cloning<'_>| learner.trainer.config().to_toml();
+    let (learner, finish) = palpate_training::run(folder, start, CONFIG_FILE, learner, to_toml, watch)?;
+    Ok((learner.trainer, finish))
 }

@@ -9,6 +9,7 @@ mod config;
 mod error;
 mod file;
 mod folder;
+mod run;
 mod seed;
 
 pub use adam::{Adam, clip_norm};
@@ -17,4 +18,5 @@ pub use config::{Expectation, check, difference, parse};
 pub use error::TrainingError;
 pub use file::{Encoded, TensorFile, encode};
 pub use folder::{CHECKPOINT_FILE, METRICS_FILE, MetricsLog, Start, file_error, write_in_one_move};
+pub use run::{Finish, Judgement, Learner, Progress, run};
 pub use seed::{below, fill_normal, generator, permutation};

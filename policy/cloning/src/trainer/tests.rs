@@ -136,7 +136,7 @@ fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
         train(&folder.path().join(name), start, config.clone(), data, &mut watch).expect("a run")
     };
     let (whole, finish) = run("whole", Start::Fresh, u64::MAX);
-    assert_eq!(finish, Finish::Updates);
+    assert_eq!(finish, Finish::Complete);
     assert_eq!(run("parts", Start::Fresh, 33).1, Finish::Cancelled);
     let (parts, _) = run("parts", Start::Resume, u64::MAX);
     assert!(whole.to_checkpoint() == parts.to_checkpoint());

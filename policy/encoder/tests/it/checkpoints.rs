@@ -36,10 +36,10 @@ fn metrics(folder: &Path) -> Vec<Value> {
 #[test]
 fn a_run_that_resumes_has_the_bits_of_one_that_went_on() {
     let [whole, parts] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
-    assert_eq!(run(whole.path(), Start::Fresh, config(), 0).expect("a run"), Finish::Epochs);
+    assert_eq!(run(whole.path(), Start::Fresh, config(), 0).expect("a run"), Finish::Complete);
     assert_eq!(run(parts.path(), Start::Fresh, config(), 7).expect("a run"), Finish::Cancelled);
     assert_eq!(metrics(parts.path()).len(), 1);
-    assert_eq!(run(parts.path(), Start::Resume, config(), 0).expect("a run"), Finish::Epochs);
+    assert_eq!(run(parts.path(), Start::Resume, config(), 0).expect("a run"), Finish::Complete);
     let checkpoint = |folder: &Path| fs::read(folder.join(CHECKPOINT_FILE)).expect("a checkpoint");
     assert!(checkpoint(whole.path()) == checkpoint(parts.path()), "other bits");
     let lines = metrics(whole.path());
