@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{Context as _, bail};
 
-use crate::{paths, python, shell, twice};
+use crate::{browser, paths, python, shell, twice};
 
 /// Where builds look for the library: the folder that holds `libmujoco.so`.
 const LINK_DIR: &str = "MUJOCO_DYNAMIC_LINK_DIR";
@@ -117,12 +117,19 @@ pub(crate) fn lint() -> anyhow::Result<()> {
 }
 
 /// Tests of the grasp world; with `filter` only those whose name contains it.
-pub(crate) fn test(palpate: &Path, skipped: &Path, filter: Option<&str>) -> anyhow::Result<()> {
+pub(crate) fn test(
+    palpate: &Path,
+    artifacts: &Path,
+    skipped: &Path,
+    filter: Option<&str>,
+) -> anyhow::Result<()> {
     let dir = link_dir()?;
     let tests = || {
         let mut cargo = cargo("test", &dir);
         // The physical station is driven by a studio.
         cargo.env("PALPATE_BIN", palpate).env("PALPATE_SKIPPED", skipped);
+        // So is its page.
+        cargo.env("PALPATE_BROWSER_TESTS", browser::folder()).env("PALPATE_ARTIFACTS", artifacts);
         // Test binaries know where the library is; those of documentation examples do not.
         cargo.env("LD_LIBRARY_PATH", &dir).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
         cargo

@@ -65,7 +65,7 @@ pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
         cargo
     };
     let workspace = twice::run(tests, args.filter.as_deref());
-    let grasping = mujoco::test(&palpate, &skipped, args.filter.as_deref());
+    let grasping = mujoco::test(&palpate, &artifacts, &skipped, args.filter.as_deref());
     eprintln!("screenshots and reports: {}", artifacts.display());
     skip::report(&skipped);
     twice::report();

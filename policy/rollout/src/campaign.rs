@@ -180,8 +180,8 @@ impl Session<'_> {
             }
             let trial = next(&campaign, self.options.repeats_void).context("there is no next trial")?;
             ready(hand)?;
-            if self.trial(hand, &campaign, trial)? {
-                return Ok(Done::Cancelled);
+            if let Some(done) = self.trial(hand, &campaign, trial)? {
+                return Ok(done);
             }
             if let Some(why) = hand.link.ended() {
                 return Ok(Done::Lost(why));
@@ -189,8 +189,8 @@ impl Session<'_> {
         }
     }
 
-    /// Makes the next attempt of `trial`; whether somebody wants no further one.
-    fn trial(&mut self, hand: &Hand<'_>, campaign: &Campaign, trial: &Trial) -> anyhow::Result<bool> {
+    /// Makes the next attempt of `trial`; why there is to be no further one, if so.
+    fn trial(&mut self, hand: &Hand<'_>, campaign: &Campaign, trial: &Trial) -> anyhow::Result<Option<Done>> {
         let (number, is_running) = (trial.number, trial.state == TrialState::Running);
         let attempt = trial.attempts.len() as u32 - u32::from(is_running);
         if is_running
@@ -241,9 +241,16 @@ impl Session<'_> {
         }
         if !is_running && !self.options.is_placed_at_page {
             let path = format!("/campaigns/{}/trials/{number}/begin", self.options.id);
-            let _: Campaign = alive_while(hand.link, || Ok(self.studio.post(&path, &json!({}))?))?;
+            let begun = alive_while(hand.link, || Ok(self.studio.post::<Campaign>(&path, &json!({}))?));
+            if let Err(refused) = begun {
+                // Somebody may have taken a break, or closed the campaign, while the object was placed.
+                let path = format!("/campaigns/{}", self.options.id);
+                let campaign: Campaign = alive_while(hand.link, || Ok(self.studio.get(&path)?))?;
+                return standing(&campaign, self.options.repeats_void).map(Some).ok_or(refused);
+            }
         }
-        self.make(hand, trial, attempt, &policy, is_silenced, &begins)
+        let is_cancelled = self.make(hand, trial, attempt, &policy, is_silenced, &begins)?;
+        Ok(is_cancelled.then_some(Done::Cancelled))
     }
 
     fn make(

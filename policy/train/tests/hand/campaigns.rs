@@ -21,7 +21,7 @@ const VERDICTS: [TrialVerdict; 4] =
     [TrialVerdict::Success, TrialVerdict::Slip, TrialVerdict::EmptyGrasp, TrialVerdict::Success];
 
 /// Somebody with a role, whose password is "a password of NAME", and the token of what they use.
-fn somebody(palpate: &Path, data: &Path, name: &str, role: &str, scopes: &str) -> String {
+pub(crate) fn somebody(palpate: &Path, data: &Path, name: &str, role: &str, scopes: &str) -> String {
     let mut add = Command::new(palpate)
         .args(["people", "add", name, "--role", role, "--data"])
         .arg(data)

@@ -3,6 +3,7 @@
 #![cfg(feature = "mujoco")]
 
 mod against_hand;
+mod campaign_page;
 mod campaigns;
 mod jobs;
 mod rollouts;

@@ -53,6 +53,31 @@ pub(crate) fn palpate() -> Option<PathBuf> {
     palpate
 }
 
+/// What a test needs that opens the page.
+pub(crate) struct Browser {
+    /// The `palpate` command, with the page inside.
+    pub(crate) palpate: PathBuf,
+    /// The folder of the scripts, with what drives the browser.
+    pub(crate) scripts: PathBuf,
+    /// Where pictures go.
+    pub(crate) artifacts: PathBuf,
+}
+
+/// A browser; `None` where `PALPATE_SKIP` names `e2e` or `browser`.
+pub(crate) fn browser() -> Option<Browser> {
+    if skip::leaves_out("browser") {
+        return None;
+    }
+    let palpate = palpate()?;
+    let path = |name: &str| {
+        let path = std::env::var_os(name).map(PathBuf::from);
+        path.expect(
+            "the browser is set up by `cargo xtask test`; PALPATE_SKIP=browser leaves these tests out",
+        )
+    };
+    Some(Browser { palpate, scripts: path("PALPATE_BROWSER_TESTS"), artifacts: path("PALPATE_ARTIFACTS") })
+}
+
 /// Asks the operator of the station.
 fn ask(socket: &str, request: &Value) -> Value {
     let mut stream = UnixStream::connect(socket).expect("the operator's socket");
