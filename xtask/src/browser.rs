@@ -28,7 +28,7 @@ pub(crate) fn install() -> anyhow::Result<()> {
     let stamp = dir.join("node_modules").join(".installed");
     if !std::fs::read(&stamp).is_ok_and(|installed| installed == lock) {
         shell::run(Command::new("npm").args(["ci", "--no-audit", "--no-fund", "--silent"]).current_dir(&dir))
-            .context("failed to install playwright-core from npm")?;
+            .context("failed to install playwright-core and axe-core from npm")?;
         std::fs::write(&stamp, lock)?;
     }
     Ok(())

@@ -97,6 +97,11 @@ fn operator_diagnoses_adds_and_undoes_by_clicking() {
 }
 
 #[test]
+fn accessible_mirror_of_every_screen_has_no_serious_fault() {
+    browser_test("axe.mjs");
+}
+
+#[test]
 fn operator_commands_the_station_and_others_can_watch() {
     station_test("operate.mjs", &root().join("assets/truth/demo.toml"));
 }
