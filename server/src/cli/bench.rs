@@ -1,8 +1,10 @@
 //! `palpate bench`: the paths that have to be fast, measured on a whole session or a live station.
 
 mod api;
+mod sessions;
 mod stop;
 mod stream;
+mod studio;
 
 use std::{path::PathBuf, process::ExitCode, time::Instant};
 
@@ -31,6 +33,8 @@ pub(crate) enum BenchCommand {
     Stream(stream::StreamArgs),
     /// The API while a thousand jobs wait and many pages watch, beside MLflow's tracking server
     Api(api::ApiArgs),
+    /// How long a studio takes to start and to list a data folder of many sessions
+    Sessions(sessions::SessionsArgs),
     /// STOP under load: from a client's message to the bytes that switch the servos off
     Stop(stop::StopArgs),
 }
@@ -63,6 +67,7 @@ pub(super) fn run(command: &BenchCommand) -> Outcome {
         BenchCommand::Replay(args) => replay(args)?,
         BenchCommand::Stream(args) => stream::run(args)?,
         BenchCommand::Api(args) => api::run(args)?,
+        BenchCommand::Sessions(args) => sessions::run(args)?,
         BenchCommand::Stop(args) => stop::run(args)?,
     }
     Ok(ExitCode::SUCCESS)

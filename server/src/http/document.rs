@@ -15,7 +15,8 @@ use axum::{
 use palpate_wire::api::{
     BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DemonstrationsRequest,
     DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest, EvaluationRequest, ExpertRequest,
-    LEASE_HEADER, PretrainingRequest, ProblemDetails, ProblemType, TuneRequest,
+    GatheringRequest, ImitationRequest, LEASE_HEADER, PretrainingRequest, ProblemDetails, ProblemType,
+    TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
@@ -62,7 +63,9 @@ use super::{
         ExpertRequest,
         EvaluationRequest,
         DemonstrationsRequest,
-        PretrainingRequest
+        PretrainingRequest,
+        GatheringRequest,
+        ImitationRequest
     )),
 )]
 struct Head;

@@ -7,6 +7,8 @@ mod diagnose;
 mod emulate;
 mod evaluation;
 mod expert;
+mod gathering;
+mod imitation;
 mod pretraining;
 mod training;
 mod tune;
@@ -41,6 +43,8 @@ pub(crate) const KINDS: &[&JobKind] = &[
     &evaluation::EVALUATION,
     &demonstrations::DEMONSTRATIONS,
     &pretraining::PRETRAINING,
+    &gathering::GATHERING,
+    &imitation::IMITATION,
 ];
 
 /// The numbers that a job found.

@@ -32,7 +32,9 @@ case "$2" in
 export) echo weights > "$out"; exit 0 ;;
 tune) echo '# a script' > "$out" ;;
 demos) mkdir -p "$out"; echo data > "$out/shard-00000.safetensors.zst"; echo '{}' > "$out/manifest.json" ;;
+gather) mkdir -p "$out"; echo data > "$out/cube.safetensors.zst" ;;
 ppo | encode) mkdir -p "$out"; echo state > "$out/checkpoint.safetensors" ;;
+clone) mkdir -p "$out"; echo state > "$out/checkpoint.safetensors"; echo imitator > "$out/policy.safetensors" ;;
 esac
 case " $* " in
 *" --total-steps 13 "*) echo 'palpate-train: thirteen steps are too few' >&2; exit 1 ;;
@@ -47,6 +49,10 @@ echo '{"event":"metrics","point":{"step":1,"loss":0.5}}'
 echo '{"event":"metrics","point":{"step":2,"loss":0.25}}'
 echo '{"event":"report","report":{"won":3}}'
 "#;
+
+/// The kinds that the program works on.
+const TRAININGS: [&str; 7] =
+    ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation"];
 
 fn program(data: &Data, text: &str) -> PathBuf {
     let path = data.path("palpate-train");
@@ -93,8 +99,7 @@ async fn studio_without_the_program_says_so_and_how_to_get_it() {
     let (app, _state) = studio(&data, &data.path("nowhere/palpate-train"));
     let kinds: Vec<JobKindDocument> = get(&app, "/api/v1/kinds").await.json();
     for kind in &kinds {
-        let needs_it =
-            ["tune", "expert", "evaluation", "demonstrations", "pretraining"].contains(&kind.kind.as_str());
+        let needs_it = TRAININGS.contains(&kind.kind.as_str());
         assert_eq!(kind.is_available, !needs_it, "{kind:?}");
         assert_eq!(kind.problem.as_deref().is_some_and(|problem| problem.contains("cargo build")), needs_it);
     }
@@ -148,6 +153,25 @@ async fn what_makes_no_sense_is_refused_before_it_waits() {
             400,
             "no job \"demonstrations-1\"",
         ),
+        ("evaluation", json!({ "policy": "cube", "objects": ["egg"] }), 400, "objects belong to a protocol"),
+        (
+            "evaluation",
+            json!({ "policy": "cube", "protocol": "wide", "objects": ["egg", "all"] }),
+            400,
+            "\"all\" is a group",
+        ),
+        ("gathering", json!({ "objects": ["cueb"] }), 400, "no object \"cueb\""),
+        ("gathering", json!({ "objects": ["cube", "cube"] }), 400, "\"cube\" twice"),
+        ("gathering", json!({ "objects": "seen" }), 422, "expected a sequence"),
+        ("gathering", json!({ "count": 0 }), 400, "count = 0"),
+        ("gathering", json!({ "protocol": "fast" }), 400, "shipped are claim, paper"),
+        ("gathering", json!({ "model": "gone" }), 404, "gone"),
+        ("imitation", json!({}), 422, "missing field `trials`"),
+        ("imitation", json!({ "trials": [] }), 400, "nothing to learn from"),
+        ("imitation", json!({ "trials": ["gathering-1"] }), 400, "no job \"gathering-1\""),
+        ("imitation", json!({ "trials": ["gathering-1"], "preset": "quick" }), 400, "\"small\" or \"paper\""),
+        ("imitation", json!({ "trials": ["gathering-1"], "head": "guess" }), 400, "diffusion"),
+        ("imitation", json!({ "trials": ["gathering-1"], "updates": 0 }), 400, "updates = 0"),
         ("tune", json!({ "object": "cube", "candidates": 4 }), 400, "elite = 10; expected at most the 4"),
         ("tune", json!({ "object": "cube", "generations": 0 }), 400, "generations = 0"),
     ] {
@@ -206,17 +230,15 @@ async fn lineage_from_script_to_encoder_runs_as_jobs_that_name_each_other() {
     let expected = [
         "--events tune --object ball --script assets/grasp/scripts/xarm6_leap_cube.toml --seed 5 --generations 2 --out \
          runs/tuning-1/script.toml",
-        "--events ppo --object ball --config runs/expert-1/config.toml --total-steps 40 --seed 5 --out \
-         runs/expert-1/training --resume --script runs/expert-1/script.toml",
+        "--events ppo --config runs/expert-1/config.toml --seed 5 --out runs/expert-1/training --resume --object ball \
+         --total-steps 40 --script runs/expert-1/script.toml",
         "--events export --policy runs/expert-1/training --out runs/expert-1/policy.safetensors",
         "--events demos --policy runs/expert-1/policy.safetensors --object ball --script runs/expert-1/script.toml \
          --count 4 --seed 5 --out runs/demonstrations-1/demonstrations",
     ];
     assert_eq!(asked[..4], expected);
     assert!(
-        asked
-            .iter()
-            .any(|line| line.contains("encode --demos runs/demonstrations-1/demonstrations --epochs 2"))
+        asked.iter().any(|line| line.ends_with("--epochs 2 --demos runs/demonstrations-1/demonstrations"))
     );
 
     // What a policy was made of is an input of what is made with it.
@@ -269,6 +291,52 @@ async fn refusal_crash_and_cancel_end_a_training_each_in_its_way() {
     wait(&app, &long, |job| job.attempts == 2 && at_half(job)).await;
     assert_eq!(send(&app, "POST", &format!("/api/v1/jobs/{long}/cancel"), None).await.status, 200);
     ended(&app, &long).await;
+}
+
+#[tokio::test]
+async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored() {
+    let data = Data::empty();
+    let (app, _state) = studio(&data, &program(&data, STAND_IN));
+    let gathered = start(&app, "gathering", json!({ "objects": ["cube", "egg"], "count": 3 })).await;
+    assert_eq!(ended(&app, &gathered).await.state, JobState::Done);
+    let twice = json!({ "trials": ["gathering-1", "gathering-1"] });
+    let answer = post(&app, "/api/v1/jobs", &json!({ "kind": "imitation", "request": twice })).await;
+    assert!(answer.problem(400).contains("twice"));
+    let request = json!({ "trials": ["gathering-1"], "head": "diffusion", "only_won": true });
+    let job = ended(&app, &start(&app, "imitation", request).await).await;
+    assert_eq!((job.state, job.problem), (JobState::Done, None));
+    assert_eq!(job.spec.inputs.keys().collect::<Vec<_>>(), ["runs/gathering-1/trials/cube.safetensors.zst"]);
+    assert_eq!(text(&app, "/api/v1/jobs/imitation-1/files/policy.safetensors").await, "imitator\n");
+    assert!(text(&app, "/api/v1/jobs/imitation-1/metrics").await.contains("\"loss\":0.25"));
+
+    // It is a policy under a protocol, and nowhere else.
+    for (kind, request, words) in [
+        ("evaluation", json!({ "policy": "imitation-1" }), "give a protocol"),
+        ("demonstrations", json!({ "policy": "imitation-1", "count": 4 }), "job of kind \"expert\""),
+        ("imitation", json!({ "trials": ["imitation-1"] }), "give one of kind \"gathering\""),
+    ] {
+        let answer = post(&app, "/api/v1/jobs", &json!({ "kind": kind, "request": request })).await;
+        let detail = answer.problem(400);
+        assert!(detail.contains(words), "{detail}");
+    }
+    for objects in [json!([]), json!(["cube", "ring"])] {
+        let request = json!({ "policy": "imitation-1", "protocol": "wide", "objects": objects });
+        let job = ended(&app, &start(&app, "evaluation", request).await).await;
+        assert_eq!(job.state, JobState::Done, "{job:?}");
+    }
+    let asked = fs::read_to_string(data.root().join("runs/asked.txt")).unwrap();
+    let asked: Vec<String> =
+        asked.lines().map(|line| line.replace(&format!("{}/", arg(data.root())), "")).collect();
+    let expected = [
+        "--events gather --count 3 --seed 5 --out runs/gathering-1/trials --objects cube,egg",
+        "--events clone --seed 5 --out runs/imitation-1/training --resume --head diffusion --only-won --data \
+         runs/gathering-1/trials",
+        "--events evaluate --policy clone:runs/imitation-1/policy.safetensors --seed 5 --protocol wide --objects seen --out \
+         runs/evaluation-1/comparison.json",
+        "--events evaluate --policy clone:runs/imitation-1/policy.safetensors --seed 5 --protocol wide --objects cube,ring \
+         --out runs/evaluation-2/comparison.json",
+    ];
+    assert_eq!(asked, expected);
 }
 
 fn app_of(studio: &Studio) -> Router {

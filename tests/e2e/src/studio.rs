@@ -117,7 +117,7 @@ impl Studio {
         let mut lines = BufReader::new(stdout).lines();
         let url = loop {
             let line = lines.next().context("the studio ended before it said where it listens")??;
-            if let Some(start) = line.find("http://") {
+            if let Some(start) = line.find("http://").or_else(|| line.find("https://")) {
                 break line[start..].split_whitespace().next().unwrap_or_default().to_owned();
             }
         };

@@ -135,7 +135,8 @@ fn choose_ui(
         method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
         hold_out: state.hold_out.takes(),
     };
-    let starts = start_ui(ui, cx, ready, "Start calibration", cx.palette.calibrated);
+    let fill = cx.palette.calibrated;
+    let starts = start_ui(ui, cx, ready, "Start calibration", fill);
     if problem.is_none() {
         copy_as::copy_ui(ui, &copy_as::calibration(&request, copy_as::DATA_FOLDER));
     }

@@ -1,7 +1,7 @@
 //! Controls that more than one screen has: choices, buttons with symbols, the playing speed, the model to compare with.
 
 use egui::accesskit::Role;
-use palpate_wire::api::{JobState, Run};
+use palpate_wire::api::{JobState, Role as PersonRole, Run, Scope};
 
 use super::{ScreenContext, run_controls::OfSession};
 use crate::playback::{ModelRef, Playback};
@@ -33,6 +33,14 @@ pub fn option_ui<T: PartialEq>(ui: &mut egui::Ui, chosen: &mut T, value: T, text
     let is_chosen = *chosen == value;
     let response = ui.selectable_value(chosen, value, text);
     response.widget_info(|| egui::WidgetInfo::selected(Role::ListBoxOption, true, is_chosen, text));
+}
+
+/// Whether whoever sits here may start and end jobs; where they may not, that is said.
+pub fn may_start_jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
+    let Some(me) = cx.store.people.lacks(PersonRole::Operator, Scope::Jobs) else { return true };
+    let text = format!("You are {} ({}): you can watch. Operators start and end jobs.", me.name, me.role);
+    ui.add(egui::Label::new(text).wrap());
+    false
 }
 
 /// How fast a take plays.

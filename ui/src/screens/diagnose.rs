@@ -197,7 +197,8 @@ fn choose_ui(
     heading_ui(ui, "2  Run");
     let running = running_run(cx);
     let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
-    if start_ui(ui, cx, ready, "Start diagnosis", cx.palette.diagnosed) {
+    let fill = cx.palette.diagnosed;
+    if start_ui(ui, cx, ready, "Start diagnosis", fill) {
         start(cx, state);
     }
     if problem.is_none()

@@ -9,7 +9,7 @@ use palpate_wire::api::{Job, JobState};
 
 use super::{
     ScreenContext,
-    controls::{combo_ui, option_ui},
+    controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as, duration_text, empty_ui, failed_ui, loading_ui, progress_bar,
 };
 use crate::{
@@ -260,6 +260,9 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSta
                 session: job.spec.request["session"].as_str().map(str::to_owned),
                 ..Route::to(screen)
             });
+        }
+        if !may_start_jobs_ui(ui, cx) {
+            return;
         }
         if job.is_unfinished() {
             let can = !job.cancel_requested;

@@ -5,7 +5,9 @@ use std::{collections::BTreeSet, time::Duration};
 use egui::RichText;
 use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Run, SessionDetail, SessionSummary};
 
-use super::{ScreenContext, announced_ui, duration_text, heading_ui, progress_bar, words};
+use super::{
+    ScreenContext, announced_ui, controls::may_start_jobs_ui, duration_text, heading_ui, progress_bar, words,
+};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -143,11 +145,12 @@ impl HoldOutChoice {
 /// The large button that starts a run: `text` on it in `fill`. True when pressed.
 pub fn start_ui(
     ui: &mut egui::Ui,
-    cx: &ScreenContext<'_>,
+    cx: &mut ScreenContext<'_>,
     ready: bool,
     text: &str,
     fill: egui::Color32,
 ) -> bool {
+    let ready = may_start_jobs_ui(ui, cx) && ready;
     let size = egui::vec2(ui.available_width() - 8.0, 40.0);
     let text = RichText::new(text).strong().size(16.0).color(cx.palette.surface);
     let button = egui::Button::new(text).fill(fill);

@@ -4,12 +4,15 @@ use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::api_client::{ApiEvent, JobAct, Request};
 use palpate_wire::{
-    api::{Job, JobKindDocument, JobPage, JobRequest, JobSpec, JobState},
+    api::{Job, JobKindDocument, JobPage, JobRequest, JobSpec, JobState, Role as May, Via},
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, full_api, page};
+use crate::{
+    fixture::{FakeWindow, SharedApi, full_api, page},
+    home::me,
+};
 
 fn job(id: &str, kind: &str, state: JobState) -> Job {
     Job {
@@ -113,13 +116,14 @@ fn no_job_yet_says_what_a_job_is() {
 }
 
 fn kinds(api: &SharedApi, problem: Option<&str>) {
-    let kinds =
-        ["expert", "evaluation", "demonstrations", "pretraining", "tune"].map(|kind| JobKindDocument {
-            kind: kind.into(),
-            resources: Default::default(),
-            is_available: problem.is_none(),
-            problem: problem.map(str::to_owned),
-        });
+    let trainings =
+        ["expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "tune"];
+    let kinds = trainings.map(|kind| JobKindDocument {
+        kind: kind.into(),
+        resources: Default::default(),
+        is_available: problem.is_none(),
+        problem: problem.map(str::to_owned),
+    });
     let body = serde_json::to_vec(&kinds).expect("it is plain data");
     api.0.borrow_mut().answer(&Request::Kinds, body);
 }
@@ -149,6 +153,59 @@ fn a_training_is_started_from_the_form_and_then_shown() {
     assert!(api.0.borrow().sent.contains(&asked), "{:?}", api.0.borrow().sent);
     assert_eq!(window.current(), "#/jobs?job=expert-1");
     harness.get_by_label_contains("It waits for its turn");
+}
+
+#[test]
+fn a_viewer_is_told_why_nothing_starts_or_ends() {
+    let api = with(vec![job("expert-1", "expert", JobState::Running)]);
+    kinds(&api, None);
+    api.0
+        .borrow_mut()
+        .answer(&Request::Me, serde_json::to_vec(&me(May::Viewer, Via::Session)).expect("it is plain data"));
+    for hash in ["#/jobs?job=new", "#/jobs?job=expert-1"] {
+        let mut harness = page(&api, &FakeWindow::at(hash));
+        harness.run_steps(4);
+        harness.get_by_label_contains("You are ada (viewer): you can watch. Operators start and end jobs.");
+        assert!(harness.query_by_role_and_label(Role::Button, "Cancel").is_none());
+        if let Some(start) = harness.query_by_role_and_label(Role::Button, "Start") {
+            start.click();
+            harness.run_steps(3);
+        }
+    }
+    let asks = |request: &Request| matches!(request, Request::SubmitJob(_) | Request::ActOnJob { .. });
+    assert!(!api.0.borrow().sent.iter().any(asks));
+}
+
+#[test]
+fn an_imitation_learns_from_the_gathering_that_is_pressed() {
+    let api = with(vec![
+        job("gathering-2", "gathering", JobState::Done),
+        job("gathering-1", "gathering", JobState::Failed),
+        job("expert-1", "expert", JobState::Done),
+    ]);
+    kinds(&api, None);
+    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=new"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ComboBox, "What to start").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ListBoxOption, "Imitate an expert").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("which gathered trials? Give jobs such as gathering-1");
+    assert!(harness.query_by_role_and_label(Role::Button, "gathering-1").is_none(), "it has failed");
+    harness.get_by_role_and_label(Role::Button, "gathering-2").click();
+    harness.get_by_role_and_label(Role::CheckBox, "trials that were won only").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Start").click();
+    harness.run_steps(3);
+    let asked = Request::SubmitJob(JobRequest {
+        kind: "imitation".into(),
+        request: serde_json::json!({ "trials": ["gathering-2"], "preset": "small", "only_won": true }),
+        seed: 1,
+        priority: 0,
+        resources: None,
+        runner: None,
+    });
+    assert!(api.0.borrow().sent.contains(&asked), "{:?}", api.0.borrow().sent);
 }
 
 #[test]

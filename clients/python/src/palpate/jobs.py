@@ -6,7 +6,7 @@ import builtins
 import json
 import time
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import palpate.documents as documents
 from palpate.documents import JobKindDocument, JobPage, decode
@@ -179,18 +179,20 @@ class Jobs:
             key: The same text again gives the same job again.
 
         """
-        request = {
-            "object": object,
-            "preset": preset,
-            "config": config,
-            "total_steps": total_steps,
-            "script": _id(script),
-            "without_script": without_script,
-            "model": _id(model),
-            "start_cm": start_cm,
-            "silence_touch": silence_touch,
-        }
-        return self.submit("expert", request, seed=seed, key=key)
+        return self._train(
+            "expert",
+            seed,
+            key,
+            object=object,
+            preset=preset,
+            config=config,
+            total_steps=total_steps,
+            script=script,
+            without_script=without_script,
+            model=model,
+            start_cm=start_cm,
+            silence_touch=silence_touch,
+        )
 
     def evaluation(
         self,
@@ -198,6 +200,7 @@ class Jobs:
         *,
         trials: int | None = None,
         protocol: str | None = None,
+        objects: str | Iterable[str] | None = None,
         controls: bool = False,
         model: str | Model | None = None,
         start_cm: float | None = None,
@@ -205,17 +208,24 @@ class Jobs:
         seed: int = 0,
         key: str | None = None,
     ) -> Job:
-        """Scores a policy (a job of `expert`, or the name of a shipped one) in fresh trials, or under a protocol."""
-        request = {
-            "policy": _id(policy),
-            "trials": trials,
-            "protocol": protocol,
-            "controls": controls,
-            "model": _id(model),
-            "start_cm": start_cm,
-            "silence_touch": silence_touch,
-        }
-        return self.submit("evaluation", request, seed=seed, key=key)
+        """Scores a policy in fresh trials, or under a protocol.
+
+        `policy` is a job of `expert`, the name of a shipped policy, or, under a protocol, a job of `imitation`.
+        `objects` are ids, or one of `seen`, `unseen` and `all`; None means the policy's own.
+        """
+        return self._train(
+            "evaluation",
+            seed,
+            key,
+            policy=policy,
+            trials=trials,
+            protocol=protocol,
+            objects=[objects] if isinstance(objects, str) else objects,
+            controls=controls,
+            model=model,
+            start_cm=start_cm,
+            silence_touch=silence_touch,
+        )
 
     def demonstrations(
         self,
@@ -229,14 +239,16 @@ class Jobs:
         key: str | None = None,
     ) -> Job:
         """Rolls a policy out until `count` trials have succeeded, and keeps these to learn from."""
-        request = {
-            "policy": _id(policy),
-            "count": count,
-            "shard_demos": shard_demos,
-            "model": _id(model),
-            "start_cm": start_cm,
-        }
-        return self.submit("demonstrations", request, seed=seed, key=key)
+        return self._train(
+            "demonstrations",
+            seed,
+            key,
+            policy=policy,
+            count=count,
+            shard_demos=shard_demos,
+            model=model,
+            start_cm=start_cm,
+        )
 
     def pretraining(
         self,
@@ -251,15 +263,84 @@ class Jobs:
         key: str | None = None,
     ) -> Job:
         """Pretrains the tactile encoder on the demonstrations of jobs."""
-        request = {
-            "demonstrations": [_id(job) for job in demonstrations],
-            "preset": preset,
-            "config": config,
-            "epochs": epochs,
-            "without_positions": without_positions,
-            "silence_touch": silence_touch,
-        }
-        return self.submit("pretraining", request, seed=seed, key=key)
+        return self._train(
+            "pretraining",
+            seed,
+            key,
+            demonstrations=demonstrations,
+            preset=preset,
+            config=config,
+            epochs=epochs,
+            without_positions=without_positions,
+            silence_touch=silence_touch,
+        )
+
+    def gathering(
+        self,
+        objects: str | Iterable[str] | None = None,
+        *,
+        count: int | None = None,
+        protocol: str | None = None,
+        model: str | Model | None = None,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Lets the searching expert grasp, `count` times on each object, and keeps every trial to imitate.
+
+        `objects` are ids, or one of `seen`, `unseen` and `all`; None means the seen ones.
+        """
+        return self._train(
+            "gathering",
+            seed,
+            key,
+            objects=[objects] if isinstance(objects, str) else objects,
+            count=count,
+            protocol=protocol,
+            model=model,
+        )
+
+    def imitation(
+        self,
+        trials: Iterable[str | Job],
+        *,
+        preset: str | None = None,
+        config: str | None = None,
+        head: str | None = None,
+        updates: int | None = None,
+        silence_touch: bool = False,
+        hide_tracking: bool = False,
+        only_won: bool = False,
+        seed: int = 0,
+        key: str | None = None,
+    ) -> Job:
+        """Learns to do what an expert did in the trials of jobs of `gathering`: one policy for all objects.
+
+        Args:
+            trials: Jobs of `gathering`.
+            preset: How to learn: `small` (without) or `paper`.
+            config: The text of a configuration in place of a preset.
+            head: What predicts, `regression` or `diffusion`; None means the configuration's.
+            updates: Updates of the weights.
+            silence_touch: The policy does not feel touch.
+            hide_tracking: The policy does not see how far joints are from where they were sent.
+            only_won: Learn from the trials that were won only.
+            seed: Seed of everything random.
+            key: The same text again gives the same job again.
+
+        """
+        return self._train(
+            "imitation",
+            seed,
+            key,
+            trials=trials,
+            preset=preset,
+            config=config,
+            head=head,
+            updates=updates,
+            silence_touch=silence_touch,
+            hide_tracking=hide_tracking,
+            only_won=only_won,
+        )
 
     def tune(
         self,
@@ -277,19 +358,30 @@ class Jobs:
         key: str | None = None,
     ) -> Job:
         """Tunes a closing script on one object, in simulation."""
-        request = {
-            "object": object,
-            "script": _id(script),
-            "generations": generations,
-            "candidates": candidates,
-            "elite": elite,
-            "trials": trials,
-            "check_trials": check_trials,
-            "model": _id(model),
-            "start_cm": start_cm,
-        }
-        return self.submit("tune", request, seed=seed, key=key)
+        return self._train(
+            "tune",
+            seed,
+            key,
+            object=object,
+            script=script,
+            generations=generations,
+            candidates=candidates,
+            elite=elite,
+            trials=trials,
+            check_trials=check_trials,
+            model=model,
+            start_cm=start_cm,
+        )
+
+    def _train(self, kind: str, seed: int, key: str | None, **request: object) -> Job:
+        """Asks for a training; what is None is left to the studio, jobs and models go by their ids."""
+        said = {name: _plain(value) for name, value in request.items() if value is not None}
+        return self.submit(kind, said, seed=seed, key=key)
 
 
-def _id(named: str | Job | Model | None) -> str | None:
-    return named if named is None or isinstance(named, str) else named.id
+def _plain(value: object) -> object:
+    if isinstance(value, str | int | float):
+        return value
+    if isinstance(value, Iterable):
+        return [_plain(item) for item in value]
+    return cast("Job | Model", value).id

@@ -6,10 +6,9 @@
 
 use std::{
     fs,
-    io::{BufRead as _, BufReader, Read as _, Write as _},
-    net::{SocketAddr, TcpStream},
+    net::SocketAddr,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     thread,
     time::{Duration, Instant},
 };
@@ -19,19 +18,21 @@ use palpate_emulator::record_session;
 use palpate_server::{Error, assets};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 use palpate_wire::api::{Job, JobPage};
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
 use tokio::{runtime::Runtime, sync::watch};
 
 use super::{
     output,
-    stream::{Pace, Watched, quantile, watch_stream},
+    stream::{Pace, Watched, load_average, quantile, watch_stream},
+    studio::{Client, PATIENCE, Studio},
 };
 
-/// A studio that has not answered by now does not work.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// The loop's first frames tell of the start.
 const SETTLE: Duration = Duration::from_secs(3);
+
+/// Jobs that a request lists; as many are looked up one by one.
+const LISTED: usize = 100;
 
 #[derive(Args)]
 pub(crate) struct ApiArgs {
@@ -101,6 +102,8 @@ struct ApiBenchReport {
     loop_hz: [f64; 2],
     /// Frames that pages got, a second and page.
     frames_per_page_s: f64,
+    /// Processes that wanted to run in the minute before.
+    load_average: f64,
     peer: Option<Work>,
 }
 
@@ -111,12 +114,13 @@ pub(super) fn run(args: &ApiArgs) -> Result<(), Error> {
     // One job at a time, so that the others wait.
     let runners = data.path().join("runners.toml");
     fs::write(&runners, "[process]\ncores = 1\n").map_err(Error::io("write", &runners))?;
-    let studio = Studio::start(data.path())?;
+    let load_average = load_average();
+    let studio = Studio::start(data.path(), &["--emulate".to_owned(), "demo".to_owned()])?;
     let (mut work, all_requests, watched) = measure(args, studio.addr)?;
     drop(studio);
     work.log_metric = log_metrics(data.path())?;
     let loop_hz: Vec<f64> = watched.iter().flat_map(|page| page.loop_hz.iter().copied()).collect();
-    let frames: usize = watched.iter().map(|page| page.made_s.len()).sum();
+    let frames: f64 = watched.iter().map(Watched::frames_per_s).sum();
     let peer = args.peer.as_deref().map(|python| peer(args, python)).transpose()?;
     let report = ApiBenchReport {
         jobs: args.jobs,
@@ -128,7 +132,8 @@ pub(super) fn run(args: &ApiArgs) -> Result<(), Error> {
             loop_hz.iter().sum::<f64>() / loop_hz.len().max(1) as f64,
             loop_hz.iter().copied().fold(f64::INFINITY, f64::min),
         ],
-        frames_per_page_s: frames as f64 / f64::from(args.pages) / f64::from(args.seconds),
+        frames_per_page_s: frames / f64::from(args.pages),
+        load_average,
         peer,
     };
     if args.json { output::json(&report) } else { print(&report) }
@@ -182,9 +187,11 @@ fn measure(args: &ApiArgs, addr: SocketAddr) -> Result<(Work, Delays, Vec<Watche
         .collect();
     thread::sleep(SETTLE);
     let until = Instant::now() + Duration::from_secs(u64::from(args.seconds));
+    let looked_at = &ids[..ids.len().min(LISTED)];
     let asked: Vec<Result<Asked, Error>> = thread::scope(|scope| {
-        let clients: Vec<_> =
-            (0..args.clients).map(|number| scope.spawn(move || ask_until(addr, number, until))).collect();
+        let clients: Vec<_> = (0..args.clients)
+            .map(|number| scope.spawn(move || ask_until(addr, looked_at, number, until)))
+            .collect();
         let broken = || Err(Error::Internal("a client ended".to_owned()));
         clients.into_iter().map(|client| client.join().unwrap_or_else(|_| broken())).collect()
     });
@@ -201,6 +208,8 @@ fn measure(args: &ApiArgs, addr: SocketAddr) -> Result<(Work, Delays, Vec<Watche
         all.get.extend(get);
         all.metrics.extend(metrics);
     }
+    // The studio has closed the connection that was quiet meanwhile.
+    let mut client = Client::connect(addr)?;
     let page: JobPage = client.ask("GET", "jobs?state=queued&limit=1000", None)?.0;
     if (page.jobs.len() as u32) < args.jobs.min(1000) {
         return Err(Error::Internal(format!("only {} of {} jobs waited", page.jobs.len(), args.jobs)));
@@ -236,17 +245,17 @@ struct Asked {
 }
 
 /// Asks one request after the other, as a script does that looks after its jobs.
-fn ask_until(addr: SocketAddr, number: u16, until: Instant) -> Result<Asked, Error> {
+fn ask_until(addr: SocketAddr, ids: &[String], number: u16, until: Instant) -> Result<Asked, Error> {
     let mut client = Client::connect(addr)?;
     let mut asked = Asked::default();
-    for round in u64::from(number).. {
+    for id in ids.iter().cycle().skip(usize::from(number)) {
         if Instant::now() >= until {
             break;
         }
-        asked.list.push(client.ask::<JobPage>("GET", "jobs?limit=100", None)?.1);
-        let job = format!("jobs/diagnosis-{}", 1 + round % 100);
+        asked.list.push(client.ask::<JobPage>("GET", &format!("jobs?limit={LISTED}"), None)?.1);
+        let job = format!("jobs/{id}");
         asked.get.push(client.ask::<Job>("GET", &job, None)?.1);
-        asked.metrics.push(client.exchange("GET", &format!("{job}/metrics"), None)?.1);
+        asked.metrics.push(client.exchange("GET", &format!("/api/v1/{job}/metrics"), None)?.1);
         // A person's script does not ask all the time.
         thread::sleep(Duration::from_millis(20));
     }
@@ -280,143 +289,4 @@ fn peer(args: &ApiArgs, python: &Path) -> Result<Work, Error> {
     }
     serde_json::from_slice(&output.stdout)
         .map_err(|err| Error::Internal(format!("{:?} gave no figures: {err}", args.peer_script)))
-}
-
-/// `palpate serve --emulate demo`.
-struct Studio {
-    process: Child,
-    addr: SocketAddr,
-}
-
-impl Studio {
-    fn start(data: &Path) -> Result<Self, Error> {
-        let failed = |what: &str| Error::Internal(format!("the studio did not start: {what}"));
-        let program = std::env::current_exe().map_err(Error::io("find", "palpate"))?;
-        let mut process = Command::new(program)
-            .args(["serve", "--emulate", "demo", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(data)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .map_err(|err| failed(&err.to_string()))?;
-        let line = process.stdout.take().map(|stdout| {
-            let mut line = String::new();
-            BufReader::new(stdout).read_line(&mut line).map(|_| line)
-        });
-        let line = line.and_then(Result::ok).unwrap_or_default();
-        let said: Value = serde_json::from_str(&line).unwrap_or_default();
-        let addr = said["url"].as_str().and_then(|url| url.strip_prefix("http://")?.parse().ok());
-        match addr {
-            Some(addr) => Ok(Self { process, addr }),
-            None => {
-                // It is of no use.
-                let _ = process.kill();
-                let _ = process.wait();
-                Err(failed(&format!("it said {line:?}")))
-            }
-        }
-    }
-}
-
-impl Drop for Studio {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = Command::new("kill").args(["-TERM", &self.process.id().to_string()]).status();
-        let _ = self.process.wait();
-    }
-}
-
-/// A connection that stays open.
-struct Client {
-    stream: BufReader<TcpStream>,
-}
-
-impl Client {
-    fn connect(addr: SocketAddr) -> Result<Self, Error> {
-        let stream = TcpStream::connect(addr).map_err(|err| broken(&err))?;
-        stream
-            .set_nodelay(true)
-            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
-            .map_err(|err| broken(&err))?;
-        Ok(Self { stream: BufReader::new(stream) })
-    }
-
-    /// The answer, and how long it took, s.
-    fn ask<T: DeserializeOwned>(
-        &mut self,
-        method: &str,
-        path: &str,
-        body: Option<&Value>,
-    ) -> Result<(T, f64), Error> {
-        let (answer, seconds) = self.exchange(method, path, body)?;
-        let answer = serde_json::from_slice(&answer).map_err(|err| broken(&err))?;
-        Ok((answer, seconds))
-    }
-
-    fn exchange(&mut self, method: &str, path: &str, body: Option<&Value>) -> Result<(Vec<u8>, f64), Error> {
-        let body = body.map(Value::to_string).unwrap_or_default();
-        let head = format!(
-            "{method} /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
-            body.len()
-        );
-        let begun = Instant::now();
-        self.stream.get_mut().write_all((head + &body).as_bytes()).map_err(|err| broken(&err))?;
-        let (status, answer) = self.answer().map_err(|err| broken(&err))?;
-        let seconds = begun.elapsed().as_secs_f64();
-        match status {
-            200..300 => Ok((answer, seconds)),
-            _ => {
-                let said = String::from_utf8_lossy(&answer).into_owned();
-                Err(Error::Internal(format!("{method} {path} was answered by {status}: {said}")))
-            }
-        }
-    }
-
-    fn answer(&mut self) -> std::io::Result<(u16, Vec<u8>)> {
-        let (mut status, mut length, mut is_chunked) = (0, 0, false);
-        loop {
-            let line = self.line()?;
-            if line.is_empty() {
-                break;
-            }
-            if let Some(rest) = line.strip_prefix("HTTP/1.1 ") {
-                status = rest.get(..3).and_then(|code| code.parse().ok()).unwrap_or(0);
-            }
-            let lower = line.to_ascii_lowercase();
-            if let Some(value) = lower.strip_prefix("content-length:") {
-                length = value.trim().parse().unwrap_or(0);
-            }
-            is_chunked |= lower.starts_with("transfer-encoding:") && lower.contains("chunked");
-        }
-        let mut body = Vec::new();
-        if !is_chunked {
-            body.resize(length, 0);
-            self.stream.read_exact(&mut body)?;
-            return Ok((status, body));
-        }
-        loop {
-            let size = usize::from_str_radix(self.line()?.trim(), 16).unwrap_or(0);
-            let start = body.len();
-            body.resize(start + size, 0);
-            self.stream.read_exact(&mut body[start..])?;
-            self.line()?;
-            if size == 0 {
-                return Ok((status, body));
-            }
-        }
-    }
-
-    /// Without its end.
-    fn line(&mut self) -> std::io::Result<String> {
-        let mut line = String::new();
-        if self.stream.read_line(&mut line)? == 0 {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
-        }
-        Ok(line.trim_end().to_owned())
-    }
-}
-
-fn broken(err: &dyn std::fmt::Display) -> Error {
-    Error::Internal(format!("a request failed: {err}"))
 }

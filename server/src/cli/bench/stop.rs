@@ -6,10 +6,8 @@
 mod load;
 
 use std::{
-    io::{BufRead as _, BufReader},
     net::SocketAddr,
     path::Path,
-    process::{Child, Command, Stdio},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -35,7 +33,7 @@ use prost::Message as _;
 use serde::Serialize;
 use tokio_tungstenite::tungstenite::{Message, WebSocket, connect, stream::MaybeTlsStream};
 
-use super::{output, stream::operator::ask};
+use super::{output, stream::operator::ask, studio::Studio};
 use load::{Load, LoadReport};
 
 /// A press that is not carried out in this time is unanswered.
@@ -96,7 +94,7 @@ pub(super) fn run(args: &StopArgs) -> Result<(), Error> {
     let session = data.path().join("sessions/load");
     record_session(&truth, &session, 0, &Bar::new(), &cancel_on_ctrl_c())?;
     let devices = EmulatedDevices::start(&truth, 0)?;
-    let studio = Studio::start(data.path(), &devices)?;
+    let studio = start_studio(data.path(), &devices)?;
     let load = match args.idle {
         true => None,
         false => Some(Load::start(studio.addr, &session)?),
@@ -117,64 +115,19 @@ pub(super) fn run(args: &StopArgs) -> Result<(), Error> {
     ))
 }
 
-/// `palpate serve` on emulated devices.
-struct Studio {
-    process: Child,
-    addr: SocketAddr,
-}
-
-impl Studio {
-    fn start(data: &Path, devices: &EmulatedDevices) -> Result<Self, Error> {
-        let failed = |what: &str| Error::Internal(format!("the studio did not start: {what}"));
-        let program = std::env::current_exe().map_err(Error::io("find", "palpate"))?;
-        let mut command = Command::new(program);
-        command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data);
-        command.args(["--station", &devices.station().id]);
-        for (id, port) in devices.ports() {
-            let place = match port {
-                PortOverride::Serial(path) => path.display().to_string(),
-                PortOverride::Arm { address, command_port, report_port } => {
-                    format!("{address}:{command_port}/{report_port}")
-                }
-            };
-            command.arg("--port").arg(format!("{id}={place}"));
-        }
-        let mut process = command
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .map_err(|err| failed(&err.to_string()))?;
-        let stdout = process.stdout.take().ok_or_else(|| failed("it has no output"))?;
-        let line = BufReader::new(stdout).lines().next().and_then(Result::ok).unwrap_or_default();
-        let addr = line.split_once("http://").and_then(|(_, addr)| addr.trim().parse().ok());
-        match addr {
-            Some(addr) => Ok(Self { process, addr }),
-            None => {
-                // It is of no use.
-                let _ = process.kill();
-                let _ = process.wait();
-                Err(failed(&format!("it said {line:?}")))
+/// `palpate serve` on emulated devices of this process.
+fn start_studio(data: &Path, devices: &EmulatedDevices) -> Result<Studio, Error> {
+    let mut args = vec!["--station".to_owned(), devices.station().id.clone()];
+    for (id, port) in devices.ports() {
+        let place = match port {
+            PortOverride::Serial(path) => path.display().to_string(),
+            PortOverride::Arm { address, command_port, report_port } => {
+                format!("{address}:{command_port}/{report_port}")
             }
-        }
+        };
+        args.extend(["--port".to_owned(), format!("{id}={place}")]);
     }
-
-    /// Of the process, MB.
-    fn peak_memory_mb(&self) -> f64 {
-        let status =
-            std::fs::read_to_string(format!("/proc/{}/status", self.process.id())).unwrap_or_default();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<f64>().ok()).unwrap_or(0.0)
-            / 1e3
-    }
-}
-
-impl Drop for Studio {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = Command::new("kill").args(["-TERM", &self.process.id().to_string()]).status();
-        let _ = self.process.wait();
-    }
+    Studio::start(data, &args)
 }
 
 /// A command socket.

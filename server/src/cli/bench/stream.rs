@@ -19,7 +19,8 @@ use palpate_server::{Access, AppState, Error, LiveStation, Studio, assets, serve
 use tokio::{net::TcpListener, sync::watch};
 
 use super::super::output;
-use cpu::{cpu_difference, cpu_seconds, load_average};
+pub(super) use cpu::load_average;
+use cpu::{cpu_difference, cpu_seconds};
 use operator::Operator;
 pub(super) use report::quantile;
 use report::{ControlLoop, StreamBenchReport, clients};

@@ -6,26 +6,28 @@ use palpate_wire::api::DemonstrationsRequest;
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
-    training::{Arguments, DEMONSTRATIONS_DIR, PolicyOf, TRAINING, check_counts, check_start, model_file},
+    JobKind, JobWork,
+    expert::EXPERT,
+    parse,
+    training::{Arguments, DEMONSTRATIONS_DIR, PolicyOf, check_counts, check_start, model_file, training},
 };
 use crate::{Error, Store};
 
 /// Rolls a policy out and keeps what succeeds.
-pub(crate) const DEMONSTRATIONS: JobKind = JobKind {
-    name: "demonstrations",
-    prefix: "demonstrations-",
-    resources: TRAINING,
-    needs_trainer: true,
-    check,
-    work,
-};
+pub(crate) const DEMONSTRATIONS: JobKind = training("demonstrations", "demonstrations-", check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;
     check_counts(&[("count", Some(request.count)), ("shard_demos", request.shard_demos)])?;
     check_start(request.start_cm)?;
-    let mut files = PolicyOf::find(store, &request.policy)?.own_files(store);
+    let policy = PolicyOf::find(store, &request.policy)?;
+    if matches!(policy, PolicyOf::Imitation { .. }) {
+        return Err(Error::Argument(format!(
+            "job {:?} imitates an expert; demonstrations are made by a job of kind {:?} or a shipped policy",
+            request.policy, EXPERT.name
+        )));
+    }
+    let mut files = policy.own_files(store);
     files.extend(model_file(store, request.model.as_deref())?);
     Ok(files)
 }
@@ -44,6 +46,5 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         .path("model", model_file(cx.store, request.model.as_deref())?)
         .maybe("start-cm", request.start_cm)
         .with("out", out);
-    let report = cx.train(arguments)?;
-    cx.save_report(&report)
+    cx.train_and_report(arguments)
 }

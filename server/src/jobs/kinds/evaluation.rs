@@ -1,25 +1,21 @@
 //! `palpate-train evaluate` as a job.
 
-use std::path::PathBuf;
+use std::{ffi::OsString, path::PathBuf};
 
 use palpate_wire::api::EvaluationRequest;
 use serde_json::Value;
 
 use super::{
     JobKind, JobWork, parse,
-    training::{Arguments, PolicyOf, TRAINING, check_counts, check_start, model_file},
+    training::{
+        Arguments, PolicyOf, check_counts, check_objects, check_protocol, check_start, model_file, objects,
+        training,
+    },
 };
-use crate::{Error, Store, assets};
+use crate::{Error, Store};
 
 /// Scores a policy.
-pub(crate) const EVALUATION: JobKind = JobKind {
-    name: "evaluation",
-    prefix: "evaluation-",
-    resources: TRAINING,
-    needs_trainer: true,
-    check,
-    work,
-};
+pub(crate) const EVALUATION: JobKind = training("evaluation", "evaluation-", check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: EvaluationRequest = parse(&EVALUATION, request)?;
@@ -36,18 +32,23 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
                 "a protocol says itself where objects start; leave start_cm out".to_owned(),
             ));
         }
-        Some(protocol) => {
-            let shipped = assets::names_in("grasp/protocols", ".toml");
-            if !shipped.contains(&protocol.as_str()) {
-                return Err(Error::Argument(format!(
-                    "no protocol {protocol:?}; shipped are {}",
-                    shipped.join(", ")
-                )));
-            }
+        None if !request.objects.is_empty() => {
+            return Err(Error::Argument(
+                "objects belong to a protocol; give one, or leave them out".to_owned(),
+            ));
         }
+        Some(protocol) => check_protocol(protocol)?,
         None => {}
     }
-    let mut files = PolicyOf::find(store, &request.policy)?.own_files(store);
+    let policy = PolicyOf::find(store, &request.policy)?;
+    if request.protocol.is_none() && matches!(policy, PolicyOf::Imitation { .. }) {
+        return Err(Error::Argument(format!(
+            "job {:?} imitates an expert on many objects; give a protocol that says where they start",
+            request.policy
+        )));
+    }
+    let mut files = policy.own_files(store);
+    files.extend(check_objects(store, &request.objects)?);
     files.extend(model_file(store, request.model.as_deref())?);
     Ok(files)
 }
@@ -56,7 +57,13 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let request: EvaluationRequest = parse(&EVALUATION, request)?;
     cx.forget_metrics()?;
     let out = request.protocol.is_some().then(|| cx.folder.file("comparison.json"));
-    let arguments = PolicyOf::find(cx.store, &request.policy)?
+    let policy = PolicyOf::find(cx.store, &request.policy)?;
+    let named = match (&policy, &request.objects[..]) {
+        (PolicyOf::Imitation { .. }, []) => Some(OsString::from("seen")),
+        (_, []) => None,
+        (_, ids) => Some(objects(cx.store, ids)),
+    };
+    let arguments = policy
         .task(Arguments::of("evaluate"), cx.store)
         .maybe("trials", request.trials)
         .with("seed", cx.seed.to_string())
@@ -64,8 +71,8 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         .maybe("start-cm", request.start_cm)
         .flag("silence-touch", request.silence_touch)
         .maybe("protocol", request.protocol)
+        .path("objects", named)
         .flag("controls", request.controls)
         .path("out", out);
-    let report = cx.train(arguments)?;
-    cx.save_report(&report)
+    cx.train_and_report(arguments)
 }

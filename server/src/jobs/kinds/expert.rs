@@ -8,21 +8,20 @@ use serde_json::Value;
 use super::{
     JobKind, JobWork, parse,
     training::{
-        Arguments, POLICY_FILE, SCRIPT_FILE, TRAINING, TRAINING_DIR, check_counts, check_object,
-        check_preset, check_start, model_file, object, script_for,
+        Arguments, POLICY_FILE, SCRIPT_FILE, TRAINING_DIR, check_counts, check_object, check_preset,
+        check_start, model_file, object, script_for, training,
     },
 };
 use crate::{Error, Store};
 
 /// Learns to grasp one object.
-pub(crate) const EXPERT: JobKind =
-    JobKind { name: "expert", prefix: "expert-", resources: TRAINING, needs_trainer: true, check, work };
+pub(crate) const EXPERT: JobKind = training("expert", "expert-", check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: ExpertRequest = parse(&EXPERT, request)?;
     check_counts(&[("total_steps", request.total_steps)])?;
     check_start(request.start_cm)?;
-    check_preset(request.preset.as_deref(), request.config.as_deref())?;
+    check_preset(request.preset.as_deref(), request.config.as_deref(), ["quick", "paper"])?;
     if request.without_script && request.script.is_some() {
         return Err(Error::Argument(
             "without_script leaves no script to learn on top of; leave one out".to_owned(),
@@ -36,22 +35,14 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let request: ExpertRequest = parse(&EXPERT, request)?;
-    let training = cx.folder.file(TRAINING_DIR);
-    if !training.join("checkpoint.safetensors").exists() {
-        cx.forget_metrics()?;
-    }
-    let mut arguments = Arguments::of("ppo")
+    let mut arguments = cx
+        .learning("ppo", request.preset, request.config.as_deref())?
         .with("object", object(cx.store, &request.object))
-        .maybe("preset", request.preset)
-        .path("config", cx.config_file(request.config.as_deref())?)
         .maybe("total-steps", request.total_steps)
-        .with("seed", cx.seed.to_string())
         .path("model", model_file(cx.store, request.model.as_deref())?)
         .maybe("start-cm", request.start_cm)
         .flag("without-script", request.without_script)
-        .flag("silence-touch", request.silence_touch)
-        .with("out", &training)
-        .flag("resume", true);
+        .flag("silence-touch", request.silence_touch);
     if !request.without_script {
         // What it was learned on top of stays with the policy, which fits no other script.
         let script = cx.folder.file(SCRIPT_FILE);
@@ -64,7 +55,9 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     }
     let mut report = cx.train(arguments)?;
     let policy = cx.folder.file(POLICY_FILE);
-    cx.run_trainer(Arguments::of("export").with("policy", &training).with("out", &policy))?;
+    cx.run_trainer(
+        Arguments::of("export").with("policy", cx.folder.file(TRAINING_DIR)).with("out", &policy),
+    )?;
     if let Value::Object(report) = &mut report {
         let bytes = fs::metadata(&policy).map_err(Error::io("read", &policy))?.len();
         report.insert("object".to_owned(), request.object.into());

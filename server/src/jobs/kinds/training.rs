@@ -7,7 +7,10 @@ use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
 use palpate_wire::api::{ExpertRequest, JobSpec, JobState, Resources};
 use serde_json::Value;
 
-use super::{JobWork, LONG};
+use super::{
+    JobKind, JobWork, LONG, demonstrations::DEMONSTRATIONS, expert::EXPERT, gathering::GATHERING,
+    imitation::IMITATION, tune::TUNE,
+};
 use crate::{Error, Store, assets, data::files, jobs::trainer::Listener};
 
 /// What a training learns.
@@ -20,11 +23,25 @@ pub(super) const ENCODER_FILE: &str = "encoder.safetensors";
 pub(super) const TRAINING_DIR: &str = "training";
 /// Folder of demonstrations.
 pub(super) const DEMONSTRATIONS_DIR: &str = "demonstrations";
+/// Folder of an expert's trials.
+pub(super) const TRIALS_DIR: &str = "trials";
 /// Minutes to hours on every core.
-pub(super) const TRAINING: Resources = LONG;
+const TRAINING: Resources = LONG;
+/// Groups that a list of objects may name in place of objects.
+const GROUPS: [&str; 3] = ["seen", "unseen", "all"];
 
 /// The script where an object has none of its own.
 const USUAL_SCRIPT: &str = "xarm6_leap_cube";
+
+/// A kind that `palpate-train` works on.
+pub(super) const fn training(
+    name: &'static str,
+    prefix: &'static str,
+    check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
+    work: fn(&JobWork<'_>, &Value) -> Result<(), Error>,
+) -> JobKind {
+    JobKind { name, prefix, resources: TRAINING, needs_trainer: true, check, work }
+}
 
 /// Arguments of `palpate-train`.
 #[derive(Default)]
@@ -58,7 +75,7 @@ impl Arguments {
     }
 
     /// `--name path`, if there is one.
-    pub(super) fn path(self, name: &str, path: Option<PathBuf>) -> Self {
+    pub(super) fn path(self, name: &str, path: Option<impl Into<OsString>>) -> Self {
         match path {
             Some(path) => self.with(name, path),
             None => self,
@@ -67,6 +84,40 @@ impl Arguments {
 }
 
 impl JobWork<'_> {
+    /// Arguments of a `command` that learns in [`TRAINING_DIR`], by a preset or the text of a configuration, and goes on
+    /// from its checkpoint; where there is none, curves begin again.
+    pub(super) fn learning(
+        &self,
+        command: &str,
+        preset: Option<String>,
+        config: Option<&str>,
+    ) -> Result<Arguments, Error> {
+        let training = self.folder.file(TRAINING_DIR);
+        if !training.join("checkpoint.safetensors").exists() {
+            self.forget_metrics()?;
+        }
+        let config = match config {
+            Some(text) => {
+                let path = self.folder.file("config.toml");
+                files::write(&path, text.as_bytes())?;
+                Some(path)
+            }
+            None => None,
+        };
+        Ok(Arguments::of(command)
+            .maybe("preset", preset)
+            .path("config", config)
+            .with("seed", self.seed.to_string())
+            .with("out", training)
+            .flag("resume", true))
+    }
+
+    /// Runs `palpate-train` beside the shipped assets, and leaves its report.
+    pub(super) fn train_and_report(&self, arguments: Arguments) -> Result<(), Error> {
+        let report = self.train(arguments)?;
+        self.save_report(&report)
+    }
+
     /// Runs `palpate-train` beside the shipped assets; gives its report.
     pub(super) fn train(&self, arguments: Arguments) -> Result<Value, Error> {
         self.run_trainer(arguments)?.ok_or_else(|| {
@@ -81,14 +132,6 @@ impl JobWork<'_> {
         let workplace = Workplace::make(self.folder)?;
         let listener = Listener { progress: self.progress, metrics: self.metrics, cancel: self.cancel };
         self.trainer.run(&workplace.0, &arguments.0, &listener)
-    }
-
-    /// Writes the text of a configuration, if there is one; gives its path.
-    pub(super) fn config_file(&self, text: Option<&str>) -> Result<Option<PathBuf>, Error> {
-        let Some(text) = text else { return Ok(None) };
-        let path = self.folder.file("config.toml");
-        files::write(&path, text.as_bytes())?;
-        Ok(Some(path))
     }
 
     /// The text of a file that a request names.
@@ -137,13 +180,11 @@ impl Drop for Workplace {
 }
 
 /// A policy that a request names.
-pub(super) struct PolicyOf {
-    /// Its file.
-    pub(super) file: Place,
-    /// The object that it was trained with.
-    object: String,
-    /// The script that it was trained on top of.
-    script: Option<Place>,
+pub(super) enum PolicyOf {
+    /// It was trained with one object, on top of a script or without one.
+    Expert { file: Place, object: String, script: Option<Place> },
+    /// It imitates an expert, whatever the object.
+    Imitation { file: PathBuf },
 }
 
 /// Where something is.
@@ -173,14 +214,18 @@ impl Place {
 }
 
 impl PolicyOf {
-    /// The policy called `name`: a job of kind `expert`, or a shipped one.
+    /// The policy called `name`: a job of kind `expert` or `imitation`, or a shipped one.
     pub(super) fn find(store: &Store, name: &str) -> Result<Self, Error> {
         files::check_id("policy", name)?;
         if let Some((folder, spec)) = job(store, name)? {
-            let file = outcome(&folder, &spec, name, &super::expert::EXPERT, POLICY_FILE)?;
-            let request: ExpertRequest = super::parse(&super::expert::EXPERT, &spec.request)?;
+            if spec.kind == IMITATION.name {
+                let file = outcome(&folder, &spec, name, &IMITATION, POLICY_FILE)?;
+                return Ok(Self::Imitation { file });
+            }
+            let file = outcome(&folder, &spec, name, &EXPERT, POLICY_FILE)?;
+            let request: ExpertRequest = super::parse(&EXPERT, &spec.request)?;
             let script = (!request.without_script).then(|| Place::Own(folder.file(SCRIPT_FILE)));
-            return Ok(Self { file: Place::Own(file), object: request.object, script });
+            return Ok(Self::Expert { file: Place::Own(file), object: request.object, script });
         }
         let shipped = assets::names_in("policies", ".safetensors");
         if !shipped.contains(&name) {
@@ -189,7 +234,7 @@ impl PolicyOf {
                 shipped.join(", ")
             )));
         }
-        Ok(Self {
+        Ok(Self::Expert {
             file: Place::Shipped(format!("assets/policies/{name}.safetensors")),
             object: name.to_owned(),
             script: Some(script_for(store, None, name)?),
@@ -198,17 +243,30 @@ impl PolicyOf {
 
     /// The files of the data folder that it is made of.
     pub(super) fn own_files(&self, store: &Store) -> Vec<PathBuf> {
-        let script = self.script.as_ref().and_then(Place::own);
-        self.file.own().into_iter().chain(script).chain(object_file(store, &self.object)).collect()
+        match self {
+            Self::Expert { file, object, script } => {
+                let script = script.as_ref().and_then(Place::own);
+                file.own().into_iter().chain(script).chain(object_file(store, object)).collect()
+            }
+            Self::Imitation { file } => vec![file.clone()],
+        }
     }
 
     /// What tells palpate-train the task that it was trained for.
     pub(super) fn task(&self, arguments: Arguments, store: &Store) -> Arguments {
-        let arguments =
-            arguments.with("policy", self.file.argument()).with("object", object(store, &self.object));
-        match &self.script {
-            Some(script) => arguments.with("script", script.argument()),
-            None => arguments.flag("without-script", true),
+        match self {
+            Self::Expert { file, object: id, script } => {
+                let arguments = arguments.with("policy", file.argument()).with("object", object(store, id));
+                match script {
+                    Some(script) => arguments.with("script", script.argument()),
+                    None => arguments.flag("without-script", true),
+                }
+            }
+            Self::Imitation { file } => {
+                let mut policy = OsString::from("clone:");
+                policy.push(file);
+                arguments.with("policy", policy)
+            }
         }
     }
 }
@@ -229,7 +287,7 @@ fn outcome(
     folder: &JobFolder,
     spec: &JobSpec,
     id: &str,
-    kind: &super::JobKind,
+    kind: &JobKind,
     name: &str,
 ) -> Result<PathBuf, Error> {
     if spec.kind != kind.name {
@@ -254,12 +312,23 @@ fn outcome(
 
 /// The folder of the demonstrations of job `id`, and every file in it.
 pub(super) fn demonstrations(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
+    folder_of(store, id, &DEMONSTRATIONS, DEMONSTRATIONS_DIR)
+}
+
+/// The folder of the trials of job `id`, and every file in it.
+pub(super) fn trials(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
+    folder_of(store, id, &GATHERING, TRIALS_DIR)
+}
+
+/// Folder `name` of job `id`, which must be of `kind` and done, and every file in it.
+fn folder_of(store: &Store, id: &str, kind: &JobKind, name: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
     let Some((folder, spec)) = job(store, id)? else {
         return Err(Error::Argument(format!(
-            "no job {id:?}; give jobs of kind \"demonstrations\", which GET /api/v1/jobs?kind=demonstrations lists"
+            "no job {id:?}; give jobs of kind {kind:?}, which GET /api/v1/jobs?kind={kind} lists",
+            kind = kind.name
         )));
     };
-    let dir = outcome(&folder, &spec, id, &super::demonstrations::DEMONSTRATIONS, DEMONSTRATIONS_DIR)?;
+    let dir = outcome(&folder, &spec, id, kind, name)?;
     let mut found = Vec::new();
     for entry in fs::read_dir(&dir).map_err(Error::io("read", &dir))? {
         let path = entry.map_err(Error::io("read", &dir))?.path();
@@ -271,6 +340,27 @@ pub(super) fn demonstrations(store: &Store, id: &str) -> Result<(PathBuf, Vec<Pa
     Ok((dir, found))
 }
 
+/// Every file of the jobs `ids`, each of which `of` finds; refused where there are none.
+pub(super) fn learned_from(
+    field: &str,
+    ids: &[String],
+    of: impl Fn(&str) -> Result<(PathBuf, Vec<PathBuf>), Error>,
+) -> Result<Vec<PathBuf>, Error> {
+    if ids.is_empty() {
+        return Err(Error::Argument(format!(
+            "{field} is empty, so there is nothing to learn from; name jobs that made some"
+        )));
+    }
+    let mut files = Vec::new();
+    for (idx, id) in ids.iter().enumerate() {
+        if ids[..idx].contains(id) {
+            return Err(Error::Argument(format!("{field} names {id:?} twice")));
+        }
+        files.extend(of(id)?.1);
+    }
+    Ok(files)
+}
+
 /// The script called `name`, or the one for `object`.
 pub(super) fn script_for(store: &Store, name: Option<&str>, object: &str) -> Result<Place, Error> {
     let shipped = assets::names_in("grasp/scripts", ".toml");
@@ -279,7 +369,7 @@ pub(super) fn script_for(store: &Store, name: Option<&str>, object: &str) -> Res
         return Ok(at(if shipped.contains(&object) { object } else { USUAL_SCRIPT }));
     };
     if let Some((folder, spec)) = job(store, name)? {
-        return Ok(Place::Own(outcome(&folder, &spec, name, &super::tune::TUNE, SCRIPT_FILE)?));
+        return Ok(Place::Own(outcome(&folder, &spec, name, &TUNE, SCRIPT_FILE)?));
     }
     if !shipped.contains(&name) {
         return Err(Error::Argument(format!(
@@ -304,6 +394,48 @@ pub(super) fn check_object(store: &Store, id: &str) -> Result<Option<PathBuf>, E
         return Err(Error::Argument(format!("no object {id:?}; shipped are {}", shipped.join(", "))));
     }
     Ok(own)
+}
+
+/// Refuses objects that there are not, and lists that palpate-train does not take; gives the files of one's own.
+pub(super) fn check_objects(store: &Store, ids: &[String]) -> Result<Vec<PathBuf>, Error> {
+    if let [group] = ids
+        && GROUPS.contains(&group.as_str())
+    {
+        return Ok(Vec::new());
+    }
+    let mut own = Vec::new();
+    for (idx, id) in ids.iter().enumerate() {
+        if GROUPS.contains(&id.as_str()) {
+            return Err(Error::Argument(format!(
+                "objects: {id:?} is a group; name it alone, or objects by their ids"
+            )));
+        }
+        if ids[..idx].contains(id) {
+            return Err(Error::Argument(format!("objects names {id:?} twice")));
+        }
+        own.extend(check_object(store, id)?);
+    }
+    if let Some(path) = own.iter().find(|path| path.as_os_str().as_encoded_bytes().contains(&b',')) {
+        return Err(Error::Argument(format!(
+            "objects: the path {path:?} has a comma, which separates objects; move the data folder, or use shipped objects"
+        )));
+    }
+    Ok(own)
+}
+
+/// Objects `ids` as palpate-train takes them.
+pub(super) fn objects(store: &Store, ids: &[String]) -> OsString {
+    let each: Vec<OsString> = ids.iter().map(|id| object(store, id)).collect();
+    each.join(std::ffi::OsStr::new(","))
+}
+
+/// Refuses a protocol that is not shipped.
+pub(super) fn check_protocol(name: &str) -> Result<(), Error> {
+    let shipped = assets::names_in("grasp/protocols", ".toml");
+    match shipped.contains(&name) {
+        true => Ok(()),
+        false => Err(Error::Argument(format!("no protocol {name:?}; shipped are {}", shipped.join(", ")))),
+    }
 }
 
 /// The file of object `id`, if it is one's own.
@@ -347,13 +479,18 @@ pub(super) fn check_start(start_cm: Option<f64>) -> Result<(), Error> {
 }
 
 /// Refuses a way to learn that there is not.
-pub(super) fn check_preset(preset: Option<&str>, config: Option<&str>) -> Result<(), Error> {
+pub(super) fn check_preset(
+    preset: Option<&str>,
+    config: Option<&str>,
+    known: [&str; 2],
+) -> Result<(), Error> {
     match (preset, config) {
         (Some(_), Some(_)) => {
             Err(Error::Argument("preset and config are two ways to learn; give one of them".to_owned()))
         }
-        (Some(preset), _) if !["quick", "paper"].contains(&preset) => {
-            Err(Error::Argument(format!("no preset {preset:?}; expected \"quick\" or \"paper\"")))
+        (Some(preset), _) if !known.contains(&preset) => {
+            let [first, second] = known;
+            Err(Error::Argument(format!("no preset {preset:?}; expected {first:?} or {second:?}")))
         }
         (_, Some(config)) => match config.parse::<toml::Table>() {
             Ok(_) => Ok(()),

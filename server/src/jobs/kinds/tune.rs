@@ -8,15 +8,14 @@ use serde_json::Value;
 use super::{
     JobKind, JobWork, parse,
     training::{
-        Arguments, SCRIPT_FILE, TRAINING, check_counts, check_object, check_start, model_file, object,
-        script_for, usual_script,
+        Arguments, SCRIPT_FILE, check_counts, check_object, check_start, model_file, object, script_for,
+        training, usual_script,
     },
 };
 use crate::{Error, Store};
 
 /// Tunes a closing script on one object.
-pub(crate) const TUNE: JobKind =
-    JobKind { name: "tune", prefix: "tuning-", resources: TRAINING, needs_trainer: true, check, work };
+pub(crate) const TUNE: JobKind = training("tune", "tuning-", check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: TuneRequest = parse(&TUNE, request)?;
@@ -63,6 +62,5 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         .path("model", model_file(cx.store, request.model.as_deref())?)
         .maybe("start-cm", request.start_cm)
         .with("out", cx.folder.file(SCRIPT_FILE));
-    let report = cx.train(arguments)?;
-    cx.save_report(&report)
+    cx.train_and_report(arguments)
 }

@@ -19,7 +19,8 @@ pub struct JobRequest {
     /// Kind of job, e.g. `diagnose`.
     pub kind: String,
     /// What is asked, in the form of its kind: `CalibrationRequest`, `DiagnosisRequest`, `EmulateRequest`, `BlindRequest`,
-    /// `ExpertRequest`, `EvaluationRequest`, `DemonstrationsRequest`, `PretrainingRequest`, `TuneRequest`.
+    /// `ExpertRequest`, `EvaluationRequest`, `DemonstrationsRequest`, `PretrainingRequest`, `GatheringRequest`,
+    /// `ImitationRequest`, `TuneRequest`.
     #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: Value,
     /// Seed of everything random.

@@ -27,26 +27,20 @@ pub struct ExpertRequest {
     /// Id of the object, shipped or in `objects/` of the data folder.
     pub object: String,
     /// How to learn: `quick` or `paper`; absent means `quick`.
-    #[serde(default)]
     pub preset: Option<String>,
     /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
-    #[serde(default)]
     pub config: Option<String>,
     /// Steps of all environments together; absent means the configuration's.
-    #[serde(default)]
     pub total_steps: Option<u64>,
     /// The script that is learned on top of: a job of kind `tune`, or the name of a shipped one; absent means the one that is
     /// shipped for the object, or the usual one.
-    #[serde(default)]
     pub script: Option<String>,
     /// Learn the whole motion instead of what is added to a script.
     #[serde(default)]
     pub without_script: bool,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
-    #[serde(default)]
     pub model: Option<String>,
     /// Half the edge length of the square that objects start in, cm; absent means the world's.
-    #[serde(default)]
     pub start_cm: Option<f64>,
     /// The robot feels nothing.
     #[serde(default)]
@@ -58,23 +52,23 @@ pub struct ExpertRequest {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EvaluationRequest {
-    /// A job of kind `expert`, or the name of a shipped policy.
+    /// A job of kind `expert`, the name of a shipped policy, or, under a protocol, a job of kind `imitation`.
     pub policy: String,
     /// Trials; absent means the protocol's, or 50.
-    #[serde(default)]
     pub trials: Option<u64>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
-    #[serde(default)]
     pub model: Option<String>,
     /// Half the edge length of the square that objects start in, cm; a protocol says so itself.
-    #[serde(default)]
     pub start_cm: Option<f64>,
     /// The robot feels nothing.
     #[serde(default)]
     pub silence_touch: bool,
     /// Compare under this shipped protocol: `paper`, `wide`, `wide_20s` or `claim`.
-    #[serde(default)]
     pub protocol: Option<String>,
+    /// Under a protocol: ids of objects, or one of `seen`, `unseen` and `all`; absent means the one that the policy was trained
+    /// with, or `seen`.
+    #[serde(default)]
+    pub objects: Vec<String>,
     /// Under a protocol: compare with script, blind repetition, an oracle and the silenced policy.
     #[serde(default)]
     pub controls: bool,
@@ -91,13 +85,10 @@ pub struct DemonstrationsRequest {
     /// How many.
     pub count: u64,
     /// Demonstrations in a file; absent means 64.
-    #[serde(default)]
     pub shard_demos: Option<u64>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
-    #[serde(default)]
     pub model: Option<String>,
     /// Half the edge length of the square that objects start in, cm; absent means the world's.
-    #[serde(default)]
     pub start_cm: Option<f64>,
 }
 
@@ -110,13 +101,10 @@ pub struct PretrainingRequest {
     /// Jobs of kind `demonstrations`, at least one.
     pub demonstrations: Vec<String>,
     /// How to learn: `quick` or `paper`; absent means `quick`.
-    #[serde(default)]
     pub preset: Option<String>,
     /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
-    #[serde(default)]
     pub config: Option<String>,
     /// How often to go through the samples; absent means the configuration's.
-    #[serde(default)]
     pub epochs: Option<u64>,
     /// Tell the encoder what taxels feel only, not where they are.
     #[serde(default)]
@@ -124,6 +112,51 @@ pub struct PretrainingRequest {
     /// Tell the encoder where taxels are only, not what they feel.
     #[serde(default)]
     pub silence_touch: bool,
+}
+
+/// Request of a job of kind `gathering`: lets the searching expert grasp and keeps every trial, to imitate. An attempt that
+/// was cut off goes on from the last object.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct GatheringRequest {
+    /// Ids of objects, or one of `seen`, `unseen` and `all`; absent means `seen`.
+    #[serde(default)]
+    pub objects: Vec<String>,
+    /// Trials on each object; absent means 300.
+    pub count: Option<u64>,
+    /// Where objects start, and for how long the expert may search: a shipped protocol; absent means `wide`. The job's seed
+    /// must not be the protocol's.
+    pub protocol: Option<String>,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    pub model: Option<String>,
+}
+
+/// Request of a job of kind `imitation`: learns to do what an expert did. An attempt that was cut off goes on from its last
+/// checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ImitationRequest {
+    /// Jobs of kind `gathering`, at least one.
+    pub trials: Vec<String>,
+    /// How to learn: `small` or `paper`; absent means `small`.
+    pub preset: Option<String>,
+    /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
+    pub config: Option<String>,
+    /// What predicts: `regression` or `diffusion`; absent means the configuration's.
+    pub head: Option<String>,
+    /// Updates of the weights; absent means the configuration's.
+    pub updates: Option<u64>,
+    /// The policy does not feel touch.
+    #[serde(default)]
+    pub silence_touch: bool,
+    /// The policy does not see how far joints are from where they were sent.
+    #[serde(default)]
+    pub hide_tracking: bool,
+    /// Learn from the trials that were won, and not from the others.
+    #[serde(default)]
+    pub only_won: bool,
 }
 
 /// Request of a job of kind `tune`: tunes a closing script on one object by the cross-entropy method.
@@ -134,27 +167,19 @@ pub struct TuneRequest {
     /// Id of the object, shipped or in `objects/` of the data folder.
     pub object: String,
     /// The script to begin with: a job of kind `tune`, or the name of a shipped one; absent means the usual one.
-    #[serde(default)]
     pub script: Option<String>,
     /// Rounds of candidates; absent means 8.
-    #[serde(default)]
     pub generations: Option<u64>,
     /// Scripts drawn in each; absent means 64.
-    #[serde(default)]
     pub candidates: Option<u64>,
     /// The best of them, which the next ones are drawn around; absent means 10.
-    #[serde(default)]
     pub elite: Option<u64>,
     /// Trials of each candidate; absent means 4.
-    #[serde(default)]
     pub trials: Option<u64>,
     /// Trials that choose the best generation; absent means 50.
-    #[serde(default)]
     pub check_trials: Option<u64>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
-    #[serde(default)]
     pub model: Option<String>,
     /// Half the edge length of the square that objects start in, cm; absent means the world's.
-    #[serde(default)]
     pub start_cm: Option<f64>,
 }

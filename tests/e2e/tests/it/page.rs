@@ -3,8 +3,9 @@
 use std::{
     ffi::OsStr,
     fs,
+    io::Write as _,
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, Stdio},
 };
 
 use e2e::{Studio, Tools, alone, demo_session, root, together};
@@ -84,6 +85,33 @@ fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Adds somebody who may log in with "a password of NAME".
+fn add_person(tools: &Tools, data: &Path, name: &str, role: &str) {
+    let mut add = tools
+        .palpate()
+        .args(["people", "add", name, "--role", role, "--data"])
+        .arg(data)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the command starts");
+    let mut input = add.stdin.take().expect("its input");
+    writeln!(input, "a password of {name}").expect("it reads the password");
+    drop(input);
+    assert!(add.wait().expect("it ends").success());
+}
+
+#[test]
+fn people_may_what_their_role_says() {
+    let Some(tools) = Tools::find_with_browser() else { return };
+    let _turn = together();
+    let data = own_data(&tools).expect("the demonstration session");
+    add_person(&tools, data.path(), "vera", "viewer");
+    add_person(&tools, data.path(), "olga", "operator");
+    let studio = Studio::serve(&tools, data.path(), ["--login", "--tls"]).expect("a studio");
+    run_script(&tools, &studio, "people.mjs");
 }
 
 #[test]

@@ -1,81 +1,148 @@
-//! The form that starts a training: every kind of job that `palpate-train` does.
+//! The form that starts a training: every kind of job that `palpate-train` does, each a list of fields.
+
+use std::collections::{BTreeMap, BTreeSet};
 
 use egui::RichText;
-use palpate_wire::api::{
-    DemonstrationsRequest, EvaluationRequest, ExpertRequest, Job, JobRequest, JobState, PretrainingRequest,
-    TuneRequest,
-};
+use palpate_wire::api::{Job, JobRequest, JobState};
+use serde_json::{Map, Value};
 
 use super::super::{
     ScreenContext,
-    controls::{combo_ui, option_ui},
+    controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as,
 };
 use crate::store::Loadable;
 
 /// What can be started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Training {
-    #[default]
-    Expert,
-    Evaluation,
-    Demonstrations,
-    Pretraining,
-    Tune,
-}
-
-impl Training {
-    const ALL: [Self; 5] =
-        [Self::Expert, Self::Evaluation, Self::Demonstrations, Self::Pretraining, Self::Tune];
-
+struct Training {
     /// As requests name it.
-    fn kind(self) -> &'static str {
-        match self {
-            Self::Expert => "expert",
-            Self::Evaluation => "evaluation",
-            Self::Demonstrations => "demonstrations",
-            Self::Pretraining => "pretraining",
-            Self::Tune => "tune",
-        }
-    }
-
-    fn words(self) -> &'static str {
-        match self {
-            Self::Expert => "Train an expert",
-            Self::Evaluation => "Evaluate a policy",
-            Self::Demonstrations => "Make demonstrations",
-            Self::Pretraining => "Pretrain the encoder",
-            Self::Tune => "Tune a script",
-        }
-    }
-
-    fn explained(self) -> &'static str {
-        match self {
-            Self::Expert => {
-                "Learns to grasp one object by touch in simulation: minutes to hours on every core."
-            }
-            Self::Evaluation => "Scores a policy in fresh trials in simulation.",
-            Self::Demonstrations => {
-                "Rolls a policy out in simulation and keeps the trials that succeed, to learn from."
-            }
-            Self::Pretraining => "Teaches the tactile encoder what demonstrations know beyond touch.",
-            Self::Tune => "Makes a closing script better on one object, by trying variants of it.",
-        }
-    }
+    kind: &'static str,
+    words: &'static str,
+    explained: &'static str,
+    fields: &'static [Field],
 }
 
-/// What the operator filled in.
+/// A field of a request. What is left as it is, is left to the studio.
+#[derive(Clone, Copy)]
+enum Field {
+    /// The object to grasp.
+    Object,
+    /// Which objects, by group.
+    Objects,
+    /// A policy: a job of one of these kinds that is done, or a shipped one.
+    Policy(&'static [&'static str]),
+    /// Jobs to learn from, of this kind.
+    Jobs { key: &'static str, label: &'static str, kind: &'static str },
+    /// A count, and what is usual in words; where it has to be said, the usual one.
+    Number { key: &'static str, label: &'static str, usual: &'static str, otherwise: Option<u64> },
+    /// One of these; the empty one says nothing.
+    Choice { key: &'static str, label: &'static str, choices: &'static [&'static str] },
+    /// The sensor model that makes touch.
+    Model,
+    /// Yes, or nothing.
+    Flag { key: &'static str, label: &'static str, words: &'static str },
+}
+
+const PRESET: Field = Field::Choice { key: "preset", label: "Preset", choices: &["quick", "paper"] };
+const PROTOCOLS: &[&str] = &["wide", "paper", "wide_20s", "claim"];
+const SILENCE: Field = Field::Flag { key: "silence_touch", label: "Touch", words: "feels nothing" };
+
+const fn number(key: &'static str, label: &'static str, usual: &'static str) -> Field {
+    Field::Number { key, label, usual, otherwise: None }
+}
+
+const TRAININGS: &[Training] = &[
+    Training {
+        kind: "expert",
+        words: "Train an expert",
+        explained: "Learns to grasp one object by touch in simulation: minutes to hours on every core.",
+        fields: &[
+            Field::Object,
+            PRESET,
+            number("total_steps", "Steps", "as the preset says"),
+            Field::Model,
+            SILENCE,
+        ],
+    },
+    Training {
+        kind: "evaluation",
+        words: "Evaluate a policy",
+        explained: "Scores a policy in fresh trials in simulation. A policy that imitates needs a protocol.",
+        fields: &[
+            Field::Policy(&["expert", "imitation"]),
+            number("trials", "Trials", "50, or the protocol's"),
+            Field::Choice {
+                key: "protocol",
+                label: "Protocol",
+                choices: &["", "paper", "wide", "wide_20s", "claim"],
+            },
+            Field::Model,
+            SILENCE,
+        ],
+    },
+    Training {
+        kind: "demonstrations",
+        words: "Make demonstrations",
+        explained: "Rolls a policy out in simulation and keeps the trials that succeed, to learn from.",
+        fields: &[
+            Field::Policy(&["expert"]),
+            Field::Number { key: "count", label: "How many", usual: "64", otherwise: Some(64) },
+            Field::Model,
+        ],
+    },
+    Training {
+        kind: "pretraining",
+        words: "Pretrain the encoder",
+        explained: "Teaches the tactile encoder what demonstrations know beyond touch.",
+        fields: &[
+            Field::Jobs { key: "demonstrations", label: "Demonstrations", kind: "demonstrations" },
+            PRESET,
+            number("epochs", "Epochs", "as the preset says"),
+            SILENCE,
+        ],
+    },
+    Training {
+        kind: "gathering",
+        words: "Gather an expert's trials",
+        explained: "Lets the searching expert grasp in simulation and keeps every trial, won or lost, to imitate.",
+        fields: &[
+            Field::Objects,
+            number("count", "Trials on each object", "300"),
+            Field::Choice { key: "protocol", label: "Protocol", choices: PROTOCOLS },
+            Field::Model,
+        ],
+    },
+    Training {
+        kind: "imitation",
+        words: "Imitate an expert",
+        explained: "Learns one policy for all objects from gathered trials: a quarter of an hour on two cores.",
+        fields: &[
+            Field::Jobs { key: "trials", label: "Gathered trials", kind: "gathering" },
+            Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
+            Field::Choice { key: "head", label: "What predicts", choices: &["", "regression", "diffusion"] },
+            number("updates", "Updates", "as the preset says"),
+            SILENCE,
+            Field::Flag { key: "only_won", label: "Learns from", words: "trials that were won only" },
+        ],
+    },
+    Training {
+        kind: "tune",
+        words: "Tune a script",
+        explained: "Makes a closing script better on one object, by trying variants of it.",
+        fields: &[Field::Object, number("generations", "Generations", "8"), Field::Model],
+    },
+];
+
+/// What the operator filled in. A word that several trainings share is kept from one to the other.
 #[derive(Debug)]
 pub(super) struct StartState {
-    training: Training,
+    /// Its place in [`TRAININGS`].
+    training: usize,
     object: String,
-    policy: String,
-    demonstrations: String,
-    preset: String,
-    /// Steps, epochs, trials, demonstrations or generations; empty means the usual number.
-    number: String,
-    protocol: Option<String>,
-    silence_touch: bool,
+    /// Texts by key; empty means what is usual.
+    texts: BTreeMap<&'static str, String>,
+    choices: BTreeMap<&'static str, &'static str>,
+    flags: BTreeSet<&'static str>,
     model: Option<String>,
     seed: u64,
 }
@@ -83,14 +150,11 @@ pub(super) struct StartState {
 impl Default for StartState {
     fn default() -> Self {
         Self {
-            training: Training::default(),
+            training: 0,
             object: "cube".to_owned(),
-            policy: String::new(),
-            demonstrations: String::new(),
-            preset: "quick".to_owned(),
-            number: String::new(),
-            protocol: None,
-            silence_touch: false,
+            texts: BTreeMap::new(),
+            choices: BTreeMap::new(),
+            flags: BTreeSet::new(),
             model: None,
             seed: 1,
         }
@@ -98,105 +162,109 @@ impl Default for StartState {
 }
 
 impl StartState {
+    fn training(&self) -> &'static Training {
+        TRAININGS.get(self.training).unwrap_or(&TRAININGS[0])
+    }
+
+    fn text(&self, key: &str) -> &str {
+        self.texts.get(key).map_or("", |text| text.trim())
+    }
+
+    /// What was chosen, or the first where that is no choice of this training.
+    fn chosen(&self, key: &str, choices: &'static [&'static str]) -> &'static str {
+        let chosen = self.choices.get(key).copied().filter(|chosen| choices.contains(chosen));
+        chosen.or(choices.first().copied()).unwrap_or_default()
+    }
+
     /// What is asked for, or what is missing.
     fn request(&self) -> Result<JobRequest, String> {
-        let number = match self.number.trim() {
-            "" => None,
-            text => match text.parse::<u64>() {
-                Ok(number) if number > 0 => Some(number),
-                _ => return Err(format!("{text:?} is no number above 0")),
-            },
-        };
-        let policy = || match self.policy.trim() {
-            "" => Err("which policy? Give a job such as expert-1, or a shipped one such as cube".to_owned()),
-            policy => Ok(policy.to_owned()),
-        };
-        let model = self.model.clone();
-        let request = match self.training {
-            Training::Expert => value(&ExpertRequest {
-                object: self.object.clone(),
-                preset: Some(self.preset.clone()),
-                total_steps: number,
-                silence_touch: self.silence_touch,
-                model,
-                ..ExpertRequest::default()
-            }),
-            Training::Evaluation => value(&EvaluationRequest {
-                policy: policy()?,
-                trials: number,
-                protocol: self.protocol.clone(),
-                silence_touch: self.silence_touch,
-                model,
-                ..EvaluationRequest::default()
-            }),
-            Training::Demonstrations => value(&DemonstrationsRequest {
-                policy: policy()?,
-                count: number.unwrap_or(64),
-                model,
-                ..DemonstrationsRequest::default()
-            }),
-            Training::Pretraining => {
-                let words =
-                    self.demonstrations.split([',', ' ']).map(str::trim).filter(|word| !word.is_empty());
-                let demonstrations: Vec<String> = words.map(str::to_owned).collect();
-                if demonstrations.is_empty() {
-                    return Err("which demonstrations? Give jobs such as demonstrations-1".to_owned());
-                }
-                value(&PretrainingRequest {
-                    demonstrations,
-                    preset: Some(self.preset.clone()),
-                    epochs: number,
-                    silence_touch: self.silence_touch,
-                    ..PretrainingRequest::default()
-                })
+        let training = self.training();
+        let mut request = Map::new();
+        for field in training.fields {
+            if let Some((key, value)) = self.value(*field)? {
+                request.insert(key.to_owned(), value);
             }
-            Training::Tune => value(&TuneRequest {
-                object: self.object.clone(),
-                generations: number,
-                model,
-                ..TuneRequest::default()
-            }),
-        };
+        }
         Ok(JobRequest {
-            kind: self.training.kind().to_owned(),
-            request,
+            kind: training.kind.to_owned(),
+            request: Value::Object(request),
             seed: self.seed,
             priority: 0,
             resources: None,
             runner: None,
         })
     }
+
+    /// Name and value of `field` in the request, unless it is left to the studio; or what is missing.
+    fn value(&self, field: Field) -> Result<Option<(&'static str, Value)>, String> {
+        let value: Option<(_, Value)> = match field {
+            Field::Object => Some(("object", self.object.clone().into())),
+            Field::Objects => {
+                let group = self.chosen("objects", GROUPS);
+                (group != GROUPS[0]).then(|| ("objects", vec![group].into()))
+            }
+            Field::Policy(_) => match self.text("policy") {
+                "" => {
+                    return Err(
+                        "which policy? Give a job such as expert-1, or a shipped one such as cube".to_owned()
+                    );
+                }
+                policy => Some(("policy", policy.into())),
+            },
+            Field::Jobs { key, label, kind } => {
+                let words = self.text(key).split([',', ' ']).filter(|word| !word.is_empty());
+                let jobs: Vec<&str> = words.collect();
+                if jobs.is_empty() {
+                    return Err(format!("which {}? Give jobs such as {kind}-1", label.to_lowercase()));
+                }
+                Some((key, jobs.into()))
+            }
+            Field::Number { key, otherwise, .. } => match self.text(key) {
+                "" => otherwise.map(|number| (key, number.into())),
+                text => match text.parse::<u64>() {
+                    Ok(number) if number > 0 => Some((key, number.into())),
+                    _ => return Err(format!("{text:?} is no number above 0")),
+                },
+            },
+            Field::Choice { key, choices, .. } => {
+                let chosen = self.chosen(key, choices);
+                (!chosen.is_empty()).then(|| (key, chosen.into()))
+            }
+            Field::Model => self.model.clone().map(|model| ("model", model.into())),
+            Field::Flag { key, .. } => self.flags.contains(key).then(|| (key, true.into())),
+        };
+        Ok(value)
+    }
 }
 
-/// A request without what was left to the studio.
-fn value(request: &impl serde::Serialize) -> serde_json::Value {
-    // Plain data always serialises.
-    let mut value = serde_json::to_value(request).unwrap_or_default();
-    if let Some(fields) = value.as_object_mut() {
-        fields.retain(|_, value| !value.is_null() && *value != serde_json::Value::Bool(false));
-    }
-    value
-}
+/// Groups of objects; the first is the usual one.
+const GROUPS: &[&str] = &["seen", "unseen", "all"];
 
 /// The form. `jobs` are those that are known.
 pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartState, jobs: &[Job]) {
     ui.heading("Start a training");
     ui.horizontal_wrapped(|ui| {
-        combo_ui(ui, "What to start", state.training.words(), 190.0, |ui| {
-            for training in Training::ALL {
-                option_ui(ui, &mut state.training, training, training.words());
+        combo_ui(ui, "What to start", state.training().words, 190.0, |ui| {
+            for (idx, training) in TRAININGS.iter().enumerate() {
+                option_ui(ui, &mut state.training, idx, training.words);
             }
         });
     });
-    ui.add(egui::Label::new(RichText::new(state.training.explained()).color(cx.palette.text_weak)).wrap());
+    ui.add(egui::Label::new(RichText::new(state.training().explained).color(cx.palette.text_weak)).wrap());
     ui.add_space(6.0);
     egui::Grid::new("start_training").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
-        fields_ui(ui, cx, state, jobs);
+        for field in state.training().fields {
+            field_ui(ui, cx, state, jobs, *field);
+            ui.end_row();
+        }
+        let label = ui.label("Seed");
+        ui.add(egui::DragValue::new(&mut state.seed)).labelled_by(label.id);
+        ui.end_row();
     });
     ui.add_space(6.0);
     let problem = match cx.store.jobs.kinds() {
         Loadable::Ready(kinds) => {
-            kinds.iter().find(|kind| kind.kind == state.training.kind()).and_then(|kind| kind.problem.clone())
+            kinds.iter().find(|kind| kind.kind == state.training().kind).and_then(|kind| kind.problem.clone())
         }
         _ => None,
     };
@@ -210,7 +278,7 @@ pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mu
         }
         Ok(request) => {
             let is_on_its_way = matches!(cx.store.jobs.cloned, Loadable::Loading);
-            let can = problem.is_none() && !is_on_its_way;
+            let can = may_start_jobs_ui(ui, cx) && problem.is_none() && !is_on_its_way;
             if ui.add_enabled(can, egui::Button::new("Start")).clicked() {
                 cx.store.jobs.submit(request.clone());
             }
@@ -223,74 +291,82 @@ pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mu
     }
 }
 
-fn fields_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartState, jobs: &[Job]) {
-    let training = state.training;
-    if matches!(training, Training::Expert | Training::Tune) {
-        ui.label("Object");
-        let objects = cx.store.objects();
-        combo_ui(ui, "Object to grasp", &state.object.clone(), 160.0, |ui| {
-            for object in objects.ready().map_or(&[][..], |objects| objects.as_slice()) {
-                option_ui(ui, &mut state.object, object.id.clone(), &object.id);
+fn field_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut StartState,
+    jobs: &[Job],
+    field: Field,
+) {
+    match field {
+        Field::Object => {
+            ui.label("Object");
+            let objects = cx.store.objects();
+            combo_ui(ui, "Object to grasp", &state.object.clone(), 160.0, |ui| {
+                for object in objects.ready().map_or(&[][..], |objects| objects.as_slice()) {
+                    option_ui(ui, &mut state.object, object.id.clone(), &object.id);
+                }
+            });
+        }
+        Field::Objects => choice_ui(ui, state, "objects", "Objects", GROUPS),
+        Field::Policy(kinds) => {
+            let known = kinds.iter().flat_map(|kind| done(jobs, kind)).collect();
+            text_ui(ui, "Policy", "expert-1 or cube", state.texts.entry("policy").or_default(), known);
+        }
+        Field::Jobs { key, label, kind } => {
+            let hint = format!("{kind}-1");
+            text_ui(ui, label, &hint, state.texts.entry(key).or_default(), done(jobs, kind));
+        }
+        Field::Number { key, label, usual, .. } => {
+            text_ui(ui, label, usual, state.texts.entry(key).or_default(), Vec::new());
+        }
+        Field::Choice { key, label, choices } => choice_ui(ui, state, key, label, choices),
+        Field::Model => {
+            ui.label("Sensor model");
+            let models = cx.store.models();
+            let chosen = state.model.clone().unwrap_or_else(|| "nominal".to_owned());
+            combo_ui(ui, "Sensor model that makes touch", &chosen, 190.0, |ui| {
+                option_ui(ui, &mut state.model, None, "nominal");
+                let models = models.ready().map_or(&[][..], |models| models.as_slice());
+                for model in models.iter().filter(|model| model.id != "nominal") {
+                    option_ui(ui, &mut state.model, Some(model.id.clone()), &model.name);
+                }
+            });
+        }
+        Field::Flag { key, label, words } => {
+            ui.label(label);
+            let mut is_set = state.flags.contains(key);
+            if ui.checkbox(&mut is_set, words).changed() {
+                if is_set {
+                    state.flags.insert(key)
+                } else {
+                    state.flags.remove(key)
+                };
             }
-        });
-        ui.end_row();
+        }
     }
-    if matches!(training, Training::Evaluation | Training::Demonstrations) {
-        text_ui(ui, "Policy", "expert-1 or cube", &mut state.policy, done(jobs, "expert"));
-    }
-    if training == Training::Pretraining {
-        let known = done(jobs, "demonstrations");
-        text_ui(ui, "Demonstrations", "demonstrations-1", &mut state.demonstrations, known);
-    }
-    if matches!(training, Training::Expert | Training::Pretraining) {
-        ui.label("Preset");
-        combo_ui(ui, "Preset", &state.preset.clone(), 100.0, |ui| {
-            for preset in ["quick", "paper"] {
-                option_ui(ui, &mut state.preset, preset.to_owned(), preset);
-            }
-        });
-        ui.end_row();
-    }
-    let (name, usual) = match training {
-        Training::Expert => ("Steps", "as the preset says"),
-        Training::Evaluation => ("Trials", "50, or the protocol's"),
-        Training::Demonstrations => ("How many", "64"),
-        Training::Pretraining => ("Epochs", "as the preset says"),
-        Training::Tune => ("Generations", "8"),
+}
+
+fn choice_ui(
+    ui: &mut egui::Ui,
+    state: &mut StartState,
+    key: &'static str,
+    label: &str,
+    choices: &'static [&'static str],
+) {
+    let shown = |choice: &'static str| match (choice, key) {
+        ("", "protocol") => "none",
+        ("", _) => "as the preset says",
+        _ => choice,
     };
-    text_ui(ui, name, usual, &mut state.number, Vec::new());
-    if training == Training::Evaluation {
-        ui.label("Protocol");
-        let chosen = state.protocol.clone().unwrap_or_else(|| "none".to_owned());
-        combo_ui(ui, "Protocol", &chosen, 120.0, |ui| {
-            option_ui(ui, &mut state.protocol, None, "none");
-            for protocol in ["paper", "wide", "wide_20s", "claim"] {
-                option_ui(ui, &mut state.protocol, Some(protocol.to_owned()), protocol);
-            }
-        });
-        ui.end_row();
-    }
-    if training != Training::Pretraining {
-        ui.label("Sensor model");
-        let models = cx.store.models();
-        let chosen = state.model.clone().unwrap_or_else(|| "nominal".to_owned());
-        combo_ui(ui, "Sensor model that makes touch", &chosen, 190.0, |ui| {
-            option_ui(ui, &mut state.model, None, "nominal");
-            let models = models.ready().map_or(&[][..], |models| models.as_slice());
-            for model in models.iter().filter(|model| model.id != "nominal") {
-                option_ui(ui, &mut state.model, Some(model.id.clone()), &model.name);
-            }
-        });
-        ui.end_row();
-    }
-    if matches!(training, Training::Expert | Training::Evaluation | Training::Pretraining) {
-        ui.label("Touch");
-        ui.checkbox(&mut state.silence_touch, "feels nothing");
-        ui.end_row();
-    }
-    let label = ui.label("Seed");
-    ui.add(egui::DragValue::new(&mut state.seed)).labelled_by(label.id);
-    ui.end_row();
+    ui.label(label);
+    let mut chosen = state.chosen(key, choices);
+    combo_ui(ui, label, shown(chosen), 140.0, |ui| {
+        for choice in choices {
+            option_ui(ui, &mut chosen, *choice, shown(choice));
+        }
+    });
+    state.choices.insert(key, chosen);
 }
 
 /// A line to fill in; what is known fills it by a press.
@@ -305,7 +381,6 @@ fn text_ui(ui: &mut egui::Ui, name: &str, hint: &str, text: &mut String, known: 
             }
         }
     });
-    ui.end_row();
 }
 
 /// Ids of the jobs of `kind` that are done, newest first.
@@ -316,31 +391,112 @@ fn done<'a>(jobs: &'a [Job], kind: &str) -> Vec<&'a str> {
 
 #[cfg(test)]
 mod tests {
+    use palpate_wire::api::{
+        DemonstrationsRequest, EvaluationRequest, ExpertRequest, GatheringRequest, ImitationRequest,
+        PretrainingRequest, TuneRequest,
+    };
+    use serde::de::DeserializeOwned;
     use serde_json::json;
 
     use super::*;
 
+    fn form(kind: &str, texts: &[(&'static str, &str)]) -> StartState {
+        let training = TRAININGS.iter().position(|training| training.kind == kind).unwrap();
+        let texts = texts.iter().map(|(key, text)| (*key, (*text).to_owned())).collect();
+        StartState { training, texts, ..StartState::default() }
+    }
+
     #[test]
     fn request_says_what_was_chosen_and_leaves_the_rest_to_the_studio() {
-        let mut state = StartState { number: " 4000 ".to_owned(), ..StartState::default() };
-        let request = state.request().unwrap();
+        let request = form("expert", &[("total_steps", " 4000 ")]).request().unwrap();
         assert_eq!(request.request, json!({ "object": "cube", "preset": "quick", "total_steps": 4000 }));
         assert_eq!((request.kind.as_str(), request.seed), ("expert", 1));
-        state.number = "many".to_owned();
-        assert!(state.request().unwrap_err().contains("many"));
-        state = StartState { training: Training::Evaluation, ..StartState::default() };
-        assert!(state.request().unwrap_err().contains("which policy"));
-        state.policy = "expert-2".to_owned();
-        state.silence_touch = true;
-        assert_eq!(state.request().unwrap().request, json!({ "policy": "expert-2", "silence_touch": true }));
-        state.training = Training::Demonstrations;
-        assert_eq!(state.request().unwrap().request, json!({ "policy": "expert-2", "count": 64 }));
-        state.training = Training::Pretraining;
-        assert!(state.request().is_err());
-        state.demonstrations = "demonstrations-1, demonstrations-2".to_owned();
-        let asked = state.request().unwrap().request;
-        assert_eq!(asked["demonstrations"], json!(["demonstrations-1", "demonstrations-2"]));
-        state.training = Training::Tune;
-        assert_eq!(state.request().unwrap().request, json!({ "object": "cube" }));
+        for (kind, texts, expected) in [
+            ("evaluation", &[("policy", "expert-2")][..], json!({ "policy": "expert-2" })),
+            ("demonstrations", &[("policy", "cube")], json!({ "policy": "cube", "count": 64 })),
+            (
+                "pretraining",
+                &[("demonstrations", "demonstrations-1, demonstrations-2")],
+                json!({ "demonstrations": ["demonstrations-1", "demonstrations-2"], "preset": "quick" }),
+            ),
+            ("gathering", &[("count", "20")], json!({ "count": 20, "protocol": "wide" })),
+            (
+                "imitation",
+                &[("trials", "gathering-1")],
+                json!({ "trials": ["gathering-1"], "preset": "small" }),
+            ),
+            ("tune", &[], json!({ "object": "cube" })),
+        ] {
+            assert_eq!(form(kind, texts).request().unwrap().request, expected, "{kind}");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        for (kind, texts, words) in [
+            ("expert", &[("total_steps", "many")][..], "many"),
+            ("evaluation", &[], "which policy"),
+            ("pretraining", &[("demonstrations", " ,")], "which demonstrations"),
+            ("imitation", &[], "gathering-1"),
+        ] {
+            let problem = form(kind, texts).request().unwrap_err();
+            assert!(problem.contains(words), "{problem}");
+        }
+    }
+
+    #[test]
+    fn every_field_belongs_to_its_request() {
+        fn reads<T: DeserializeOwned>(request: Value) -> Result<(), serde_json::Error> {
+            serde_json::from_value::<T>(request).map(drop)
+        }
+        for (idx, training) in TRAININGS.iter().enumerate() {
+            let mut state =
+                StartState { training: idx, model: Some("mine".to_owned()), ..StartState::default() };
+            for field in training.fields {
+                match *field {
+                    Field::Object | Field::Model => {}
+                    Field::Objects => {
+                        state.choices.insert("objects", "all");
+                    }
+                    Field::Policy(_) => {
+                        state.texts.insert("policy", "cube".to_owned());
+                    }
+                    Field::Jobs { key, .. } => {
+                        state.texts.insert(key, "job-1".to_owned());
+                    }
+                    Field::Number { key, .. } => {
+                        state.texts.insert(key, "7".to_owned());
+                    }
+                    Field::Choice { key, choices, .. } => {
+                        state.choices.insert(key, choices[choices.len() - 1]);
+                    }
+                    Field::Flag { key, .. } => {
+                        state.flags.insert(key);
+                    }
+                }
+            }
+            let request = state.request().unwrap();
+            assert_eq!(request.request.as_object().unwrap().len(), training.fields.len(), "{request:?}");
+            let read = match training.kind {
+                "expert" => reads::<ExpertRequest>(request.request),
+                "evaluation" => reads::<EvaluationRequest>(request.request),
+                "demonstrations" => reads::<DemonstrationsRequest>(request.request),
+                "pretraining" => reads::<PretrainingRequest>(request.request),
+                "gathering" => reads::<GatheringRequest>(request.request),
+                "imitation" => reads::<ImitationRequest>(request.request),
+                "tune" => reads::<TuneRequest>(request.request),
+                other => panic!("{other} is no kind of training"),
+            };
+            assert!(read.is_ok(), "{}: {read:?}", training.kind);
+        }
+    }
+
+    #[test]
+    fn choice_of_another_training_is_not_carried_over() {
+        let mut state = form("expert", &[]);
+        state.choices.insert("preset", "quick");
+        state.training = form("imitation", &[]).training;
+        state.texts.insert("trials", "gathering-1".to_owned());
+        assert_eq!(state.request().unwrap().request["preset"], "small");
     }
 }

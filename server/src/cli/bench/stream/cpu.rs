@@ -33,7 +33,7 @@ pub(super) fn cpu_difference(
 }
 
 /// Processes that wanted to run in the last minute; 0 where there is no `/proc`.
-pub(super) fn load_average() -> f64 {
+pub(in super::super) fn load_average() -> f64 {
     let text = fs::read_to_string("/proc/loadavg").unwrap_or_default();
     text.split(' ').next().and_then(|first| first.parse().ok()).unwrap_or(0.0)
 }

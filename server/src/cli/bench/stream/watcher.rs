@@ -80,6 +80,14 @@ pub(in super::super) async fn watch_stream(
 }
 
 impl Watched {
+    /// Frames a second by the station's clock.
+    pub(in super::super) fn frames_per_s(&self) -> f64 {
+        match &self.made_s[..] {
+            [first, .., last] if last > first => (self.made_s.len() - 1) as f64 / (last - first),
+            _ => 0.0,
+        }
+    }
+
     fn take_in(&mut self, message: &StreamMessage, now_s: f64) {
         self.dropped = self.dropped.max(message.dropped);
         let Some(stream_message::Message::Live(frame)) = &message.message else { return };
