@@ -1,25 +1,24 @@
 //! Learns to do what an expert did.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
-    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, POLICY_FILE, Robot, Run, Start,
+    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, POLICY_FILE, Progress, Robot, Run,
+    Start,
 };
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::trial::Outcome;
 use palpate_robot_model::Station;
 use palpate_rollout::task::robot;
-use palpate_sim::job::{Cancel, Progress as _};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use serde::Serialize;
 
 use crate::files::{self, Source};
-use crate::gather;
+use crate::{gather, learning};
 
 #[derive(clap::Args)]
 pub(crate) struct CloneArgs {
@@ -103,16 +102,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         held_out.len()
     );
     let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
-    let mut watch = |progress: &palpate_cloning::Progress| {
-        bar.report(progress.fraction, "learning");
-        if let Some([train, held_out]) = progress.losses {
-            bar.line(&format!(
-                "{} updates: loss {train:.4}, held out {held_out:.4}, about {:.0} s left",
-                progress.update, progress.eta_s
-            ));
-        }
-        if Cancel::is_cancelled(&cancel) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    };
+    let mut watch = |progress: &Progress| learning::tell(progress, &bar, &cancel);
     let start = if args.resume { Start::Resume } else { Start::Fresh };
     let data = Data { robot, train: &train, held_out: &held_out, sources };
     let result = palpate_cloning::train(&args.out, start, config, data, &mut watch);
@@ -131,6 +121,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         held_out_episodes: held_out.len(),
         held_out_loss: trainer.judge(&held_out)?,
     };
+    events::report(&report);
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     }

@@ -4,17 +4,15 @@ mod reader;
 mod samples;
 mod surface;
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
-use palpate_encoder::{Data, Dataset, EncoderConfig, Finish, MeanPrediction, Score, Start};
-use palpate_sim::job::{Cancel, Progress as _};
+use anyhow::bail;
+use palpate_encoder::{Data, Dataset, EncoderConfig, Finish, MeanPrediction, Progress, Score, Start};
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use serde::Serialize;
 
 use self::samples::World;
-use crate::files;
+use crate::{files, learning};
 
 #[derive(clap::Args)]
 pub(crate) struct EncodeArgs {
@@ -65,13 +63,7 @@ struct Report {
 
 pub(crate) fn run(args: &EncodeArgs) -> anyhow::Result<()> {
     let config = config(args)?;
-    if let Some(threads) = args.threads {
-        if threads == 0 {
-            bail!("--threads is 0, expected at least 1");
-        }
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-        pool.with_context(|| format!("failed to start {threads} threads"))?;
-    }
+    files::start_threads(args.threads)?;
     let world = World::new(reader::read(&args.demos)?, &config)?;
     let [train, held_out] = world.split(&config);
     eprintln!(
@@ -81,18 +73,7 @@ pub(crate) fn run(args: &EncodeArgs) -> anyhow::Result<()> {
         held_out.len()
     );
     let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
-    let mut watch = |progress: &palpate_encoder::Progress| {
-        bar.report(progress.fraction, "learning");
-        if let Some([train, held_out]) = progress.losses {
-            let losses = serde_json::json!({ "loss": train, "held_out_loss": held_out });
-            events::metrics(progress.update, &losses);
-            bar.line(&format!(
-                "{} updates: loss {train:.4}, held out {held_out:.4}, about {:.0} s left",
-                progress.update, progress.eta_s
-            ));
-        }
-        if Cancel::is_cancelled(&cancel) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    };
+    let mut watch = |progress: &Progress| learning::tell(progress, &bar, &cancel);
     let start = if args.resume { Start::Resume } else { Start::Fresh };
     let data = Data { train: &train, held_out: &held_out, sources: world.data().sources.clone() };
     let result = palpate_encoder::train(&args.out, start, config.clone(), data, &mut watch);

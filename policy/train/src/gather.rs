@@ -1,5 +1,6 @@
 //! Keeps what the searching expert does, trial by trial, as files to learn from.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,7 +12,7 @@ use palpate_grasp::search::{Prior, Searcher, Senses};
 use palpate_grasp::trial::{Known, Outcome, Score, conduct};
 use palpate_rollout::task::robot;
 use palpate_sim::job::{Cancel, Progress as _};
-use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use rayon::prelude::*;
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
@@ -113,6 +114,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     let experience = expert.experience(Senses::BOTH)?;
     let (bar, cancel, done) = (Bar::new(), cancel_on_ctrl_c(), AtomicU64::new(0));
     let all = args.count * objects.len() as u64;
+    let mut report = Report::default();
     for name in &objects {
         let of_object = Sources::default();
         sources.list().into_iter().for_each(|source| of_object.keep(source));
@@ -130,14 +132,15 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         };
         let path = args.out.join(format!("{}{ENDING}", record.object));
         if path.exists() {
-            let found = read(&path)?.record;
-            if found != record {
+            let found = read(&path)?;
+            if found.record != record {
                 bail!(
                     "{path:?} holds other trials (another count, seed, protocol or file); take another --out"
                 );
             }
             done.fetch_add(args.count, Ordering::Relaxed);
             bar.line(&format!("{}: {} trials are there already", record.object, record.count));
+            report.add(&record.object, score_of(&found.episodes));
             continue;
         }
         let trial = |trial: u64| -> anyhow::Result<Option<(Outcome, Episode)>> {
@@ -162,18 +165,45 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             );
             return Ok(());
         };
-        let score = Score::of(&episodes.iter().map(|(outcome, _)| *outcome).collect::<Vec<_>>());
+        let score = score_of(&episodes);
         let bytes = to_bytes(&record, &episodes)?;
         files::write_in_one_move(&path, &bytes)?;
         let line = format!("{name}: {} of {} held, {} kB", score.successes, score.trials, bytes.len() / 1000);
         if args.scene.json {
-            let score = serde_json::to_value(&score)?;
             println!("{}", serde_json::json!({ "object": name, "score": score, "bytes": bytes.len() }));
         } else {
             bar.line(&line);
         }
+        report.add(&record.object, score);
     }
+    drop(bar);
+    events::report(&report);
     Ok(())
+}
+
+/// What the expert did.
+#[derive(Default, Serialize)]
+struct Report {
+    trials: usize,
+    won: usize,
+    objects: BTreeMap<String, Score>,
+}
+
+impl Report {
+    /// Adds the trials on one object, and a point to the curves.
+    fn add(&mut self, object: &str, score: Score) {
+        self.trials += score.trials;
+        self.won += score.successes;
+        let success_rate = score.successes as f64 / score.trials.max(1) as f64;
+        let point =
+            serde_json::json!({ "trials": self.trials, "won": self.won, "success_rate": success_rate });
+        self.objects.insert(object.to_owned(), score);
+        events::metrics(self.objects.len() as u64, &point);
+    }
+}
+
+fn score_of(episodes: &[(Outcome, Episode)]) -> Score {
+    Score::of(&episodes.iter().map(|(outcome, _)| *outcome).collect::<Vec<_>>())
 }
 
 /// Writes down what a controller knows and does.

@@ -14,6 +14,7 @@ mod evaluate;
 mod export;
 mod files;
 mod gather;
+mod learning;
 mod policy;
 mod ppo;
 mod script;

@@ -64,6 +64,13 @@ fn done(studio: &Studio, data: &Path, id: &str) -> Value {
     serde_json::from_slice(&report).expect("JSON")
 }
 
+/// Steps of the points of a job's curves.
+fn curve_steps(data: &Path, id: &str) -> Vec<u64> {
+    let text = std::fs::read_to_string(data.join("runs").join(id).join("metrics.jsonl")).expect("curves");
+    let points = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    points.map(|point| point["step"].as_u64().expect("a step")).collect()
+}
+
 #[test]
 fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     let Some(palpate) = palpate() else { return };
@@ -81,13 +88,9 @@ fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     let long = start(&studio, "expert", &request);
     let report = done(&studio, &data, &small);
     assert_eq!((&report["steps"], &report["finish"]), (&json!(8), &json!("steps")));
+    assert_eq!(curve_steps(&data, &small), [1, 2], "a point an update");
     let points =
         std::fs::read_to_string(data.join("runs").join(&small).join("metrics.jsonl")).expect("curves");
-    let steps: Vec<u64> = points
-        .lines()
-        .map(|line| serde_json::from_str::<Value>(line).expect("JSON")["step"].as_u64().expect("a step"))
-        .collect();
-    assert_eq!(steps, [1, 2], "a point an update");
     assert!(points.contains("\"reward_terms."), "{points}");
 
     let curve = data.join("runs").join(&long).join("metrics.jsonl");
@@ -149,6 +152,29 @@ fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     let request = json!({ "object": "cube", "config": SMALL, "script": tuned });
     let on_top = start(&studio, "expert", &request);
     done(&studio, &data, &on_top);
+
+    // What the searching expert does is imitated, and the imitation scored.
+    let gathered = start(&studio, "gathering", &json!({ "objects": ["cube", "ball"], "count": 2 }));
+    let kept = done(&studio, &data, &gathered);
+    assert_eq!((&kept["trials"], &kept["objects"]["ball"]["trials"]), (&json!(4), &json!(2)));
+    assert_eq!(curve_steps(&data, &gathered), [1, 2], "a point an object");
+    let config = "updates = 4\ncheckpoint_updates = 2\nbatch_size = 4\ntrunk = [8]\n";
+    let imitated = start(&studio, "imitation", &json!({ "trials": [gathered], "config": config }));
+    let learned = done(&studio, &data, &imitated);
+    assert_eq!(learned["updates"], 4, "{learned}");
+    assert_eq!(curve_steps(&data, &imitated), [2, 4], "a point a checkpoint");
+    let request = json!({ "policy": imitated, "protocol": "paper", "objects": ["cube"], "trials": 1 });
+    let compared = done(&studio, &data, &start(&studio, "evaluation", &request));
+    assert!(compared.to_string().contains("\"cube\""), "{compared}");
+    // The seed of the starts by which policies are judged is refused, and the job says so.
+    let same = json!({ "kind": "gathering", "request": { "count": 1 }, "seed": 2 });
+    let job: Job = studio.post("/jobs", &same).expect("it waits");
+    let job = wait(&studio, &job.id, |job| !job.is_unfinished());
+    assert!(
+        job.state == JobState::Failed
+            && job.problem.as_ref().is_some_and(|said| said.contains("the seed of")),
+        "{job:?}"
+    );
 
     // What the program refuses is the problem of its job, in its own words.
     let request = json!({ "object": "cube", "config": "num_envs = 1\nspeed = 2\n" });
