@@ -86,6 +86,8 @@ for (const [size, width] of [["wide", 1280], ["narrow", 390]]) {
   await page.getByRole("textbox", { name: "Command" }).waitFor();
   await look(page, `palette (${size})`);
   await page.keyboard.press("Escape");
+  // What is typed before it has closed goes into its field.
+  await page.getByRole("textbox", { name: "Command" }).waitFor({ state: "detached" });
   await page.keyboard.press("?");
   await button("Close shortcuts").waitFor();
   await look(page, `shortcuts (${size})`);
