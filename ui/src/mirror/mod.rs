@@ -63,6 +63,8 @@ pub struct MirrorPlugin {
     queue: VecDeque<MirrorEvent>,
     /// What a pointer did after a text that waits. STOP does not wait: the browser sends it by itself.
     held: Vec<egui::Event>,
+    /// Whether a press is on whose end is still to come. An end never waits: a hand may move until then.
+    is_pressed: bool,
     frames_to_focus_left: u32,
     focus: Option<u64>,
     updated_s: f64,
@@ -77,6 +79,7 @@ impl MirrorPlugin {
             sink,
             queue: VecDeque::new(),
             held: Vec::new(),
+            is_pressed: false,
             frames_to_focus_left: MAX_FRAMES_TO_FOCUS,
             focus: None,
             updated_s: f64::NEG_INFINITY,
@@ -104,18 +107,12 @@ impl MirrorPlugin {
         }
         self.frames_to_focus_left == 0
     }
-}
 
-impl egui::Plugin for MirrorPlugin {
-    fn debug_name(&self) -> &'static str {
-        "accessible mirror"
-    }
-
-    fn input_hook(&mut self, ctx: &egui::Context, input: &mut egui::RawInput) {
+    /// Adds to `input` what was done, up to a text and without what comes after it.
+    fn take_in(&mut self, input: &mut egui::RawInput) {
         self.queue.extend(std::mem::take(&mut *self.inbox.lock().unwrap_or_else(PoisonError::into_inner)));
-        let is_waiting =
-            !self.held.is_empty() || self.queue.iter().any(|event| matches!(event, MirrorEvent::SetText(..)));
-        if is_waiting {
+        let has_text = self.queue.iter().any(|event| matches!(event, MirrorEvent::SetText(..)));
+        if (has_text || !self.held.is_empty()) && !self.is_pressed {
             self.held.extend(input.events.extract_if(.., |event| is_of_pointer(event)));
         }
         while let Some(event) = self.queue.pop_front() {
@@ -135,13 +132,30 @@ impl egui::Plugin for MirrorPlugin {
                     } else {
                         self.queue.push_front(MirrorEvent::SetText(node, text));
                     }
-                    ctx.request_repaint();
                     return;
                 }
                 MirrorEvent::Key(key, modifiers) => input.events.push(key_event(key, modifiers)),
             }
         }
         input.events.append(&mut self.held);
+    }
+}
+
+impl egui::Plugin for MirrorPlugin {
+    fn debug_name(&self) -> &'static str {
+        "accessible mirror"
+    }
+
+    fn input_hook(&mut self, ctx: &egui::Context, input: &mut egui::RawInput) {
+        self.take_in(input);
+        let press = |event: &egui::Event| match event {
+            egui::Event::PointerButton { pressed, .. } => Some(*pressed),
+            _ => None,
+        };
+        self.is_pressed = input.events.iter().filter_map(press).next_back().unwrap_or(self.is_pressed);
+        if !self.queue.is_empty() || !self.held.is_empty() {
+            ctx.request_repaint();
+        }
     }
 
     fn output_hook(&mut self, ctx: &egui::Context, output: &mut egui::FullOutput) {

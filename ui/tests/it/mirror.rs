@@ -149,6 +149,27 @@ fn a_field_gets_its_text_before_what_was_pressed_after_it() {
 }
 
 #[test]
+fn the_end_of_a_press_waits_for_no_text() {
+    let (mut harness, inbox, seen) = form();
+    let [left, top, width, height] = find(&seen, "button", "Press me").rect.expect("a place");
+    let pos = egui::pos2(left + width / 2.0, top + height / 2.0);
+    let button = |pressed| {
+        let (button, modifiers) = (egui::PointerButton::Primary, egui::Modifiers::NONE);
+        egui::Event::PointerButton { pos, button, pressed, modifiers }
+    };
+    harness.input_mut().events.extend([egui::Event::PointerMoved(pos), button(true)]);
+    harness.run_steps(1);
+    let town = find(&seen, "textbox", "Your town").id;
+    inbox.lock().expect("no panic so far").push(MirrorEvent::SetText(town, "Paris".to_owned()));
+    harness.input_mut().events.push(button(false));
+    harness.run_steps(1);
+    assert!(!harness.ctx.input(|input| input.pointer.any_down()));
+    harness.run_steps(6);
+    let form = harness.state();
+    assert_eq!((form.town.as_str(), form.presses), ("Paris", 1));
+}
+
+#[test]
 fn a_field_that_takes_no_text_shows_what_it_has() {
     let (mut harness, inbox, seen) = form();
     harness.state_mut().is_locked = true;
