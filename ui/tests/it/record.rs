@@ -137,6 +137,19 @@ fn a_station_without_a_plan_says_how_to_give_it_one() {
 }
 
 #[test]
+fn the_start_of_a_session_fits_a_phone() {
+    let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
+    let bench = Bench::of(FakeWindow::at("#/record"), &empty, [390.0, 844.0]);
+    let rail = bench.harness.get_by_role_and_label(Role::Button, "Record").rect();
+    let text = bench.harness.get_by_label_contains("A plan is a list of takes");
+    let plan = bench.harness.get_by_role_and_label(Role::ComboBox, "Plan");
+    let field = bench.harness.get_by_role_and_label(Role::TextInput, "Session name");
+    for rect in [text, plan, field].map(|node| node.rect()) {
+        assert!(rect.left() > rail.right() && rect.right() < 390.0, "{rect:?} beside {rail:?}");
+    }
+}
+
+#[test]
 fn the_checklist_says_where_each_take_stands_and_leads_there() {
     let mut bench = armed(RecordingPhase::PlaceObject);
     bench.harness.get_by_label("Take 2: Slide, Cylinder, now");

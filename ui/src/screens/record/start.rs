@@ -32,7 +32,7 @@ pub(super) fn start_ui(
     let plans = &document.plans;
     ui.add_space((ui.available_height() * 0.12).min(90.0));
     ui.vertical_centered(|ui| {
-        ui.set_max_width(520.0);
+        ui.set_max_width(ui.available_width().min(520.0));
         heading_ui(ui, "Record a calibration session");
         ui.label(
             "A plan is a list of takes: in each, the robot touches one object in one way while everything is recorded. \
