@@ -54,6 +54,17 @@ export async function openPage(context) {
   return { page, errors: collectErrors(page) };
 }
 
+/** A request as a page of `on` makes it. */
+export const request = (on, method, path, body) =>
+  on.page.evaluate(
+    async ([method, path, body]) => {
+      const headers = { "content-type": "application/json" };
+      const answer = await fetch(`/api/v1${path}`, { method, headers, body: body && JSON.stringify(body) });
+      return { status: answer.status, text: await answer.text() };
+    },
+    [method, path, body],
+  );
+
 function collectErrors(page) {
   const errors = [];
   page.on("pageerror", (error) => errors.push(String(error)));

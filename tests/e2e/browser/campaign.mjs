@@ -5,7 +5,7 @@
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";
-import { launchBrowser, openContext } from "./browser.mjs";
+import { launchBrowser, openContext, request } from "./browser.mjs";
 
 const [url, shots, scoredFile, starts] = process.argv.slice(2);
 const numStarts = Number(starts);
@@ -68,16 +68,6 @@ async function until(what, ask, patience_ms = PATIENCE_MS) {
   }
 }
 
-/** A request as a page of `on` makes it. */
-const request = (on, method, path, body) =>
-  on.page.evaluate(
-    async ([method, path, body]) => {
-      const headers = { "content-type": "application/json" };
-      const answer = await fetch(`/api/v1${path}`, { method, headers, body: body && JSON.stringify(body) });
-      return { status: answer.status, text: await answer.text() };
-    },
-    [method, path, body],
-  );
 const document = async (path, on = operator) => JSON.parse((await request(on, "GET", path)).text);
 
 async function logIn(on, name) {

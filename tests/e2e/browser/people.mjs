@@ -3,7 +3,7 @@
 // People are those of `people_may_what_their_role_says` in tests/e2e/tests/it/page.rs.
 import assert from "node:assert/strict";
 import { join } from "node:path";
-import { launchBrowser, openContext } from "./browser.mjs";
+import { launchBrowser, openContext, request } from "./browser.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const browser = await launchBrowser();
@@ -27,16 +27,6 @@ async function step(name, run) {
   }
 }
 
-/** A request as a page of `on` makes it. */
-const request = (on, method, path, body) =>
-  on.page.evaluate(
-    async ([method, path, body]) => {
-      const headers = { "content-type": "application/json" };
-      const answer = await fetch(`/api/v1${path}`, { method, headers, body: body && JSON.stringify(body) });
-      return { status: answer.status, text: await answer.text() };
-    },
-    [method, path, body],
-  );
 const document = async (path, on) => JSON.parse((await request(on, "GET", path)).text);
 
 async function fillIn(on, name, password) {
