@@ -1,4 +1,4 @@
-//! The physics library of the grasp world, and what is built and tested with it.
+//! The physics library of the grasp world.
 
 use std::{
     path::{Path, PathBuf},
@@ -7,24 +7,13 @@ use std::{
 
 use anyhow::{Context as _, bail};
 
-use crate::{browser, paths, python, shell, twice};
+use crate::{paths, python, shell};
 
 /// Where builds look for the library: the folder that holds `libmujoco.so`.
 const LINK_DIR: &str = "MUJOCO_DYNAMIC_LINK_DIR";
 
 /// The version that the bindings in Cargo.lock are made for.
 const VERSION: &str = "3.17.0";
-
-/// Crates with a `mujoco` feature, and the learners, which one of them uses: tested with the whole workspace instead, their
-/// tensor library would be built a second time.
-const CRATES: &[&str] = &[
-    "palpate_cloning",
-    "palpate_encoder",
-    "palpate_grasp",
-    "palpate_ppo",
-    "palpate_rollout",
-    "palpate_train",
-];
 
 /// The folder of the library: the one that `MUJOCO_DYNAMIC_LINK_DIR` names, or else one below `target/tools`, fetched
 /// from PyPI (pip checks the wheel's hash) unless it is there.
@@ -99,40 +88,11 @@ fn fetch(dir: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A cargo that builds the crates of the grasp world with it.
-fn cargo(action: &str, link_dir: &Path) -> Command {
-    let mut cargo = shell::cargo(&paths::root());
-    cargo.arg(action).env(LINK_DIR, link_dir);
-    for name in CRATES {
-        cargo.args(["--package", name]);
-    }
-    cargo.args(["--features", "mujoco"]);
+/// Has `cargo` build the grasp world and what trains in it, and lets what it runs find the library.
+pub(crate) fn add(cargo: &mut Command, link_dir: &Path) {
     cargo
-}
-
-/// Lints of the grasp world, warnings denied.
-pub(crate) fn lint() -> anyhow::Result<()> {
-    let mut cargo = cargo("clippy", &link_dir()?);
-    shell::run(cargo.args(["--all-targets", "--", "--deny", "warnings"]))
-}
-
-/// Tests of the grasp world; with `filter` only those whose name contains it.
-pub(crate) fn test(
-    palpate: &Path,
-    artifacts: &Path,
-    skipped: &Path,
-    filter: Option<&str>,
-) -> anyhow::Result<()> {
-    let dir = link_dir()?;
-    let tests = || {
-        let mut cargo = cargo("test", &dir);
-        // The physical station is driven by a studio.
-        cargo.env("PALPATE_BIN", palpate).env("PALPATE_SKIPPED", skipped);
-        // So is its page.
-        cargo.env("PALPATE_BROWSER_TESTS", browser::folder()).env("PALPATE_ARTIFACTS", artifacts);
+        .args(["--features", "palpate_grasp/mujoco,palpate_train/mujoco"])
+        .env(LINK_DIR, link_dir)
         // Test binaries know where the library is; those of documentation examples do not.
-        cargo.env("LD_LIBRARY_PATH", &dir).env("PROPTEST_RNG_SEED", crate::test::PROPTEST_SEED);
-        cargo
-    };
-    twice::run(tests, filter)
+        .env("LD_LIBRARY_PATH", link_dir);
 }

@@ -1,9 +1,9 @@
-//! Tests that are left out because `PALPATE_SKIP` names the tool that they need: `e2e`, `browser`, `slurm`, with commas
-//! between. Without it a test whose tool is missing fails.
+//! Tests that are left out because `PALPATE_SKIP` names the tool that they need: `e2e`, `browser`, `slurm`, `mujoco`, with
+//! commas between. Without it a test whose tool is missing fails.
 
 use std::{collections::BTreeMap, path::Path};
 
-const TOOLS: [&str; 3] = ["e2e", "browser", "slurm"];
+const TOOLS: [&str; 4] = ["e2e", "browser", "slurm", "mujoco"];
 
 /// The tools that `PALPATE_SKIP` names.
 fn named() -> Vec<String> {

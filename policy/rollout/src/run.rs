@@ -545,11 +545,17 @@ fn arm(hand: &Hand<'_>) -> anyhow::Result<()> {
     // One that has just been given back lets go first.
     insist(link, "arming", || Request::Arm(Arm {}))?;
     let asked = link.newest().map_or(0, |frame| frame.number);
-    let is_armed = |frame: &Frame| match frame.live.control.as_ref().map(|control| control.phase()) {
-        Some(Phase::Armed) if frame.number > asked => Ok(()),
-        _ => {
-            let reason = frame.live.control.as_ref().map(|control| control.reason.clone());
-            Err(Not::Yet(reason.unwrap_or_default()))
+    let was_arming = Cell::new(false);
+    let is_armed = |frame: &Frame| {
+        let Some(control) = &frame.live.control else { return Err(Not::Yet(String::new())) };
+        match control.phase() {
+            Phase::Armed if frame.number > asked => Ok(()),
+            // It has tried, and says why it could not.
+            Phase::Disarmed if was_arming.get() => Err(Not::Ever(control.reason.clone())),
+            phase => {
+                was_arming.set(was_arming.get() || phase == Phase::Arming && frame.number > asked);
+                Err(Not::Yet(control.reason.clone()))
+            }
         }
     };
     wait_for(hand, "the station to be armed", is_armed).map(drop)

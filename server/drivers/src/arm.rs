@@ -48,7 +48,8 @@ pub(crate) struct ArmSetup {
 
 /// Drives the arm until the context says stop.
 pub(crate) fn run(context: &DeviceContext, setup: &ArmSetup) {
-    let mut session = Session::new(setup.joints.clone(), setup.limits.clone(), setup.hold_ns);
+    let mut session =
+        Session::new(setup.joints.clone(), setup.limits.clone(), setup.hold_ns, context.goals.disarms());
     if context.has_failed.load(Ordering::Relaxed) {
         session.take_over();
     }
@@ -241,6 +242,7 @@ fn order(goal: &Goal, dofs: &[usize]) -> Order {
         lead_through: goal.lead_through,
         joints_rad,
         valid_until_ns: goal.valid_until_ns,
+        disarms: goal.disarms,
     }
 }
 

@@ -267,6 +267,9 @@ pub(crate) struct Goal {
     pub(crate) positions: Arc<[f64]>,
     /// The goal expires at this host time, ns.
     pub(crate) valid_until_ns: u64,
+    /// How often goals have begun to be without torque, up to this one; counted by the slot. A thread that looks now and
+    /// then sees by it that one without torque came and went.
+    pub(crate) disarms: u64,
 }
 
 /// The newest goal.
@@ -278,12 +281,20 @@ pub(crate) struct GoalSlot {
 impl GoalSlot {
     /// Puts a goal in place of the one before.
     pub(crate) fn set(&self, goal: Goal) {
-        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(goal);
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let begins = !goal.torque && newest.as_ref().is_none_or(|before| before.torque);
+        let disarms = newest.as_ref().map_or(0, |before| before.disarms) + u64::from(begins);
+        *newest = Some(Goal { disarms, ..goal });
     }
 
     /// The newest goal, valid or not; `None` before the first.
     pub(crate) fn newest(&self) -> Option<Goal> {
         self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// [`Goal::disarms`] of the newest goal; 0 before the first.
+    pub(crate) fn disarms(&self) -> u64 {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, |goal| goal.disarms)
     }
 }
 

@@ -140,6 +140,7 @@ impl From<&Setpoint> for Goal {
             lead_through: setpoint.lead_through(),
             positions: setpoint.positions().into(),
             valid_until_ns: setpoint.valid_until_ns(),
+            disarms: 0,
         }
     }
 }

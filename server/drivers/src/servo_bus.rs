@@ -130,7 +130,7 @@ impl<'a> Bus<'a> {
             line,
             servos: plan.servos.iter().cloned().map(Servo::new).collect(),
             reader: PresentReader::default(),
-            decider: Decider::new(plan.hold_ns),
+            decider: Decider::new(plan.hold_ns, context.goals.disarms()),
             armed: false,
             arming: None,
             arm_problem: String::new(),

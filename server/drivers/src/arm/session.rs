@@ -69,6 +69,8 @@ pub(crate) struct Order {
     /// Of the arm's joints, rad.
     pub(crate) joints_rad: Vec<f64>,
     pub(crate) valid_until_ns: u64,
+    /// How often orders have begun to be without torque, up to this one.
+    pub(crate) disarms: u64,
 }
 
 /// Where a conversation with the box has got to.
@@ -158,6 +160,8 @@ pub(crate) struct Session {
     ours: bool,
     /// An order without torque has to be seen first, as at the start: who commands has then seen that the arm is off.
     needs_disarm: bool,
+    /// [`Order::disarms`] of the order that was looked at last.
+    disarms: u64,
     clear_requested: bool,
     connected_ns: u64,
     seen: Option<Seen>,
@@ -171,8 +175,9 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    /// A session with an arm of these joints, which holds for `hold_ns` once orders have dried up.
-    pub(crate) fn new(joints: Vec<String>, limits: Limits, hold_ns: u64) -> Self {
+    /// A session with an arm of these joints, which holds for `hold_ns` once orders have dried up. An order without torque
+    /// has to come after the first `disarms`.
+    pub(crate) fn new(joints: Vec<String>, limits: Limits, hold_ns: u64, disarms: u64) -> Self {
         Self {
             joints,
             follower: Follower::new(limits.clone()),
@@ -193,6 +198,7 @@ impl Session {
             enabled: false,
             ours: false,
             needs_disarm: true,
+            disarms,
             clear_requested: false,
             connected_ns: 0,
             seen: None,
@@ -382,7 +388,10 @@ impl Session {
         if valid.is_some() {
             self.ordered_ns = Some(now_ns);
         }
-        if order.is_some_and(|order| !order.torque) {
+        // One without torque may have come and gone since the last look.
+        let disarms = order.map_or(self.disarms, |order| order.disarms);
+        let was_limp = std::mem::replace(&mut self.disarms, disarms) < disarms;
+        if was_limp || order.is_some_and(|order| !order.torque) {
             self.needs_disarm = false;
             if matches!(self.fault, Some(Fault::Passing(_))) && !self.is_engaged() {
                 self.forgive();

@@ -26,7 +26,13 @@ fn driven(emulated: &Emulated, report_port: u16) -> Driven {
 
 fn set(driven: &Driven, torque: bool, lead_through: bool, positions: &[f64]) {
     let valid_until_ns = driven.context.clock.now_ns() + VALID_NS;
-    driven.context.goals.set(Goal { torque, lead_through, positions: positions.into(), valid_until_ns });
+    driven.context.goals.set(Goal {
+        torque,
+        lead_through,
+        positions: positions.into(),
+        valid_until_ns,
+        disarms: 0,
+    });
 }
 
 /// The next reading of the joints.

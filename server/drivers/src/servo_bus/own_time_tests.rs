@@ -208,7 +208,7 @@ impl Rig {
     fn set_goal(&self, torque: bool, positions: &[f64]) {
         let valid_until_ns = self.now_ns() + 150 * MS_NS;
         let positions = positions.into();
-        self.context.goals.set(Goal { torque, lead_through: false, positions, valid_until_ns });
+        self.context.goals.set(Goal { torque, lead_through: false, positions, valid_until_ns, disarms: 0 });
     }
 
     fn set_faults(&self, text: &str) {

@@ -181,7 +181,13 @@ impl Rig {
             if let Some((torque, positions)) = goal(self) {
                 let valid_until_ns = self.context.clock.now_ns() + VALID_NS;
                 let positions = positions.into();
-                self.context.goals.set(Goal { torque, lead_through: false, positions, valid_until_ns });
+                self.context.goals.set(Goal {
+                    torque,
+                    lead_through: false,
+                    positions,
+                    valid_until_ns,
+                    disarms: 0,
+                });
             }
             std::thread::sleep(Duration::from_millis(5));
         }

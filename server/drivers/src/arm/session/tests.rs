@@ -46,7 +46,7 @@ fn bench() -> Bench {
     let client = station.connect();
     let mut bench = Bench {
         station,
-        session: Session::new(joints(), limits, HOLD_MS * MS),
+        session: Session::new(joints(), limits, HOLD_MS * MS, 0),
         client,
         reports: ReportDecoder::new(ReportKind::Real),
         velocities: VelocityEstimate::new(6),
@@ -64,7 +64,7 @@ fn bench() -> Bench {
 
 fn order(torque: bool, now_ms: u64, joints_rad: &[f64]) -> Order {
     let valid_until_ns = (now_ms + VALID_MS) * MS;
-    Order { torque, lead_through: false, joints_rad: joints_rad.to_vec(), valid_until_ns }
+    Order { torque, lead_through: false, joints_rad: joints_rad.to_vec(), valid_until_ns, disarms: 0 }
 }
 
 impl Bench {
@@ -215,7 +215,7 @@ fn a_box_is_asked_who_it_is_and_left_as_it_is_until_somebody_arms() {
 #[test]
 fn nothing_is_switched_on_before_an_order_without_torque_was_seen() {
     let mut bench = bench();
-    bench.session = Session::new(joints(), bench.session.limits.clone(), HOLD_MS * MS);
+    bench.session = Session::new(joints(), bench.session.limits.clone(), HOLD_MS * MS, 0);
     bench.session.connected(0);
     bench.run_ms(60);
     bench.stand();
@@ -225,6 +225,15 @@ fn nothing_is_switched_on_before_an_order_without_torque_was_seen() {
     bench.disarm();
     bench.run_ms(50);
     bench.stand();
+    bench.run_until(1000, "following", |bench| bench.session.phase == Phase::Servo);
+}
+
+#[test]
+fn an_order_without_torque_counts_though_the_next_one_came_before_it_was_seen() {
+    let mut bench = bench();
+    bench.session = Session::new(joints(), bench.session.limits.clone(), HOLD_MS * MS, 0);
+    bench.session.connected(0);
+    bench.orders = Box::new(|now_ms, at| Some(Order { disarms: 1, ..order(true, now_ms, at) }));
     bench.run_until(1000, "following", |bench| bench.session.phase == Phase::Servo);
 }
 
