@@ -4,6 +4,7 @@ pub(crate) mod board;
 mod diagnose;
 pub(crate) mod kinds;
 mod legacy;
+pub(crate) mod lineage;
 pub(crate) mod runs;
 pub(crate) mod trainer;
 mod work;

@@ -52,6 +52,8 @@ pub enum Request {
     },
     /// Saved sensor models.
     Models,
+    /// What was made from what.
+    Lineage,
     /// Objects.
     Objects,
     /// Calibration runs, newest first.
@@ -279,6 +281,7 @@ impl Request {
                 segment(&model.key())
             )),
             Self::Models => get("/models".into()),
+            Self::Lineage => get("/lineage".into()),
             Self::Objects => get("/objects".into()),
             Self::Runs => get("/calibrations".into()),
             Self::Run(run) => get(format!("/calibrations/{}", segment(run))),

@@ -279,6 +279,7 @@ impl StudioApp {
             Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
             Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
             Screen::Objects => screens::objects::objects_ui(ui, &mut cx, &mut self.objects),
+            Screen::Models => screens::models::models_ui(ui, &mut cx),
             Screen::Trials => screens::trials::trials_ui(ui, &mut cx, &mut self.trials),
             Screen::Jobs => screens::jobs::jobs_ui(ui, &mut cx, &mut self.jobs),
             Screen::Settings => screens::settings::settings_ui(ui, &mut cx, &mut self.settings),
@@ -435,6 +436,7 @@ impl StudioApp {
                 | Screen::Diagnose
                 | Screen::Sessions
                 | Screen::Objects
+                | Screen::Models
                 | Screen::Trials
                 | Screen::Jobs
                 | Screen::Settings => None,

@@ -53,7 +53,7 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 31] = [
+    pub const ALL: [Self; 32] = [
         Self::Open(Screen::Home),
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
@@ -64,6 +64,7 @@ impl Command {
         Self::Open(Screen::Objects),
         Self::Open(Screen::Trials),
         Self::Open(Screen::Jobs),
+        Self::Open(Screen::Models),
         Self::Open(Screen::Settings),
         Self::Stop,
         Self::ResetStop,
@@ -105,6 +106,7 @@ impl Command {
             Self::Open(Screen::Diagnose) => "Go to Diagnose",
             Self::Open(Screen::Sessions) => "Go to Sessions",
             Self::Open(Screen::Objects) => "Go to Objects",
+            Self::Open(Screen::Models) => "Go to Models",
             Self::Open(Screen::Trials) => "Go to Trials",
             Self::Open(Screen::Jobs) => "Go to Jobs",
             Self::Open(Screen::Settings) => "Go to Settings",
@@ -157,7 +159,7 @@ impl Command {
             Self::Open(Screen::Jobs) => alt(Key::Num0),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
-            Self::Open(Screen::Settings)
+            Self::Open(Screen::Models | Screen::Settings)
             | Self::ResetStop
             | Self::TakeControl
             | Self::GiveBackControl

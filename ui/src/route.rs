@@ -42,13 +42,15 @@ pub enum Screen {
     Trials,
     /// Long work: what waits, runs and has ended.
     Jobs,
+    /// Sensor models and policies: what was made from what.
+    Models,
     /// People, tokens, storage, the audit log.
     Settings,
 }
 
 impl Screen {
     /// All screens, in the order of the rail.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Home,
         Self::Hand,
         Self::Record,
@@ -59,6 +61,7 @@ impl Screen {
         Self::Objects,
         Self::Trials,
         Self::Jobs,
+        Self::Models,
         Self::Settings,
     ];
 
@@ -73,6 +76,7 @@ impl Screen {
             Self::Diagnose => "Diagnose",
             Self::Sessions => "Sessions",
             Self::Objects => "Objects",
+            Self::Models => "Models",
             Self::Trials => "Trials",
             Self::Jobs => "Jobs",
             Self::Settings => "Settings",
@@ -92,6 +96,7 @@ impl Screen {
             }
             Self::Sessions => "What has been recorded, and whether it can be used",
             Self::Objects => "What is touched and grasped: shape, mass, poses at rest",
+            Self::Models => "Sensor models and policies: what each was made from, and what was made of it",
             Self::Trials => "Try policies on the hand, score each trial, compare success rates",
             Self::Jobs => "Long work: what waits, what runs, how it ended",
             Self::Settings => "People, API tokens, storage, the audit log",
@@ -113,6 +118,7 @@ impl Screen {
             Self::Diagnose => "diagnose",
             Self::Sessions => "sessions",
             Self::Objects => "objects",
+            Self::Models => "models",
             Self::Trials => "trials",
             Self::Jobs => "jobs",
             Self::Settings => "settings",
@@ -145,6 +151,8 @@ pub struct Route {
     pub live: bool,
     /// Object shown, by id.
     pub object: Option<String>,
+    /// Model, policy or other artifact shown ([`palpate_wire::api::ArtifactKey`] as text).
+    pub artifact: Option<String>,
     /// Campaign shown, by id.
     pub campaign: Option<String>,
     /// Which part is shown: of a campaign `run`, `score` or `results`; of Settings `people`, `tokens`, `storage` or
@@ -175,6 +183,7 @@ impl Route {
             run: None,
             live: false,
             object: None,
+            artifact: None,
             campaign: None,
             part: None,
             job: None,
@@ -221,6 +230,7 @@ impl Route {
                 "run" => route.run = value,
                 "source" => route.live = value.as_deref() == Some("live"),
                 "object" => route.object = value,
+                "artifact" => route.artifact = value,
                 "campaign" => route.campaign = value,
                 "part" => route.part = value,
                 "job" => route.job = value,
@@ -233,8 +243,8 @@ impl Route {
     /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
     pub fn is_same_place(&self, other: &Self) -> bool {
         let ids = |route: &Self| {
-            let Self { session, take, run, object, campaign, part, job, .. } = route.clone();
-            [session, take, run, object, campaign, part, job]
+            let Self { session, take, run, object, artifact, campaign, part, job, .. } = route.clone();
+            [session, take, run, object, artifact, campaign, part, job]
         };
         (self.screen, self.live, &self.lost, ids(self)) == (other.screen, other.live, &other.lost, ids(other))
     }
@@ -263,6 +273,7 @@ impl fmt::Display for Route {
             ("diagnosed", &self.diagnosed),
             ("run", &self.run),
             ("object", &self.object),
+            ("artifact", &self.artifact),
             ("campaign", &self.campaign),
             ("part", &self.part),
             ("job", &self.job),
@@ -328,13 +339,13 @@ mod tests {
         #[test]
         fn every_route_survives_its_hash(
             screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
-            diagnosed in id(), run in id(), object in id(), campaign in id(), part in id(), job in id(),
+            diagnosed in id(), run in id(), (object, artifact) in (id(), id()), campaign in id(), part in id(), job in id(),
             time_ms in proptest::option::of(0_u32..10_000_000), live in any::<bool>(),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
             let route = Route {
-                screen, session, take, time_s, model, diagnosed, run, live, object, campaign, part, job,
+                screen, session, take, time_s, model, diagnosed, run, live, object, artifact, campaign, part, job,
                 lost: None,
             };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);

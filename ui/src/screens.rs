@@ -8,6 +8,7 @@ pub mod diagnose;
 pub mod hand;
 pub mod home;
 pub mod jobs;
+pub mod models;
 pub mod objects;
 pub mod record;
 pub mod run_controls;

@@ -21,7 +21,7 @@ use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
-        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, ObjectEntry, RecordingAction,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage, ModelSummary, ObjectEntry, RecordingAction,
         RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary,
         StationDocument,
     },
@@ -172,6 +172,7 @@ pub struct Store {
     replays: BTreeMap<(TakeKey, ModelRef), Loadable<Arc<ReplayTrace>>>,
     models: Loadable<Arc<Vec<ModelSummary>>>,
     objects: Loadable<Arc<Vec<ObjectEntry>>>,
+    lineage: Loadable<Arc<Lineage>>,
     calibrations: RunTable<CalibrationRequest, CalibrationReport>,
     diagnoses: RunTable<DiagnosisRequest, DiagnosisReport>,
     live: Option<LiveFrame>,
@@ -232,6 +233,11 @@ impl Store {
     /// What is touched and grasped.
     pub fn objects(&mut self) -> Loadable<Arc<Vec<ObjectEntry>>> {
         ask(&mut self.objects, &mut self.outbox, || Request::Objects)
+    }
+
+    /// What was made from what.
+    pub fn lineage(&mut self) -> Loadable<Arc<Lineage>> {
+        ask(&mut self.lineage, &mut self.outbox, || Request::Lineage)
     }
 
     /// Asks for the objects again, as their files may have changed.
@@ -361,6 +367,7 @@ impl Store {
         reset(&mut self.recording);
         reset(&mut self.models);
         reset(&mut self.objects);
+        reset(&mut self.lineage);
         self.campaigns.retry_failed();
         self.jobs.retry_failed();
         self.people.retry_failed();
@@ -453,6 +460,7 @@ impl Store {
             }
             Request::Models => self.models = shared(parse_json(result)),
             Request::Objects => self.objects = shared(parse_json(result)),
+            Request::Lineage => self.lineage = shared(parse_json(result)),
             Request::Runs => self.calibrations.receive_list(result),
             Request::Run(id) => self.calibrations.receive_detail(id, result),
             Request::Diagnoses => self.diagnoses.receive_list(result),
@@ -563,6 +571,9 @@ impl Store {
             Some(stream_message::Message::Job(update)) => {
                 let Some(state) = job_state(&update.state) else { return };
                 self.jobs.update(state, &update);
+                if state == JobState::Done {
+                    self.lineage_changed();
+                }
                 if update.job.starts_with(DIAGNOSIS_PREFIX) {
                     if self.diagnoses.update(state, &update) {
                         self.outbox.push(Request::Diagnosis(update.job));
@@ -580,6 +591,7 @@ impl Store {
 
     /// Somebody, perhaps on another page, changed what a list shows.
     fn receive_changed(&mut self, changed: &Changed) {
+        self.lineage_changed();
         match changed.list.as_str() {
             "sessions" if self.sessions.ready().is_some() => {
                 self.details.remove(&changed.id);
@@ -589,6 +601,13 @@ impl Store {
             "models" if self.models.ready().is_some() => self.models_changed(),
             "campaigns" => self.campaigns.changed(&changed.id, &self.control.operator),
             _ => {}
+        }
+    }
+
+    /// The old one stays on the page until the new one is here.
+    fn lineage_changed(&mut self) {
+        if self.lineage.ready().is_some() {
+            self.outbox.push(Request::Lineage);
         }
     }
 

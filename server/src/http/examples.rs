@@ -39,6 +39,7 @@ const EXAMPLES: &[Example] = &[
         curl: r#"curl -o objects.json "$PALPATE_URL/api/v1/objects""#,
         status: 200,
     },
+    Example { method: "GET", path: "/lineage", curl: r#"curl "$PALPATE_URL/api/v1/lineage""#, status: 200 },
     Example {
         method: "POST",
         path: "/sessions",

@@ -5,6 +5,7 @@ mod campaigns;
 mod diagnoses;
 mod health;
 mod jobs;
+mod lineage;
 mod live;
 mod models;
 mod objects;
@@ -150,6 +151,7 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::DELETE, "/models/{model}", DATA, delete(models::discard)),
         route(Method::POST, "/models/{model}/restore", DATA, post(models::restore)),
         route(Method::GET, "/objects", VIEW, get(objects::list)),
+        route(Method::GET, "/lineage", VIEW, get(lineage::document)),
         route(Method::GET, "/calibrations", VIEW, get(calibrations::list)),
         route(Method::POST, "/calibrations", JOBS, post(calibrations::start)),
         route(Method::GET, "/calibrations/{run}", VIEW, get(calibrations::detail)),

@@ -19,7 +19,7 @@ use palpate_calibration::HoldOut;
 use palpate_jobs::JobFolder;
 use palpate_recording::Session;
 use palpate_sim::job::{Cancel, Progress};
-use palpate_wire::api::Resources;
+use palpate_wire::api::{ArtifactSort, Resources};
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
@@ -64,6 +64,8 @@ pub(crate) struct JobKind {
     pub(crate) resources: Resources,
     /// Whether `palpate-train` does the work.
     pub(crate) needs_trainer: bool,
+    /// What it makes, if that is an artifact of its own.
+    pub(crate) makes: Option<ArtifactSort>,
     /// Refuses what cannot be done, before it is queued; gives the files that the job will read.
     pub(crate) check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
     /// Does it, and leaves the results as files of the job's folder.

@@ -3,6 +3,7 @@
 mod campaigns;
 mod diagnosis;
 mod jobs;
+mod lineage;
 mod live;
 mod objects;
 mod people;
@@ -15,6 +16,7 @@ use std::collections::BTreeMap;
 pub use campaigns::*;
 pub use diagnosis::*;
 pub use jobs::*;
+pub use lineage::*;
 pub use live::*;
 pub use objects::*;
 pub use people::*;

@@ -21,6 +21,7 @@ const SCREENS = [
   "diagnose",
   "sessions",
   "objects",
+  "models",
   "trials",
   "jobs",
   "settings",

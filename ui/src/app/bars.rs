@@ -17,6 +17,11 @@ const BAR_HEIGHT: f32 = 46.0;
 /// Width of the rail: icons and words, or icons alone.
 const RAIL: f32 = 132.0;
 const NARROW_RAIL: f32 = 60.0;
+/// Height of a screen's button in the rail, points: as a rule, and where the page is low.
+const ROW: f32 = 40.0;
+const MIN_ROW: f32 = 28.0;
+/// What the lower end of the rail takes, points.
+const RAIL_FOOT: f32 = 150.0;
 /// Names in the bar have at most so many letters; fewer where there is little room for the three of them.
 const MAX_NAME: usize = 32;
 const MIN_NAME: usize = 10;
@@ -44,13 +49,18 @@ impl StudioApp {
         egui::Panel::left("rail").resizable(false).exact_size(width).show(ui, |ui| {
             if narrow {
                 // The rest of the rail is in the menu.
-                egui::ScrollArea::vertical().show(ui, |ui| self.screens_ui(ui, true, go_to));
+                egui::ScrollArea::vertical().show(ui, |ui| self.screens_ui(ui, true, ROW, go_to));
                 return;
             }
             ui.add_space(10.0);
             ui.label(RichText::new("Palpate").strong().size(18.0));
             ui.add_space(10.0);
-            self.screens_ui(ui, false, go_to);
+            // All screens are seen at once where their names can be read; on a lower page they scroll.
+            let room = (ui.available_height() - RAIL_FOOT).max(ROW);
+            let row = room / Screen::ALL.len() as f32 - ui.spacing().item_spacing.y;
+            egui::ScrollArea::vertical()
+                .max_height(room)
+                .show(ui, |ui| self.screens_ui(ui, false, row.clamp(MIN_ROW, ROW), go_to));
             ui.with_layout(Layout::bottom_up(Align::Min), |ui| {
                 ui.add_space(10.0);
                 if let Loadable::Ready(info) = &self.store.info {
@@ -62,7 +72,8 @@ impl StudioApp {
         });
     }
 
-    fn screens_ui(&mut self, ui: &mut egui::Ui, narrow: bool, go_to: &mut Option<Route>) {
+    /// Buttons of all screens, each as high as `row`, points.
+    fn screens_ui(&mut self, ui: &mut egui::Ui, narrow: bool, row: f32, go_to: &mut Option<Route>) {
         let commandable = self.store.is_commandable();
         for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
             let chosen = self.route.screen == screen && self.route.lost.is_none();
@@ -72,7 +83,7 @@ impl StudioApp {
                 RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0)
             };
             let mut button =
-                egui::Button::selectable(chosen, text).min_size(egui::vec2(ui.available_width(), 40.0));
+                egui::Button::selectable(chosen, text).min_size(egui::vec2(ui.available_width(), row));
             if !narrow {
                 button = button.right_text("");
             }
@@ -416,6 +427,7 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
         Screen::Objects => "\u{1f4e6}",
+        Screen::Models => "\u{1f517}",
         Screen::Trials => "\u{1f3af}",
         Screen::Jobs => "\u{231b}",
         Screen::Settings => "\u{2699}",

@@ -8,7 +8,13 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_robot_model::{ObjectModel, ObjectShape};
 use palpate_wire::api::{ObjectDocument, ObjectEntry, RestPoseDocument};
 
-use super::{ScreenContext, empty_ui, failed_ui, hand::ObjectView, heading_ui, loading_ui};
+use super::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    empty_ui, failed_ui,
+    hand::ObjectView,
+    heading_ui, loading_ui,
+};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -20,6 +26,11 @@ const GROUPS: [(Option<&str>, &str); 3] = [
     (Some("unseen"), "Unseen, for evaluation"),
     (None, "Calibration and others"),
 ];
+
+/// Less wide than this, points, list, picture and facts do not stand side by side.
+const NARROW: f32 = 820.0;
+/// Height of the picture there, points.
+const PICTURE_HEIGHT: f32 = 300.0;
 
 /// What the operator chose on this screen.
 #[derive(Default)]
@@ -47,6 +58,9 @@ pub fn objects_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Obj
         }
         return;
     };
+    if ui.available_width() < NARROW {
+        return narrow_ui(ui, cx, state, &objects, shown);
+    }
     egui::Panel::left("objects_list").resizable(false).exact_size(292.0).show(ui, |ui| {
         egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             ui.add_space(4.0);
@@ -80,15 +94,49 @@ pub fn objects_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Obj
     }
 }
 
+/// Everything below one another, on a phone.
+fn narrow_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut ObjectsState,
+    objects: &[ObjectEntry],
+    shown: &ObjectEntry,
+) {
+    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        ui.add_space(4.0);
+        let mut chosen = shown.id.clone();
+        combo_ui(ui, "Object", entry_text(shown).0, ui.available_width() - 16.0, |ui| {
+            for (group, heading) in GROUPS {
+                let mut members = objects.iter().filter(|object| group_of(object) == group).peekable();
+                if members.peek().is_some() {
+                    ui.label(RichText::new(heading).color(cx.palette.text_weak));
+                }
+                members
+                    .for_each(|object| option_ui(ui, &mut chosen, object.id.clone(), entry_text(object).0));
+            }
+        });
+        if chosen != shown.id {
+            *cx.go_to = Some(Route { object: Some(chosen), ..Route::to(Screen::Objects) });
+        }
+        match &shown.content {
+            Ok(document) => {
+                let size = egui::vec2(ui.available_width(), PICTURE_HEIGHT);
+                ui.allocate_ui(size, |ui| picture_ui(ui, cx, state, &shown.id, document));
+                facts_ui(ui, cx, shown, document);
+                poses_ui(ui, cx, state, &shown.id, document);
+                takes_ui(ui, cx, shown);
+            }
+            Err(problem) => unusable_ui(ui, cx, shown, problem),
+        }
+    });
+}
+
 fn group_of(object: &ObjectEntry) -> Option<&str> {
     object.content.as_ref().ok().and_then(|document| document.group.as_deref())
 }
 
 fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEntry, chosen: bool) {
-    let (name, fact) = match &object.content {
-        Ok(document) => (document.label.as_str(), document.mass_kg.map(grams).unwrap_or_default()),
-        Err(_) => (object.id.as_str(), "\u{26a0} cannot be used".to_owned()),
-    };
+    let (name, fact) = entry_text(object);
     let button = egui::Button::selectable(chosen, RichText::new(name))
         .right_text(RichText::new(fact).color(cx.palette.text_weak))
         .min_size(egui::vec2(ui.available_width() - 8.0, 32.0));
@@ -99,6 +147,14 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEntry,
     });
     if response.clicked() {
         *cx.go_to = Some(Route { object: Some(object.id.clone()), ..Route::to(Screen::Objects) });
+    }
+}
+
+/// What an object is called, and one fact about it.
+fn entry_text(object: &ObjectEntry) -> (&str, String) {
+    match &object.content {
+        Ok(document) => (&document.label, document.mass_kg.map(grams).unwrap_or_default()),
+        Err(_) => (&object.id, "\u{26a0} cannot be used".to_owned()),
     }
 }
 

@@ -9,6 +9,7 @@ mod home;
 mod jobs;
 mod live;
 mod mirror;
+mod models;
 mod objects;
 mod policy;
 mod record;

@@ -87,3 +87,20 @@ fn no_objects_and_no_list_say_what_to_do() {
     let harness = page(&full_api(), &FakeWindow::at("#/objects"));
     harness.get_by_label_contains("The list of objects did not arrive");
 }
+
+#[test]
+fn a_phone_shows_the_object_below_its_name() {
+    let api = with_objects(&[block(), bad()]);
+    let window = FakeWindow::at("#/objects?object=block");
+    let mut harness = page(&api, &window);
+    harness.set_size(egui::vec2(390.0, 844.0));
+    harness.run_steps(3);
+    let facts = harness.get_by_label_contains("80 x 60 x 40 mm").rect();
+    assert!(facts.right() <= 390.0 && facts.top() > 300.0, "{facts:?} lies below a picture of some size");
+    harness.get_by_role_and_label(Role::ComboBox, "Object").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ListBoxOption, "bad").click();
+    harness.run_steps(3);
+    assert_eq!(window.current(), "#/objects?object=bad");
+    harness.get_by_label_contains("radius_m is -1");
+}

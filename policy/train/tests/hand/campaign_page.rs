@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::campaigns::somebody;
-use super::station::{Ready, browser};
+use super::station::{self, browser, cube_station};
 use super::{palpate_train, root, turn};
 
 /// Whether there is a trial to make is looked for this often.
@@ -53,26 +53,13 @@ fn three_people_lead_score_and_watch_a_campaign_in_their_browsers() {
     let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let (dir, data) = (folder.path().join("devices"), folder.path().join("data"));
-    let station = Ready::start(
-        palpate_train()
-            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
-            .arg(&dir),
-    );
-    let found: Value = serde_json::from_str(&station.line).expect("where everything is");
+    let (_station, found) = cube_station(&dir);
     let token = somebody(&browser.palpate, &data, "olga", "operator", "read,control,data");
     somebody(&browser.palpate, &data, "ada", "scorer", "read,score");
     somebody(&browser.palpate, &data, "vera", "viewer", "read");
-    let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
-    let running = Ready::start(
-        Command::new(&browser.palpate)
-            .args(["serve", "--login", "--tls", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(&data)
-            .args(serve),
-    );
-    let line: Value = serde_json::from_str(&running.line).expect("an address");
-    let url = line["url"].as_str().expect("an address");
+    let (_studio, url) = station::studio(&browser.palpate, &data, &["--login", "--tls"], &found);
     let cert = data.join("tls/cert.pem");
-    let studio = Studio::new(url, Some(token.clone()), Some(&cert)).expect("a studio");
+    let studio = Studio::new(&url, Some(token.clone()), Some(&cert)).expect("a studio");
 
     // What trials come to is not looked at here: they are as short as the script's way up allows.
     let world = std::fs::read_to_string(root().join("assets/grasp/xarm6_leap.toml")).expect("a world");
@@ -80,7 +67,7 @@ fn three_people_lead_score_and_watch_a_campaign_in_their_browsers() {
     std::fs::write(&short, world.replace("episode_s = 10.0", "episode_s = 5.0")).expect("a file");
     let start_rollout = |campaign: &str| {
         let rollout = palpate_train()
-            .args(["rollout", "--campaign", campaign, "--url", url, "--ca-file"])
+            .args(["rollout", "--campaign", campaign, "--url", &url, "--ca-file"])
             .arg(&cert)
             .arg("--operator")
             .arg(found["operator"].as_str().expect("a socket"))
@@ -95,7 +82,7 @@ fn three_people_lead_score_and_watch_a_campaign_in_their_browsers() {
     let told = folder.path().join("scored.json");
     let people = Command::new("node")
         .arg("campaign.mjs")
-        .arg(url)
+        .arg(&url)
         .arg(&browser.artifacts)
         .arg(&told)
         .arg(starts.to_string())

@@ -11,7 +11,7 @@ use palpate_rollout::studio::{RequestError, Studio};
 use palpate_wire::api::{Campaign, CampaignResults, TrialVerdict};
 use serde_json::{Value, json};
 
-use super::station::{Ready, palpate};
+use super::station::{self, cube_station, palpate};
 use super::{palpate_train, root, turn};
 
 /// Whatever is waited for comes long before this, unless it never does.
@@ -57,26 +57,13 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
     let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let (dir, data) = (folder.path().join("devices"), folder.path().join("data"));
-    let station = Ready::start(
-        palpate_train()
-            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
-            .arg(&dir),
-    );
-    let found: Value = serde_json::from_str(&station.line).expect("where everything is");
+    let (_station, found) = cube_station(&dir);
     let operator_token = somebody(&palpate, &data, "olga", "operator", "read,control,data");
     let scorer_token = somebody(&palpate, &data, "ada", "scorer", "read,score");
     let viewer_token = somebody(&palpate, &data, "vera", "viewer", "read");
-    let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
-    let running = Ready::start(
-        Command::new(&palpate)
-            .args(["serve", "--login", "--tls", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(&data)
-            .args(serve),
-    );
-    let line: Value = serde_json::from_str(&running.line).expect("an address");
-    let url = line["url"].as_str().expect("an address");
+    let (_studio, url) = station::studio(&palpate, &data, &["--login", "--tls"], &found);
     let cert = data.join("tls/cert.pem");
-    let studio = |token: &str| Studio::new(url, Some(token.to_owned()), Some(&cert)).expect("a studio");
+    let studio = |token: &str| Studio::new(&url, Some(token.to_owned()), Some(&cert)).expect("a studio");
     let (operator, scorer, viewer) = (studio(&operator_token), studio(&scorer_token), studio(&viewer_token));
 
     let plan = json!({
@@ -98,19 +85,15 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
     let out = folder.path().join("night");
     // A certificate that vouches for another studio is no reason to talk to this one.
     let other = folder.path().join("other");
-    let another = Ready::start(
-        Command::new(&palpate)
-            .args(["serve", "--tls", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(&other),
-    );
-    assert!(another.line.contains("https://"), "{}", another.line);
+    let (another, address) = station::studio(&palpate, &other, &["--tls"], &Value::Null);
+    assert!(address.starts_with("https://"), "{address}");
     let wrong =
-        Studio::new(url, Some(operator_token.clone()), Some(&other.join("tls/cert.pem"))).expect("a studio");
+        Studio::new(&url, Some(operator_token.clone()), Some(&other.join("tls/cert.pem"))).expect("a studio");
     let problem = wrong.get::<Value>("/campaigns").expect_err("another certificate").to_string();
     assert!(problem.contains("does --ca-file"), "{problem}");
     drop(another);
     let mut rollout = palpate_train()
-        .args(["rollout", "--campaign", "night", "--url", url, "--ca-file"])
+        .args(["rollout", "--campaign", "night", "--url", &url, "--ca-file"])
         .arg(&cert)
         .arg("--operator")
         .arg(found["operator"].as_str().expect("a socket"))

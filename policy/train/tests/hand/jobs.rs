@@ -8,7 +8,7 @@ use palpate_rollout::studio::Studio;
 use palpate_wire::api::{Job, JobKindDocument, JobState};
 use serde_json::{Value, json};
 
-use super::station::{Ready, palpate};
+use super::station::{self, Ready, palpate};
 use super::{palpate_train, turn};
 
 /// Whatever is waited for comes long before this, unless it never does.
@@ -19,22 +19,9 @@ const SMALL: &str = "num_envs = 1\nunroll_length = 4\nbatch_size = 1\nnum_miniba
 
 /// A studio with the program that is tested.
 fn serve(palpate: &Path, data: &Path) -> (Ready, Studio) {
-    let running = Ready::start(
-        Command::new(palpate)
-            .args([
-                "serve",
-                "--json",
-                "--listen",
-                "127.0.0.1:0",
-                "--train",
-                env!("CARGO_BIN_EXE_palpate-train"),
-                "--data",
-            ])
-            .arg(data),
-    );
-    let line: Value = serde_json::from_str(&running.line).expect("an address");
-    let studio = Studio::new(line["url"].as_str().expect("an address"), None, None).expect("a studio");
-    (running, studio)
+    let (running, url) =
+        station::studio(palpate, data, &["--train", env!("CARGO_BIN_EXE_palpate-train")], &Value::Null);
+    (running, Studio::new(&url, None, None).expect("a studio"))
 }
 
 fn start(studio: &Studio, kind: &str, request: &Value) -> String {

@@ -8,6 +8,7 @@ mod campaigns;
 mod jobs;
 mod rollouts;
 mod station;
+mod training_page;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde_json::{Value, json};
@@ -30,6 +30,38 @@ impl Ready {
         stdout.read_line(&mut line).expect("a line");
         Self { process, line, _stdout: stdout }
     }
+
+    /// What it printed, as JSON.
+    pub(crate) fn says(&self) -> Value {
+        serde_json::from_str(&self.line).expect("JSON")
+    }
+}
+
+/// The physical emulated station with a cube, its links in `dir`, and what it says of itself.
+pub(crate) fn cube_station(dir: &Path) -> (Ready, Value) {
+    let station = Ready::start(
+        palpate_train()
+            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
+            .arg(dir),
+    );
+    let says = station.says();
+    (station, says)
+}
+
+/// A studio with the data folder `data`, started with `flags` too, that drives the station that `says` so, if any; and its
+/// address.
+pub(crate) fn studio(palpate: &Path, data: &Path, flags: &[&str], says: &Value) -> (Ready, String) {
+    let serve = says["serve"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    let mut command = Command::new(palpate);
+    command
+        .args(["serve", "--json", "--listen", "127.0.0.1:0"])
+        .args(flags)
+        .arg("--data")
+        .arg(data)
+        .args(serve);
+    let studio = Ready::start(&mut command);
+    let url = studio.says()["url"].as_str().expect("an address").to_owned();
+    (studio, url)
 }
 
 impl Drop for Ready {
@@ -110,21 +142,9 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     let _turn = turn();
     let folder = tempfile::tempdir().expect("a folder");
     let dir = folder.path().join("devices");
-    let station = Ready::start(
-        palpate_train()
-            .args(["station", "--object", "cube", "--xarm-ports", "any", "--real-time", "--dir"])
-            .arg(&dir),
-    );
-    let found: Value = serde_json::from_str(&station.line).expect("where everything is");
+    let (_station, found) = cube_station(&dir);
     let operator = found["operator"].as_str().expect("a socket").to_owned();
-    let serve = found["serve"].as_array().expect("arguments").iter().filter_map(Value::as_str);
-    let studio = Ready::start(
-        Command::new(palpate)
-            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(folder.path().join("data"))
-            .args(serve),
-    );
-    let url: Value = serde_json::from_str(&studio.line).expect("an address");
+    let (_studio, url) = studio(&palpate, &folder.path().join("data"), &[], &found);
 
     // What makes no sense is refused with its reason, and changes nothing.
     let before = ask(&operator, &json!({ "act": "state" }));
@@ -143,7 +163,7 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     let out = folder.path().join("rollout");
     let output = palpate_train()
         .args(["rollout", "--json", "--policy", "assets/policies/cube.safetensors", "--seed", "5", "--url"])
-        .arg(url["url"].as_str().expect("an address"))
+        .arg(&url)
         .args(["--operator", &operator, "--out"])
         .arg(&out)
         .output()

@@ -69,7 +69,7 @@ impl Who {
     }
 
     /// As nothing else is said.
-    fn operator(&self) -> Viewer {
+    pub(super) fn operator(&self) -> Viewer {
         self.viewer("", false)
     }
 }

@@ -10,8 +10,15 @@ use super::{JobKind, JobWork, LONG, check_truth_name, parse};
 use crate::{Error, Store, assets};
 
 /// Hides effects in emulated sessions, has them diagnosed, and scores the names.
-pub(crate) const BLIND: JobKind =
-    JobKind { name: "blind", prefix: "blind-", resources: LONG, needs_trainer: false, check, work };
+pub(crate) const BLIND: JobKind = JobKind {
+    name: "blind",
+    prefix: "blind-",
+    resources: LONG,
+    needs_trainer: false,
+    makes: None,
+    check,
+    work,
+};
 
 /// The world of the touch sessions, where the request names none.
 const TRUTH: &str = "blind_report";

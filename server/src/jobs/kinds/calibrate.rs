@@ -4,15 +4,22 @@ use std::path::PathBuf;
 
 use palpate_calibration::{CalibrationConfig, Method};
 use palpate_recording::Session;
-use palpate_wire::api::CalibrationRequest;
+use palpate_wire::api::{ArtifactSort, CalibrationRequest};
 use serde_json::Value;
 
 use super::{HTML_FILE, JobKind, JobWork, MODEL_FILE, SHORT, files_of, hold_out, parse};
 use crate::{Error, Store, jobs::calibrate_session};
 
 /// Fits the sensor model to a session.
-pub(crate) const CALIBRATE: JobKind =
-    JobKind { name: "calibrate", prefix: "run-", resources: SHORT, needs_trainer: false, check, work };
+pub(crate) const CALIBRATE: JobKind = JobKind {
+    name: "calibrate",
+    prefix: "run-",
+    resources: SHORT,
+    needs_trainer: false,
+    makes: Some(ArtifactSort::Model),
+    check,
+    work,
+};
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: CalibrationRequest = parse(&CALIBRATE, request)?;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_wire::api::DemonstrationsRequest;
+use palpate_wire::api::{ArtifactSort, DemonstrationsRequest};
 use serde_json::Value;
 
 use super::{
@@ -14,7 +14,8 @@ use super::{
 use crate::{Error, Store};
 
 /// Rolls a policy out and keeps what succeeds.
-pub(crate) const DEMONSTRATIONS: JobKind = training("demonstrations", "demonstrations-", check, work);
+pub(crate) const DEMONSTRATIONS: JobKind =
+    training("demonstrations", "demonstrations-", ArtifactSort::Demonstrations, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;

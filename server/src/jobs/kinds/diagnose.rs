@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use palpate_diagnosis::DiagnosisConfig;
 use palpate_recording::Session;
-use palpate_wire::api::DiagnosisRequest;
+use palpate_wire::api::{ArtifactSort, DiagnosisRequest};
 use serde_json::Value;
 
 use super::{HTML_FILE, JobKind, JobWork, LONG, MODEL_FILE, files_of, hold_out, parse};
@@ -20,8 +20,15 @@ pub(crate) const CALIBRATED_FILE: &str = "calibrated.toml";
 pub(crate) const BASE_FILE: &str = "base.toml";
 
 /// Names what the calibrated model of a session lacks.
-pub(crate) const DIAGNOSE: JobKind =
-    JobKind { name: "diagnose", prefix: "diagnosis-", resources: LONG, needs_trainer: false, check, work };
+pub(crate) const DIAGNOSE: JobKind = JobKind {
+    name: "diagnose",
+    prefix: "diagnosis-",
+    resources: LONG,
+    needs_trainer: false,
+    makes: Some(ArtifactSort::Model),
+    check,
+    work,
+};
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: DiagnosisRequest = parse(&DIAGNOSE, request)?;

@@ -6,15 +6,22 @@ use std::{
 };
 
 use palpate_emulator::record_session;
-use palpate_wire::api::EmulateRequest;
+use palpate_wire::api::{ArtifactSort, EmulateRequest};
 use serde_json::Value;
 
 use super::{JobKind, JobWork, SHORT, check_truth_name, parse};
 use crate::{Error, Store, assets};
 
 /// Records a session from an emulated station.
-pub(crate) const EMULATE: JobKind =
-    JobKind { name: "emulate", prefix: "emulation-", resources: SHORT, needs_trainer: false, check, work };
+pub(crate) const EMULATE: JobKind = JobKind {
+    name: "emulate",
+    prefix: "emulation-",
+    resources: SHORT,
+    needs_trainer: false,
+    makes: Some(ArtifactSort::Session),
+    check,
+    work,
+};
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: EmulateRequest = parse(&EMULATE, request)?;

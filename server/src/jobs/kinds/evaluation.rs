@@ -2,7 +2,7 @@
 
 use std::{ffi::OsString, path::PathBuf};
 
-use palpate_wire::api::EvaluationRequest;
+use palpate_wire::api::{ArtifactSort, EvaluationRequest};
 use serde_json::Value;
 
 use super::{
@@ -15,7 +15,8 @@ use super::{
 use crate::{Error, Store};
 
 /// Scores a policy.
-pub(crate) const EVALUATION: JobKind = training("evaluation", "evaluation-", check, work);
+pub(crate) const EVALUATION: JobKind =
+    training("evaluation", "evaluation-", ArtifactSort::Evaluation, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: EvaluationRequest = parse(&EVALUATION, request)?;

@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
-use palpate_wire::api::ExpertRequest;
+use palpate_wire::api::{ArtifactSort, ExpertRequest};
 use serde_json::Value;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
 use crate::{Error, Store};
 
 /// Learns to grasp one object.
-pub(crate) const EXPERT: JobKind = training("expert", "expert-", check, work);
+pub(crate) const EXPERT: JobKind = training("expert", "expert-", ArtifactSort::Policy, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: ExpertRequest = parse(&EXPERT, request)?;

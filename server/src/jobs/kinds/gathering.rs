@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_wire::api::GatheringRequest;
+use palpate_wire::api::{ArtifactSort, GatheringRequest};
 use serde_json::Value;
 
 use super::{
@@ -14,7 +14,8 @@ use super::{
 use crate::{Error, Store};
 
 /// Keeps what the searching expert does.
-pub(crate) const GATHERING: JobKind = training("gathering", "gathering-", check, work);
+pub(crate) const GATHERING: JobKind =
+    training("gathering", "gathering-", ArtifactSort::Demonstrations, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: GatheringRequest = parse(&GATHERING, request)?;

@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
-use palpate_wire::api::ImitationRequest;
+use palpate_wire::api::{ArtifactSort, ImitationRequest};
 use serde_json::Value;
 
 use super::{
@@ -12,7 +12,7 @@ use super::{
 use crate::{Error, Store, data::files};
 
 /// Learns to do what an expert did.
-pub(crate) const IMITATION: JobKind = training("imitation", "imitation-", check, work);
+pub(crate) const IMITATION: JobKind = training("imitation", "imitation-", ArtifactSort::Policy, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: ImitationRequest = parse(&IMITATION, request)?;

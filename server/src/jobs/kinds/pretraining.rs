@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_wire::api::PretrainingRequest;
+use palpate_wire::api::{ArtifactSort, PretrainingRequest};
 use serde_json::Value;
 
 use super::{
@@ -15,7 +15,8 @@ use super::{
 use crate::{Error, Store};
 
 /// Pretrains the tactile encoder.
-pub(crate) const PRETRAINING: JobKind = training("pretraining", "pretraining-", check, work);
+pub(crate) const PRETRAINING: JobKind =
+    training("pretraining", "pretraining-", ArtifactSort::Encoder, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: PretrainingRequest = parse(&PRETRAINING, request)?;

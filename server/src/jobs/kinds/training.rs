@@ -4,7 +4,7 @@ use std::{ffi::OsString, fs, path::PathBuf};
 
 use palpate_jobs::JobFolder;
 use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
-use palpate_wire::api::{ExpertRequest, JobSpec, JobState, Resources};
+use palpate_wire::api::{ArtifactSort, ExpertRequest, JobSpec, JobState, Resources};
 use serde_json::Value;
 
 use super::{
@@ -37,10 +37,11 @@ const USUAL_SCRIPT: &str = "xarm6_leap_cube";
 pub(super) const fn training(
     name: &'static str,
     prefix: &'static str,
+    makes: ArtifactSort,
     check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
     work: fn(&JobWork<'_>, &Value) -> Result<(), Error>,
 ) -> JobKind {
-    JobKind { name, prefix, resources: TRAINING, needs_trainer: true, check, work }
+    JobKind { name, prefix, resources: TRAINING, needs_trainer: true, makes: Some(makes), check, work }
 }
 
 /// Arguments of `palpate-train`.

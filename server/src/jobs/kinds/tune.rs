@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_wire::api::TuneRequest;
+use palpate_wire::api::{ArtifactSort, TuneRequest};
 use serde_json::Value;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
 use crate::{Error, Store};
 
 /// Tunes a closing script on one object.
-pub(crate) const TUNE: JobKind = training("tune", "tuning-", check, work);
+pub(crate) const TUNE: JobKind = training("tune", "tuning-", ArtifactSort::Script, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: TuneRequest = parse(&TUNE, request)?;
