@@ -66,7 +66,8 @@ impl Trainer {
     pub(crate) fn find(&self) -> Result<PathBuf, Error> {
         if let Some(path) = &self.configured {
             return match is_program(path) {
-                true => Ok(path.clone()),
+                // It is run in another folder.
+                true => std::path::absolute(path).map_err(Error::io("find", path)),
                 false => Err(Error::NotInstalled(format!(
                     "the configuration says that {PROGRAM} is {path:?}, and no program is there; build it with `cargo build \
                      --release -p palpate_train --features mujoco`, or change [train] binary"
@@ -385,5 +386,9 @@ printf '{"event":"progress","fraction":0.75,"stage":"the last line has no end"}'
         assert!(trainer.find().is_err(), "a file that cannot be run is no program");
         fs::set_permissions(&configured, fs::Permissions::from_mode(0o755)).unwrap();
         assert_eq!(trainer.find().unwrap(), configured);
+        let up: PathBuf = env::current_dir().unwrap().iter().skip(1).map(|_| "..").collect();
+        let relative = up.join(configured.strip_prefix("/").unwrap());
+        let found = Trainer { configured: Some(relative), ..Trainer::default() }.find().unwrap();
+        assert!(found.is_absolute() && found.canonicalize().unwrap() == configured.canonicalize().unwrap());
     }
 }

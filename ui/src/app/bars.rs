@@ -297,7 +297,7 @@ impl StudioApp {
 
     /// Puts the address of what is on the screen on the clipboard.
     fn copy_link_ui(&mut self, ui: &mut egui::Ui) {
-        let button = ui.button("\u{1f517}").on_hover_text("Copy the link to what is on the screen");
+        let button = ui.button("\u{1f4d0}").on_hover_text("Copy the link to what is on the screen");
         button.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Copy link"));
         if button.clicked() {
             ui.ctx().copy_text(self.platform.address());

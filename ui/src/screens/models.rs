@@ -212,7 +212,7 @@ fn branches_ui(
         if response.on_disabled_hover_text("Shipped, or deleted since").clicked() {
             *cx.go_to = Some(route_to(&next));
         }
-        if is_new {
+        if is_new && !neighbours(lineage, &next, towards).is_empty() {
             ui.indent(("lineage", &next), |ui| branches_ui(ui, cx, lineage, &next, towards, seen));
         }
     }

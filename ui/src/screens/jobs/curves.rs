@@ -79,8 +79,7 @@ fn chart_ui(ui: &mut Ui, palette: &Palette, name: &str, points: &[(f64, f64)]) {
         let label = format!("Curve {name}: {} at step {last}", number(newest));
         egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, label)
     });
-    let low = points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
-    let high = points.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
+    let (low, high) = value_range(points);
     let painter = ui.painter_at(rect);
     let font = FontId::proportional(12.5);
     let title = format!("{name}  {}", number(newest));
@@ -126,6 +125,17 @@ fn chart_ui(ui: &mut Ui, palette: &Palette, name: &str, points: &[(f64, f64)]) {
     }
 }
 
+/// What the axis of values spans: the values, or where all are the same, them and zero, or zero to one.
+fn value_range(points: &[(f64, f64)]) -> (f64, f64) {
+    let low = points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
+    let high = points.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
+    match high > low {
+        true => (low, high),
+        false if low == 0.0 => (0.0, 1.0),
+        false => (low.min(0.0), high.max(0.0)),
+    }
+}
+
 /// About three digits, with a true minus.
 fn number(value: f64) -> String {
     let text = match value.abs() {
@@ -150,6 +160,17 @@ mod tests {
         assert_eq!(curves.names(), ["loss", "kl"]);
         assert_eq!(curves.0["loss"], [(1.0, 5.0), (2.0, 3.0)]);
         assert_eq!(Curves::parse(""), Curves::default());
+    }
+
+    #[test]
+    fn a_curve_that_never_changes_has_an_axis_all_the_same() {
+        let range =
+            |values: &[f64]| value_range(&values.iter().map(|&value| (0.0, value)).collect::<Vec<_>>());
+        assert_eq!(range(&[0.5, 2.0, 1.0]), (0.5, 2.0));
+        assert_eq!(
+            [range(&[1.0, 1.0]), range(&[-3.0]), range(&[0.0, 0.0])],
+            [(0.0, 1.0), (-3.0, 0.0), (0.0, 1.0)]
+        );
     }
 
     #[test]

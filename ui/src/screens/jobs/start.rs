@@ -237,6 +237,8 @@ impl StartState {
     }
 }
 
+/// Less wide than this, points, what fills a field stands below it.
+const BESIDE: f32 = 500.0;
 /// Groups of objects; the first is the usual one.
 const GROUPS: &[&str] = &["seen", "unseen", "all"];
 
@@ -372,7 +374,8 @@ fn choice_ui(
 /// A line to fill in; what is known fills it by a press.
 fn text_ui(ui: &mut egui::Ui, name: &str, hint: &str, text: &mut String, known: Vec<&str>) {
     let label = ui.label(name);
-    ui.horizontal_wrapped(|ui| {
+    let is_narrow = ui.available_width() < BESIDE;
+    let contents = |ui: &mut egui::Ui| {
         let field = egui::TextEdit::singleline(text).desired_width(170.0).char_limit(400).hint_text(hint);
         ui.add(field).labelled_by(label.id);
         for id in known.into_iter().take(3) {
@@ -380,7 +383,13 @@ fn text_ui(ui: &mut egui::Ui, name: &str, hint: &str, text: &mut String, known: 
                 *text = id.to_owned();
             }
         }
-    });
+    };
+    // A row of the grid grows with what stands below one another, not with what wraps.
+    if is_narrow {
+        ui.vertical(contents);
+    } else {
+        ui.horizontal(contents);
+    }
 }
 
 /// Ids of the jobs of `kind` that are done, newest first.
