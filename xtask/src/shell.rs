@@ -13,15 +13,14 @@ use anyhow::{Context as _, bail};
 static LONG_STEPS: Mutex<Vec<(String, Duration)>> = Mutex::new(Vec::new());
 const LONG: Duration = Duration::from_secs(5);
 
-/// Says where the time went.
-pub(crate) fn print_long_steps() {
+/// Says where the time since `begun` went.
+pub(crate) fn print_long_steps(begun: Instant) {
     let steps = LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner);
-    let total: Duration = steps.iter().map(|(_, taken)| *taken).sum();
     for (line, taken) in steps.iter() {
         let line: String = line.chars().take(110).collect();
         eprintln!("{:6.0} s  {line}", taken.as_secs_f64());
     }
-    eprintln!("{:6.0} s  together", total.as_secs_f64());
+    eprintln!("{:6.0} s  in all; the release build is beside the tests", begun.elapsed().as_secs_f64());
 }
 
 /// Runs `command`, showing its output; fails when it does.
@@ -90,6 +89,30 @@ pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
         }
     }
     command
+}
+
+/// `command` where it runs only while nothing else wants to, as far as the system has that.
+pub(crate) fn idle(command: &Command) -> Command {
+    let mut idle = if exists("chrt") {
+        let mut chrt = Command::new("chrt");
+        chrt.args(["--idle", "0"]);
+        chrt
+    } else {
+        let mut nice = Command::new("nice");
+        nice.args(["-n", "19"]);
+        nice
+    };
+    idle.arg(command.get_program()).args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => idle.env(name, value),
+            None => idle.env_remove(name),
+        };
+    }
+    if let Some(dir) = command.get_current_dir() {
+        idle.current_dir(dir);
+    }
+    idle
 }
 
 /// Installs Debian packages, or says which command a person must run.

@@ -1,6 +1,6 @@
 //! Every test, and what CI runs.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, process::Command, thread, time::Instant};
 
 use clap::Args;
 
@@ -17,61 +17,89 @@ pub(crate) struct TestArgs {
 
 /// Sets everything up, then runs every test of the workspace, the browser's included.
 pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
-    skip::check()?;
-    let python = python::interpreter()?;
-    if !skip::names("browser") {
-        browser::install()?;
+    Tests::build(args)?.run()
+}
+
+/// Tests that are built.
+struct Tests {
+    filter: Option<String>,
+    python: PathBuf,
+    page: PathBuf,
+    /// The folder of MuJoCo's library, unless what needs it is left out.
+    grasp_world: Option<PathBuf>,
+    artifacts: PathBuf,
+    /// The list of the tests that are left out.
+    skipped: PathBuf,
+}
+
+impl Tests {
+    /// Installs what the tests need, and builds them.
+    fn build(args: &TestArgs) -> anyhow::Result<Self> {
+        skip::check()?;
+        let python = python::interpreter()?;
+        if !skip::names("browser") {
+            browser::install()?;
+        }
+        slurm::install()?;
+        if !shell::exists("curl") {
+            shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
+        }
+        let (page, grasp_world) = (wasm::build_page()?, grasp_world()?);
+        let artifacts = paths::target().join("e2e");
+        std::fs::create_dir_all(&artifacts)?;
+        let skipped = artifacts.join("skipped.txt");
+        let left_out = if grasp_world.is_none() {
+            "mujoco the grasp world, and all that is trained in it\n"
+        } else {
+            ""
+        };
+        std::fs::write(&skipped, left_out)?;
+        // By itself, with the features that the running xtask was built with.
+        if args.filter.is_none() {
+            shell::run(shell::cargo(&paths::root()).args(["test", "--package", "xtask"]))?;
+        }
+        let tests = Self { filter: args.filter.clone(), python, page, grasp_world, artifacts, skipped };
+        // A step of its own, so that one sees what building takes and what running takes.
+        shell::run(tests.cargo().arg("--no-run"))?;
+        Ok(tests)
     }
-    slurm::install()?;
-    if !shell::exists("curl") {
-        shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
-    }
-    let page = wasm::build_page()?;
-    let grasp_world = grasp_world()?;
-    let artifacts = paths::target().join("e2e");
-    std::fs::create_dir_all(&artifacts)?;
-    let skipped = artifacts.join("skipped.txt");
-    let left_out =
-        if grasp_world.is_none() { "mujoco the grasp world, and all that is trained in it\n" } else { "" };
-    std::fs::write(&skipped, left_out)?;
-    // Every crate is built once, with the features that all of them together need; `palpate` too, as its own tests start it.
-    let cargo_test = || {
+
+    /// `cargo test` of every crate but this one. Each is built once, with the features that all of them together need; so
+    /// is `palpate`, as its own tests start it.
+    fn cargo(&self) -> Command {
         let mut cargo = shell::cargo(&paths::root());
-        cargo.args(["test", "--workspace", "--exclude", "xtask"]).env("PALPATE_UI_DIST", &page);
-        if let Some(dir) = &grasp_world {
+        cargo.args(["test", "--workspace", "--exclude", "xtask"]).env("PALPATE_UI_DIST", &self.page);
+        if let Some(dir) = &self.grasp_world {
             mujoco::add(&mut cargo, dir);
         }
         cargo
-    };
-    let xtask = std::env::current_exe()?;
-    // By itself, with the features that the running xtask was built with.
-    if args.filter.is_none() {
-        shell::run(shell::cargo(&paths::root()).args(["test", "--package", "xtask"]))?;
     }
-    // A step of its own, so that one sees what building takes and what running takes.
-    shell::run(cargo_test().arg("--no-run"))?;
-    let tests = || {
-        let mut cargo = cargo_test();
-        cargo
-            .env("PALPATE_BIN", paths::target().join("debug").join("palpate"))
-            .env("PALPATE_PYTHON", &python)
-            .env("PALPATE_BROWSER_TESTS", browser::folder())
-            .env("PALPATE_SKIPPED", &skipped)
-            .env("PALPATE_ARTIFACTS", &artifacts)
-            .env("PALPATE_XTASK", &xtask)
-            .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
-        cargo
-    };
-    let tested = twice::run(tests, args.filter.as_deref());
-    eprintln!("screenshots and reports: {}", artifacts.display());
-    skip::report(&skipped);
-    twice::report();
-    tested
+
+    fn run(&self) -> anyhow::Result<()> {
+        let xtask = std::env::current_exe()?;
+        let tests = || {
+            let mut cargo = self.cargo();
+            cargo
+                .env("PALPATE_BIN", paths::target().join("debug").join("palpate"))
+                .env("PALPATE_PYTHON", &self.python)
+                .env("PALPATE_BROWSER_TESTS", browser::folder())
+                .env("PALPATE_SKIPPED", &self.skipped)
+                .env("PALPATE_ARTIFACTS", &self.artifacts)
+                .env("PALPATE_XTASK", &xtask)
+                .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
+            cargo
+        };
+        let tested = twice::run(tests, self.filter.as_deref());
+        eprintln!("screenshots and reports: {}", self.artifacts.display());
+        skip::report(&self.skipped);
+        twice::report();
+        tested
+    }
 }
 
-/// Formatting, lints with warnings denied, every test, and the release build.
+/// Formatting, lints with warnings denied, every test, and beside the tests the release build.
 pub(crate) fn check() -> anyhow::Result<()> {
-    let root = paths::root();
+    let (root, begun) = (paths::root(), Instant::now());
     skip::check()?;
     shell::run(shell::cargo(&root).args(["fmt", "--all", "--check"]))?;
     let mut lints = shell::cargo(&root);
@@ -80,10 +108,13 @@ pub(crate) fn check() -> anyhow::Result<()> {
         mujoco::add(&mut lints, &dir);
     }
     shell::run(lints.args(["--", "--deny", "warnings"]))?;
-    let tested = run(&TestArgs { filter: None });
-    let built = tested.and_then(|()| build::release().map(|_| ()));
-    shell::print_long_steps();
-    built
+    let tests = Tests::build(&TestArgs { filter: None })?;
+    // Tests wait for clocks and stations most of the time: the release build takes what they leave of the machine.
+    let building = thread::spawn(build::release_beside_others);
+    let tested = tests.run();
+    let built = building.join().unwrap_or_else(|_| Err(anyhow::anyhow!("the release build panicked")));
+    shell::print_long_steps(begun);
+    tested.and(built.map(drop))
 }
 
 /// The folder of MuJoCo's library; none where what needs it is left out.
