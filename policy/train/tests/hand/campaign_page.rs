@@ -7,7 +7,6 @@ use std::time::Duration;
 use palpate_rollout::studio::Studio;
 use palpate_wire::api::{Campaign, CampaignResults, CampaignSummary, TrialVerdict};
 use serde::Deserialize;
-use serde_json::Value;
 
 use super::campaigns::somebody;
 use super::station::{self, browser, cube_station};

@@ -1,7 +1,7 @@
 //! Trainings as jobs of a real studio, which ends and comes back meanwhile.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use palpate_rollout::studio::Studio;
