@@ -70,6 +70,7 @@ await step("the form has every training, and this studio can do all of them", as
   await page.getByRole("combobox", { name: "What to start" }).click();
   const kinds = await document("/kinds");
   assert.deepEqual(kinds.filter(({ is_available }) => !is_available), []);
+  await page.getByRole("option").last().waitFor();
   const words = await page.getByRole("option").allTextContents();
   assert.equal(words.length, 7, words.join(", "));
   await page.keyboard.press("Escape");
@@ -104,6 +105,18 @@ await step("the expert is imitated by what was gathered, which a press fills in"
   const { spec } = await document("/jobs/imitation-1");
   assert.deepEqual(spec.request, { trials: ["gathering-1"], preset: "small", updates: 4 });
   assert.equal(Object.keys(spec.inputs).length, 10, "every file that it learns from is known by its hash");
+});
+
+await step("the policy is traced back to the trials that it imitates", async () => {
+  await button("Models").click();
+  await button("Policy imitation-1").click();
+  await button("Job imitation-1").waitFor();
+  await look("models");
+  await button("Demonstrations gathering-1").last().click();
+  await page.waitForURL(/artifact=demonstrations:gathering-1/);
+  // In the list, and in what was made of the trials.
+  await until("both", async () => (await button("Policy imitation-1").count()) === 2);
+  await button("Jobs").click();
 });
 
 await step("a training that would go on for hours is cancelled", async () => {
