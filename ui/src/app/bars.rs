@@ -297,7 +297,7 @@ impl StudioApp {
 
     /// Puts the address of what is on the screen on the clipboard.
     fn copy_link_ui(&mut self, ui: &mut egui::Ui) {
-        let button = ui.button("\u{1f4d0}").on_hover_text("Copy the link to what is on the screen");
+        let button = ui.button("\u{1f517}").on_hover_text("Copy the link to what is on the screen");
         button.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Copy link"));
         if button.clicked() {
             ui.ctx().copy_text(self.platform.address());
@@ -427,7 +427,7 @@ fn icon(screen: Screen) -> &'static str {
         Screen::Diagnose => "\u{1f50d}",
         Screen::Sessions => "\u{1f5c0}",
         Screen::Objects => "\u{1f4e6}",
-        Screen::Models => "\u{1f517}",
+        Screen::Models => "\u{1f4d0}",
         Screen::Trials => "\u{1f3af}",
         Screen::Jobs => "\u{231b}",
         Screen::Settings => "\u{2699}",
