@@ -1,4 +1,5 @@
-//! A mapping file and the file that it describes, as somebody else wrote them. The input is the two, separated by a zero byte.
+//! A mapping file and the file that it describes, as somebody else wrote them. The input is the two, separated by a
+//! zero byte.
 #![no_main]
 
 use std::{fs, path::Path, sync::LazyLock};

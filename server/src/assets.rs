@@ -35,8 +35,8 @@ pub fn station(id: &str) -> Result<Station, Error> {
     Ok(station)
 }
 
-/// The shipped station that the recordings in `csv_dir` were made on, and why it is that one: the only one that knows the
-/// objects of the takes and whose joints and channels the files of the first take hold.
+/// The shipped station that the recordings in `csv_dir` were made on, and why it is that one: the only one that knows
+/// the objects of the takes and whose joints and channels the files of the first take hold.
 ///
 /// Where none or several fit, the error lists them: nobody's recordings become those of a station by default.
 pub fn station_of_recordings(csv_dir: &Path, mapping: Option<&Mapping>) -> Result<(Station, String), Error> {

@@ -1,11 +1,11 @@
 //! Recordings from elsewhere become a session: CSV and other delimited text, each file with its own time base.
 //!
-//! Without a mapping file every sub-folder is a take with `take.toml`, `joints.csv` and one `<stream>.csv` for each stream
-//! of the station, or one CSV file that holds all of them. Columns go by the names of joints and channels, in any order,
-//! or by number in the station's order. A [`Mapping`] says what is what where recordings look different. `docs/recordings.md`
-//! describes every field. All times of a take are seconds on one clock; the take's time zero is the last whole second at or
-//! before its earliest sample, so that files which count from zero keep their times, and files with wall-clock times keep
-//! their precision.
+//! Without a mapping file every sub-folder is a take with `take.toml`, `joints.csv` and one `<stream>.csv` for each
+//! stream of the station, or one CSV file that holds all of them. Columns go by the names of joints and channels, in
+//! any order, or by number in the station's order. A [`Mapping`] says what is what where recordings look different.
+//! `docs/recordings.md` describes every field. All times of a take are seconds on one clock; the take's time zero is
+//! the last whole second at or before its earliest sample, so that files which count from zero keep their times, and
+//! files with wall-clock times keep their precision.
 
 mod assemble;
 mod columns;
@@ -42,8 +42,8 @@ pub struct ImportOptions<'a> {
     pub find_repetitions: bool,
 }
 
-/// Imports every take under `csv_dir` into a new session at `session_dir`, which must not exist, without a mapping file and
-/// with the repetitions that are marked.
+/// Imports every take under `csv_dir` into a new session at `session_dir`, which must not exist, without a mapping file
+/// and with the repetitions that are marked.
 ///
 /// Everything is read and checked before anything is written; on an error nothing is left on disk.
 /// Gives the path of the session.

@@ -23,19 +23,19 @@ const NOT_OK: u8 = 2;
 
 #[derive(Args)]
 pub(crate) struct ImportArgs {
-    /// Folder with the recordings: one sub-folder a take with take.toml, joints.csv and one CSV file a stream, or whatever
-    /// the mapping file says (docs/recordings.md)
+    /// Folder with the recordings: one sub-folder a take with take.toml, joints.csv and one CSV file a stream, or
+    /// whatever the mapping file says (docs/recordings.md)
     #[arg(long, value_name = "DIR")]
     csv: PathBuf,
     /// Folder of the session to make
     #[arg(long, value_name = "SESSION", required_unless_present = "explain")]
     out: Option<PathBuf>,
-    /// The station they were recorded on: a station file, or the id of a shipped one [default: the one that the mapping file
-    /// names, or the only shipped one whose joints, streams and objects the recordings have]
+    /// The station they were recorded on: a station file, or the id of a shipped one [default: the one that the mapping
+    /// file names, or the only shipped one whose joints, streams and objects the recordings have]
     #[arg(long, value_name = "FILE|ID")]
     station: Option<String>,
-    /// What files and columns mean, where they are not called as the station calls them [default: mapping.toml in DIR, if
-    /// there is one]
+    /// What files and columns mean, where they are not called as the station calls them [default: mapping.toml in DIR,
+    /// if there is one]
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
     /// Print what is understood of the recordings, and write nothing; exit code 2 if they cannot be imported

@@ -184,7 +184,7 @@ pub(super) fn take(
         repetitions(&config, &primitive, options, &joints, [first_s, last_s], &config_error)?;
     if !report.repetitions.is_empty() {
         let marked = config.repetitions_s.is_some();
-        report.repetitions_from = if marked { "take.toml" } else { "joint path" }.to_owned();
+        report.repetitions_from = if marked { "marks" } else { "joint path" }.to_owned();
     }
     let span = |kind, label: &str, start_s: f64, end_s: f64| Span {
         kind,
@@ -350,7 +350,14 @@ fn warn_of_columns(file: &FileReport, report: &mut TakeReport) {
             .columns
             .iter()
             .filter(|column| column.constant && column.what == what)
-            .map(|column| format!("{:?} ({} {})", column.id, plausible::short((column.min * 1e6).round() / 1e6), column.to_unit))
+            .map(|column| {
+                format!(
+                    "{:?} ({} {})",
+                    column.id,
+                    plausible::short((column.min * 1e6).round() / 1e6),
+                    column.to_unit
+                )
+            })
             .collect();
         if !constant.is_empty() {
             let hint = if what == "joint" { "did it stand still?" } else { "is it connected?" };

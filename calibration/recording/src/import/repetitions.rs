@@ -1,8 +1,8 @@
 //! Repetitions of a motion, found in the joint path where nobody marked them.
 //!
-//! A stretch of the path repeats itself with lag `n` where every frame has the position of the frame `n` later, within an
-//! encoder's and a trajectory's error. A stretch of at least one lag makes two repetitions, of two lags three, and so on.
-//! Paths that people pace do not repeat themselves frame by frame; nothing is found in them.
+//! A stretch of the path repeats itself with lag `n` where every frame has the position of the frame `n` later, within
+//! an encoder's and a trajectory's error. A stretch of at least one lag makes two repetitions, of two lags three, and
+//! so on. Paths that people pace do not repeat themselves frame by frame; nothing is found in them.
 
 /// Positions that differ by less than this share of the joint's range over the take are the same.
 const SAME_SHARE: f64 = 0.03;
@@ -166,7 +166,8 @@ impl Path {
         })
     }
 
-    /// The run within `frames` that covers most; of those that cover about as much, the shortest lag with the least error.
+    /// The run within `frames` that covers most; of those that cover about as much, the shortest lag with the least
+    /// error.
     fn best(&self, frames: std::ops::Range<usize>) -> Option<Run> {
         let min_lag = ((MIN_PERIOD_S / self.step_s).ceil() as usize).max(4);
         let mut runs: Vec<Run> = Vec::new();

@@ -39,7 +39,7 @@ pub struct TakeReport {
     pub last_s: f64,
     /// The span without touch, on the recording's own clock, s.
     pub baseline_s: Option<[f64; 2]>,
-    /// Where the repetitions come from: `take.toml`, `joint path` or `none`.
+    /// Where the repetitions come from: `marks` (of `take.toml` or the mapping file), `joint path` or `none`.
     pub repetitions_from: String,
     /// The repetitions, on the recording's own clock.
     pub repetitions: Vec<RepetitionReport>,

@@ -35,8 +35,8 @@ impl Columns {
 }
 
 impl Table {
-    /// Reads a file's bytes; `path` names it in errors. Refused with line and column: a wrong header, a ragged row, what is
-    /// no finite number, a time that does not increase, no rows.
+    /// Reads a file's bytes; `path` names it in errors. Refused with line and column: a wrong header, a ragged row,
+    /// what is no finite number, a time that does not increase, no rows.
     pub(crate) fn parse(path: &Path, bytes: &[u8], columns: &Columns) -> Result<Self, RecordingError> {
         // Spreadsheets like to begin a file with a byte order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);

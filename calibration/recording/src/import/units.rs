@@ -63,8 +63,8 @@ pub(super) fn converted(value: f64, from: &str, to: &str) -> Option<f64> {
     Some(if from == to { value } else { value / per_from * per_to })
 }
 
-/// Seconds of a whole number of a smaller `unit` of time, exactly as near as a double can be: wall-clock times in ns have more
-/// digits than one. `None` for other units.
+/// Seconds of a whole number of a smaller `unit` of time, exactly as near as a double can be: wall-clock times in ns
+/// have more digits than one. `None` for other units.
 pub(super) fn whole_seconds(number: i64, unit: &str) -> Option<f64> {
     let per_second = match unit {
         "ms" => 1_000,

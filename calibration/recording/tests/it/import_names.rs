@@ -118,6 +118,50 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn any_table_under_any_mapping_gives_a_session_or_an_error(
+        table in "[0-3.;,\\-a-c \\n\\t\"]{0,120}",
+        has_rows in any::<bool>(),
+        delimiter in prop::sample::select(vec!["comma", "semicolon", "tab", "blanks"]),
+        (header, skip, lines) in prop_oneof![Just((true, 0, 1)), Just((true, 2, 1)), (Just(false), 0..3_usize, 1..4_usize)],
+        (first, rate_hz) in (0..6_usize, prop::sample::select(vec![1e-300, 0.5, 10.0, 1e300])),
+        polarity in prop::sample::select(vec![-1, 1]),
+    ) {
+        let root = tempfile::tempdir().unwrap();
+        // Half of the tables begin as they should, so that many get far.
+        let good = "0 0 9 9 9 9 9\n1 0 9 9 9 9 9\n2 0 9 9 9 9 9\n";
+        let table = if has_rows { good.to_owned() + &table } else { table };
+        write(&root.path().join("csv/a"), &[("log.csv", &table)]);
+        let text = format!(
+            "format = 1\ntake = [{{ object = 'ball', object_pose = {{ position_m = [0.1, 0, 0] }}, primitive = 'x', \
+             baseline_first_s = 1e300 }}]\nfixed_joints = {{ slide = 0.1 }}\n[[file]]\nfile = 'log.csv'\n\
+             delimiter = '{delimiter}'\nheader = {header}\nskip_lines = {skip}\nlines_per_row = {lines}\n\
+             time = {{ rate_hz = {rate_hz:e} }}\n[[file.map]]\ncolumns = {}\njoints = 'curl'\n\
+             [[file.map]]\ncolumns = '3..5'\nstream = 'gel'\npolarity = {polarity}\n\
+             [[file.map]]\ncolumns = [6, 7]\nstream = 'film'\n",
+            first + 1
+        );
+        let mapping = Mapping::parse(Path::new("mapping.toml"), &text).unwrap();
+        let options = ImportOptions { mapping: Some(&mapping), find_repetitions: true };
+        let (dir, out) = (root.path().join("csv"), root.path().join("session"));
+        let explained = explain(&station(), &dir, options).unwrap();
+        match import(&station(), &dir, options, &out) {
+            Ok(_) => {
+                prop_assert!(explained.ok && fits(&station(), &dir, Some(&mapping)).is_ok());
+                Session::open(&out).unwrap().take(0).unwrap();
+            }
+            Err(error) => {
+                prop_assert!(!explained.ok && !out.exists());
+                let problem = explained.takes[0].problem.clone();
+                prop_assert_eq!(problem, Some(error.to_string()));
+            }
+        }
+    }
+}
+
 #[test]
 fn units_in_headers_are_converted() {
     let root = tempfile::tempdir().unwrap();

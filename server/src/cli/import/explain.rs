@@ -69,7 +69,7 @@ fn add_take(lines: &mut Vec<String>, take: &TakeReport, before: Option<&TakeRepo
         (num, "joint path") => {
             lines.push(format!("  {num} repetitions, found in the joint path because none are marked:"));
         }
-        (num, from) => lines.push(format!("  {num} repetitions, from {from}:")),
+        (num, _) => lines.push(format!("  {num} repetitions, as marked:")),
     }
     for repetition in &take.repetitions {
         lines.push(format!(
