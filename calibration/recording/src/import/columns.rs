@@ -206,7 +206,7 @@ impl Assigner<'_> {
                     Some(cell) => cells.push(cell),
                     None if headers[column].is_empty() => {}
                     None => {
-                        ignored.push((column, headers[column].clone(), self.suggestion(&headers[column])))
+                        ignored.push((column, headers[column].clone(), self.suggestion(&headers[column])));
                     }
                 }
             }

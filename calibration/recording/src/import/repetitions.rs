@@ -52,7 +52,8 @@ impl Run {
 pub(super) fn find(times_s: &[f64], positions: &[f64], num_joints: usize) -> Vec<Found> {
     let path = Path::new(times_s, positions, num_joints);
     let mut found = Vec::new();
-    let mut free = vec![0..path.num_frames()];
+    let mut free = Vec::new();
+    free.push(0..path.num_frames());
     let mut group = 0;
     while let Some(frames) = free.pop() {
         if group == MAX_GROUPS {
