@@ -64,7 +64,7 @@ fn add_take(lines: &mut Vec<String>, take: &TakeReport, before: Option<&TakeRepo
     match (take.repetitions.len(), take.repetitions_from.as_str()) {
         _ if take.streams.is_empty() => {}
         (0, _) => {
-            lines.push("  no repetitions: none marked, and the joint path does not repeat itself".to_owned())
+            lines.push("  no repetitions: none marked, and the joint path does not repeat itself".to_owned());
         }
         (num, "joint path") => {
             lines.push(format!("  {num} repetitions, found in the joint path because none are marked:"));
