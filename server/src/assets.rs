@@ -1,11 +1,11 @@
 //! The robots, layouts, stations and truths that the binary carries, so that it works anywhere.
 
 use std::{
-    collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
 };
 
+use palpate_recording::import::{self, Mapping};
 use palpate_robot_model::Station;
 use palpate_wire::api::PublishedResult;
 use tempfile::TempDir;
@@ -14,9 +14,6 @@ use crate::Error;
 
 /// Sorted by path relative to `assets/`.
 static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/assets.rs"));
-
-/// Recordings from elsewhere belong to this station where neither somebody nor their files say otherwise.
-pub const DEFAULT_STATION: &str = "xarm6-leap";
 
 /// Ids of the shipped stations.
 pub fn station_ids() -> Vec<String> {
@@ -38,39 +35,45 @@ pub fn station(id: &str) -> Result<Station, Error> {
     Ok(station)
 }
 
-/// The shipped station that the CSV recordings in `csv_dir` were made on, as far as their files tell: the one whose
-/// streams are those of the first take. [`DEFAULT_STATION`] where none or several fit; importing then says what is amiss.
-pub fn station_of_recordings(csv_dir: &Path) -> Result<Station, Error> {
-    let recorded = stream_files(csv_dir);
-    let mut fitting = Vec::new();
+/// The shipped station that the recordings in `csv_dir` were made on, and why it is that one: the only one that knows
+/// the objects of the takes and whose joints and channels the files of the first take hold.
+///
+/// Where none or several fit, the error lists them: nobody's recordings become those of a station by default.
+pub fn station_of_recordings(csv_dir: &Path, mapping: Option<&Mapping>) -> Result<(Station, String), Error> {
+    let (mut fitting, mut others) = (Vec::new(), Vec::new());
     for id in station_ids() {
         let station = station(&id)?;
-        if recorded == station.layout.streams.iter().map(|stream| stream.id.clone()).collect() {
-            fitting.push(station);
+        match import::fits(&station, csv_dir, mapping) {
+            Ok(()) => fitting.push(station),
+            Err(err) => others.push(format!("{id} does not: {}", crate::chain(&err))),
         }
     }
-    match (fitting.pop(), fitting.is_empty()) {
-        (Some(station), true) => Ok(station),
-        _ => station(DEFAULT_STATION),
+    let what_to_do =
+        "name the station that recorded them: --station FILE or ID, or `station` in the mapping file";
+    match fitting.len() {
+        1 => {
+            let station = fitting.remove(0);
+            let streams: Vec<&str> = station.layout.streams.iter().map(|stream| stream.id.as_str()).collect();
+            let because = format!(
+                "the only shipped station that the recordings fit: streams {}, {} joints, and the objects of the takes; say \
+                 --station if it is another",
+                streams.join(", "),
+                station.robot.num_dofs()
+            );
+            Ok((station, because))
+        }
+        0 => Err(Error::Content(format!(
+            "no shipped station fits the recordings; {what_to_do}. {}",
+            others.join("; ")
+        ))),
+        _ => {
+            let ids: Vec<&str> = fitting.iter().map(|station| station.id.as_str()).collect();
+            Err(Error::Content(format!(
+                "the recordings fit several stations, {}; {what_to_do}",
+                ids.join(", ")
+            )))
+        }
     }
-}
-
-/// Stems of the first take's CSV files, the joint log aside.
-fn stream_files(csv_dir: &Path) -> BTreeSet<String> {
-    let entries = |dir: &Path| -> Vec<PathBuf> {
-        let mut paths: Vec<PathBuf> =
-            fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
-        paths.sort();
-        paths
-    };
-    let first_take = entries(csv_dir).into_iter().find(|path| path.join("joints.csv").exists());
-    let files = first_take.map(|dir| entries(&dir)).unwrap_or_default();
-    files
-        .iter()
-        .filter(|path| path.extension().is_some_and(|extension| extension == "csv"))
-        .filter_map(|path| path.file_stem()?.to_str().map(str::to_owned))
-        .filter(|stem| stem != "joints")
-        .collect()
 }
 
 /// Published results that campaigns are shown beside.
@@ -171,7 +174,7 @@ mod tests {
     #[test]
     fn every_shipped_station_can_be_used() {
         let ids = station_ids();
-        assert!(ids.len() >= 2 && ids.iter().any(|id| id == DEFAULT_STATION), "{ids:?}");
+        assert!(ids.len() >= 2 && ids.iter().any(|id| id == "xarm6-leap"), "{ids:?}");
         for id in ids {
             let station = station(&id).unwrap();
             assert_eq!(station.id, id);
@@ -182,7 +185,7 @@ mod tests {
     #[test]
     fn unknown_station_names_the_shipped_ones() {
         let message = station("xarm7").unwrap_err().to_string();
-        assert!(message.contains("xarm7") && message.contains(DEFAULT_STATION), "{message}");
+        assert!(message.contains("xarm7") && message.contains("xarm6-leap"), "{message}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ const MIN_TOUCHES_PER_HALF: usize = 4;
 /// Relative difference from the nominal rate that is worth a warning.
 const RATE_TOLERANCE: f64 = 0.1;
 /// What the joint log is called among the streams.
-const JOINTS: &str = "joints";
+pub(crate) const JOINTS: &str = "joints";
 /// A gap is longer than this many nominal periods.
 const GAP_PERIODS: f64 = 3.0;
 
@@ -31,6 +31,7 @@ pub fn check_session(session: &Session) -> Result<CheckReport, RecordingError> {
         problems: Vec::new(),
     };
     let mut first: Option<Take> = None;
+    let mut falls: Vec<f64> = Vec::new();
     let num_accepted = session.file.takes.iter().filter(|entry| entry.accepted).count();
     let mut accepted_idx = 0;
     for entry in &session.file.takes {
@@ -72,10 +73,11 @@ pub fn check_session(session: &Session) -> Result<CheckReport, RecordingError> {
             report.add(Severity::Error, format!("{}, attached station", take.id), difference);
         } else if entry.accepted {
             report.count_touches(&take, half);
+            note_falls(&take, &mut falls);
         }
         first.get_or_insert(take);
     }
-    report.judge_coverage();
+    report.judge_coverage(first.as_ref(), &falls);
     report.problems.sort_by_key(|problem| problem.severity);
     report.ok = report.problems.iter().all(|problem| problem.severity != Severity::Error);
     Ok(report)
@@ -89,7 +91,7 @@ trait Judge {
     fn judge_take(&mut self, take: &Take);
     fn judge_joints(&mut self, take: &Take);
     fn count_touches(&mut self, take: &Take, half: usize);
-    fn judge_coverage(&mut self);
+    fn judge_coverage(&mut self, first: Option<&Take>, falls: &[f64]);
 }
 
 impl Judge for CheckReport {
@@ -230,11 +232,17 @@ impl Judge for CheckReport {
         }
     }
 
-    fn judge_coverage(&mut self) {
+    /// `falls`: how far each channel falls under load, 0 where it does not.
+    fn judge_coverage(&mut self, first: Option<&Take>, falls: &[f64]) {
         let mut problems = Vec::new();
-        for coverage in &self.coverage {
+        let units = first.map(|take| &take.station.layout).into_iter().flat_map(|layout| {
+            layout.channels.iter().map(|channel| layout.streams[channel.stream].raw_unit.as_str())
+        });
+        for ((coverage, fall), unit) in self.coverage.iter().zip(falls).zip(units) {
             let [first, second] = coverage.touches_by_half;
-            let message = if coverage.touches == 0 {
+            let message = if coverage.touches == 0 && *fall > 0.0 {
+                plausible::falls(*fall, unit)
+            } else if coverage.touches == 0 {
                 "never touched; is it connected, and does a primitive reach it?".to_owned()
             } else if first.min(second) < MIN_TOUCHES_PER_HALF {
                 format!(
@@ -252,6 +260,22 @@ impl Judge for CheckReport {
     }
 }
 
+/// Adds to `falls`, by channel, how far readings of `take` fall as far as touches make others rise.
+fn note_falls(take: &Take, falls: &mut Vec<f64>) {
+    let layout = &take.station.layout;
+    falls.resize(layout.num_channels(), 0.0);
+    for ((stream, config), log) in layout.streams.iter().zip(&take.station.streams).zip(&take.streams) {
+        let width = stream.channels.len().max(1);
+        for (offset, channel) in stream.channels.clone().enumerate() {
+            let Some(&reference) = log.reference.get(offset) else { continue };
+            let readings = log.raw.iter().skip(offset).step_by(width).copied();
+            if let Some(fall) = plausible::fall_under_load(config, readings, reference) {
+                falls[channel] = falls[channel].max(fall);
+            }
+        }
+    }
+}
+
 fn stream_checks(take: &Take) -> Vec<StreamCheck> {
     let joints = stream_check(JOINTS, &take.joints.times_s, take.station.joint_rate_hz);
     let streams = take.station.layout.streams.iter().zip(&take.streams);
@@ -260,7 +284,7 @@ fn stream_checks(take: &Take) -> Vec<StreamCheck> {
         .collect()
 }
 
-fn stream_check(stream: &str, times_s: &[f64], nominal_rate_hz: f64) -> StreamCheck {
+pub(crate) fn stream_check(stream: &str, times_s: &[f64], nominal_rate_hz: f64) -> StreamCheck {
     let steps_s = || times_s.windows(2).map(|pair| pair[1] - pair[0]);
     let span_s: f64 = match (times_s.first(), times_s.last()) {
         (Some(first), Some(last)) => last - first,

@@ -105,6 +105,30 @@ pub(crate) fn below_range(config: &StreamConfig, reading: f64, raw_unit: &str) -
     })
 }
 
+/// How far a channel falls below its `reference` where it falls as far as a touch would make it rise, and never rises so
+/// far; then its readings fall under load, most likely.
+pub(crate) fn fall_under_load(
+    config: &StreamConfig,
+    readings: impl Iterator<Item = f32>,
+    reference: f32,
+) -> Option<f64> {
+    let (lowest, highest) = readings
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(lowest, highest), reading| {
+            (lowest.min(f64::from(reading)), highest.max(f64::from(reading)))
+        });
+    let (fall, rise) = (f64::from(reference) - lowest, highest - f64::from(reference));
+    (fall.is_finite() && fall > config.on_threshold && rise <= config.on_threshold).then_some(fall)
+}
+
+/// The message for a channel that [`fall_under_load`].
+pub(crate) fn falls(fall: f64, raw_unit: &str) -> String {
+    format!(
+        "never rises from its reading at rest, but falls by up to {} {raw_unit}; if a touch makes it fall, import it with \
+         polarity = -1 in a mapping file",
+        short((fall * 10.0).round() / 10.0)
+    )
+}
+
 /// Numbers of hundreds of digits push the rest of a message out of sight.
 pub(crate) fn short(number: f64) -> String {
     if number.abs() < 1e6 { number.to_string() } else { format!("{number:e}") }

@@ -9,7 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use palpate_recording::{Session, import::import_csv};
+use palpate_recording::{
+    Session,
+    import::{self, ImportOptions, MAPPING_FILE, Mapping},
+};
 use tempfile::TempDir;
 
 pub(crate) use self::room::{Slots, check_space, free_bytes};
@@ -98,10 +101,19 @@ pub(crate) fn add_session(
         }
         return store.adopt_session(name, &root);
     }
-    let station = station_id.map_or_else(|| assets::station_of_recordings(&root), assets::station)?;
+    let beside = root.join(MAPPING_FILE);
+    let mapping = beside.exists().then(|| Mapping::read(&beside)).transpose();
+    let mapping = mapping.map_err(Error::from).map_err(as_seen_by_sender)?;
+    // A station file in an archive would be read as a path of this computer.
+    let station_id = station_id.or(mapping.as_ref().and_then(Mapping::station));
+    let station = match station_id {
+        Some(id) => assets::station(id)?,
+        None => assets::station_of_recordings(&root, mapping.as_ref()).map_err(as_seen_by_sender)?.0,
+    };
     let imported = incoming.path().join("session");
     check_space(free(), 0)?;
-    import_csv(&station, &root, &imported).map_err(Error::from).map_err(as_seen_by_sender)?;
+    let options = ImportOptions { mapping: mapping.as_ref(), find_repetitions: true };
+    import::import(&station, &root, options, &imported).map_err(Error::from).map_err(as_seen_by_sender)?;
     store.adopt_session(name, &imported)
 }
 

@@ -11,7 +11,8 @@ use palpate_recording::Take;
 use serde_json::Value;
 
 use crate::support::{
-    Data, NUM_CHANNELS, NUM_FRAMES, NUM_TAKES, STATION, arg, palpate, palpate_ok, write_recording,
+    Data, NUM_CHANNELS, NUM_FRAMES, NUM_TAKES, STATION, arg, palpate, palpate_ok, palpate_refuses,
+    write_recording,
 };
 
 #[test]
@@ -268,4 +269,53 @@ fn port_in_use_is_named() {
     let data = Data::empty();
     let error = crate::support::palpate_refuses(&["serve", "--listen", &address, "--data", arg(data.root())]);
     assert!(error.contains(&address), "{error}");
+}
+
+#[test]
+fn an_import_says_which_station_it_takes_and_why() {
+    let data = Data::empty();
+    write_recording(data.csv());
+    let csv = arg(data.csv()).to_owned();
+    let before = fs::read_dir(data.path(".")).unwrap().count();
+    let text = palpate_ok(&["import", "--csv", &csv, "--explain"]);
+    let first = text.lines().next().unwrap();
+    assert!(
+        first.starts_with("station probe-bench: the only shipped station that the recordings fit"),
+        "{text}"
+    );
+    assert!(
+        text.contains("joints: 300 samples") && text.trim_end().ends_with("nothing was written"),
+        "{text}"
+    );
+    let report: Value =
+        serde_json::from_str(&palpate_ok(&["import", "--csv", &csv, "--explain", "--json"])).unwrap();
+    assert_eq!((report["ok"].as_bool(), report["station"].as_str()), (Some(true), Some(STATION)));
+    assert_eq!(report["takes"].as_array().unwrap().len(), NUM_TAKES);
+    assert_eq!(fs::read_dir(data.path(".")).unwrap().count(), before);
+
+    // A problem of one take is told beside the others.
+    let joints = data.csv().join("take-02/joints.csv");
+    let text = fs::read_to_string(&joints).unwrap();
+    fs::write(
+        &joints,
+        text.replacen("q2", "stage_zz", 1).replacen("q1", "stage_y", 1).replacen("q0", "stage_x", 1),
+    )
+    .unwrap();
+    let output = palpate(&["import", "--csv", &csv, "--explain"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(
+        text.contains("\"stage_zz\" looks like \"stage_z\"")
+            && text.contains("1 of 4 takes cannot be imported"),
+        "{text}"
+    );
+
+    // Nobody's recordings become those of a station by default.
+    fs::rename(data.csv().join("take-01/gel.csv"), data.csv().join("take-01/jelly.csv")).unwrap();
+    let error = palpate_refuses(&["import", "--csv", &csv, "--explain"]);
+    assert!(
+        error.contains("no shipped station fits the recordings; name the station that recorded them"),
+        "{error}"
+    );
+    assert!(error.contains("probe-bench does not: ") && error.contains("xarm6-leap does not: "), "{error}");
 }

@@ -43,7 +43,7 @@ async fn recordings_find_the_shipped_station_that_has_their_streams() {
     let app = data.app();
     let answer = upload(&app, "name=unnamed", zip_folder(data.csv(), "")).await;
     assert_eq!(answer.json::<SessionDetail>().summary.station, STATION);
-    // Streams of no shipped station: the message speaks of the default one, which says what it expected.
+    // Streams of no shipped station: the message says of each what it lacks.
     fs::remove_file(data.csv().join("take-01/film.csv")).unwrap();
     let detail = upload(&app, "name=odd", zip_folder(data.csv(), "")).await.problem(422);
     assert!(detail.contains("take-01"), "{detail}");

@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use crate::{
-    RecordingError,
-    files::{MAX_TAKE_BYTES, read_file},
-};
+use super::{config::FileConfig, sheet};
+use crate::RecordingError;
 
 /// One file: times and `num_rows x num_columns` values, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,18 +15,18 @@ pub(crate) struct Table {
 }
 
 /// What the columns of a file are.
-pub(crate) struct Columns<'a> {
+pub(crate) struct Columns {
     /// Header is `t_s`, then this and the column's number: `q0,q1,...`.
     pub(crate) prefix: char,
     /// What each column is called by the station, for errors.
-    pub(crate) ids: &'a [String],
+    pub(crate) ids: Vec<String>,
     /// What `ids` are: `joint` or `channel`.
     pub(crate) what: &'static str,
     /// Whether only 0 and 1 may appear.
     pub(crate) binary: bool,
 }
 
-impl Columns<'_> {
+impl Columns {
     /// Where a value is, for errors: line, column, and what the station calls it.
     pub(crate) fn place(&self, line: u64, column: usize) -> String {
         let Self { prefix, what, ids, .. } = self;
@@ -37,15 +35,9 @@ impl Columns<'_> {
 }
 
 impl Table {
-    /// Reads the file at `path`. Refused with line and column: a wrong header, a ragged row, what is no finite number,
-    /// a time that does not increase, no rows.
-    pub(crate) fn read(path: &Path, columns: &Columns<'_>) -> Result<Self, RecordingError> {
-        let bytes = read_file(path, MAX_TAKE_BYTES)?;
-        Self::parse(path, &bytes, columns)
-    }
-
-    /// As [`Table::read`], from the file's bytes.
-    pub(crate) fn parse(path: &Path, bytes: &[u8], columns: &Columns<'_>) -> Result<Self, RecordingError> {
+    /// Reads a file's bytes; `path` names it in errors. Refused with line and column: a wrong header, a ragged row,
+    /// what is no finite number, a time that does not increase, no rows.
+    pub(crate) fn parse(path: &Path, bytes: &[u8], columns: &Columns) -> Result<Self, RecordingError> {
         // Spreadsheets like to begin a file with a byte order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let mut reader = csv::ReaderBuilder::new()
@@ -57,7 +49,7 @@ impl Table {
         let mut record = csv::StringRecord::new();
         let mut table = Self::default();
         let mut has_header = false;
-        let mut lines = LineCounter { bytes, position: 0, line: 1 };
+        let mut lines = LineCounter::new(bytes, 1);
         while reader.read_record(&mut record).map_err(|error| csv_error(path, &error))? {
             let line = lines.line_of(record.position().map_or(0, csv::Position::byte));
             if !has_header {
@@ -81,6 +73,14 @@ impl Table {
         Ok(table)
     }
 
+    /// Refuses a file whose header is not that of `columns`.
+    pub(crate) fn check_header(path: &Path, bytes: &[u8], columns: &Columns) -> Result<(), RecordingError> {
+        match sheet::first_row(path, bytes, &FileConfig::plain())? {
+            Some((line, cells)) => check_header(path, line, &csv::StringRecord::from(cells), columns),
+            None => Self::parse(path, bytes, columns).map(drop),
+        }
+    }
+
     /// Values of one row.
     pub(crate) fn row(&self, row: usize, num_columns: usize) -> &[f64] {
         &self.values[row * num_columns..(row + 1) * num_columns]
@@ -91,7 +91,7 @@ impl Table {
         path: &Path,
         line: u64,
         record: &csv::StringRecord,
-        columns: &Columns<'_>,
+        columns: &Columns,
     ) -> Result<(), RecordingError> {
         let expected = columns.ids.len() + 1;
         if record.len() != expected {
@@ -138,15 +138,20 @@ impl Table {
 }
 
 /// Counts lines by bytes: the library's own count stops short of the line feed of a CRLF and of blank lines.
-struct LineCounter<'a> {
+pub(super) struct LineCounter<'a> {
     bytes: &'a [u8],
     position: usize,
     line: u64,
 }
 
-impl LineCounter<'_> {
+impl<'a> LineCounter<'a> {
+    /// Counts in `bytes`, the first line of which is `first_line`.
+    pub(super) fn new(bytes: &'a [u8], first_line: u64) -> Self {
+        Self { bytes, position: 0, line: first_line }
+    }
+
     /// Line of the record whose reading began at `byte`, which must not go back.
-    fn line_of(&mut self, byte: u64) -> u64 {
+    pub(super) fn line_of(&mut self, byte: u64) -> u64 {
         let begin = usize::try_from(byte).unwrap_or(usize::MAX);
         while let Some(&current) = self.bytes.get(self.position) {
             let is_break = matches!(current, b'\n' | b'\r');
@@ -163,7 +168,7 @@ impl LineCounter<'_> {
     }
 }
 
-fn header_of(columns: &Columns<'_>) -> String {
+fn header_of(columns: &Columns) -> String {
     match columns.ids.len() {
         0 => "t_s".to_owned(),
         1 => format!("t_s,{0}0", columns.prefix),
@@ -176,7 +181,7 @@ fn check_header(
     path: &Path,
     line: u64,
     record: &csv::StringRecord,
-    columns: &Columns<'_>,
+    columns: &Columns,
 ) -> Result<(), RecordingError> {
     let expected = columns.ids.len() + 1;
     if record.len() != expected {
@@ -203,7 +208,7 @@ fn check_header(
     Ok(())
 }
 
-fn csv_error(path: &Path, error: &csv::Error) -> RecordingError {
+pub(super) fn csv_error(path: &Path, error: &csv::Error) -> RecordingError {
     let place = error.position().map_or("file".to_owned(), |position| format!("line {}", position.line()));
     let problem = match error.kind() {
         csv::ErrorKind::Utf8 { .. } => "not UTF-8 text; save the file as CSV in UTF-8".to_owned(),
@@ -223,7 +228,7 @@ mod tests {
     }
 
     fn parse(text: &str, num: usize) -> Result<Table, String> {
-        let columns = Columns { prefix: 'v', ids: &ids(num), what: "channel", binary: false };
+        let columns = Columns { prefix: 'v', ids: ids(num), what: "channel", binary: false };
         Table::parse(Path::new("pad.csv"), text.as_bytes(), &columns).map_err(|error| error.to_string())
     }
 
@@ -241,7 +246,7 @@ mod tests {
 
         #[test]
         fn any_bytes_give_a_table_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
-            let columns = Columns { prefix: 'v', ids: &ids(2), what: "channel", binary: true };
+            let columns = Columns { prefix: 'v', ids: ids(2), what: "channel", binary: true };
             let _ = Table::parse(Path::new("pad.csv"), &bytes, &columns);
         }
     }
@@ -298,7 +303,7 @@ mod tests {
 
     #[test]
     fn binary_files_hold_only_0_and_1() {
-        let columns = Columns { prefix: 'v', ids: &ids(1), what: "channel", binary: true };
+        let columns = Columns { prefix: 'v', ids: ids(1), what: "channel", binary: true };
         let error =
             Table::parse(Path::new("a.csv"), b"t_s,v0\n0,1\n1,0.5\n", &columns).unwrap_err().to_string();
         assert!(error.contains("line 3, column 2") && error.contains("neither 0 nor 1"), "{error}");

@@ -4,6 +4,7 @@
 mod crashes;
 mod growing;
 mod import;
+mod import_names;
 mod live;
 mod session;
 mod shipped_stations;
