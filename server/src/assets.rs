@@ -15,6 +15,9 @@ use crate::Error;
 /// Sorted by path relative to `assets/`.
 static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/assets.rs"));
 
+/// Of several shipped stations that recordings fit, they belong to this one, unless somebody says otherwise.
+const USUAL_STATION: &str = "xarm6-leap";
+
 /// Ids of the shipped stations.
 pub fn station_ids() -> Vec<String> {
     station_files().map(|(id, _)| id).collect()
@@ -35,10 +38,11 @@ pub fn station(id: &str) -> Result<Station, Error> {
     Ok(station)
 }
 
-/// The shipped station that the recordings in `csv_dir` were made on, and why it is that one: the only one that knows
-/// the objects of the takes and whose joints and channels the files of the first take hold.
+/// The shipped station that the recordings in `csv_dir` were made on, and why it is that one: it knows the objects of
+/// the takes, and the files of the first take hold its joints and channels. Of several that fit it is the usual one if
+/// that is among them, and the reason names the others.
 ///
-/// Where none or several fit, the error lists them: nobody's recordings become those of a station by default.
+/// Where none fits, the error says why of each; where several other ones do, it lists them.
 pub fn station_of_recordings(csv_dir: &Path, mapping: Option<&Mapping>) -> Result<(Station, String), Error> {
     let (mut fitting, mut others) = (Vec::new(), Vec::new());
     for id in station_ids() {
@@ -67,11 +71,14 @@ pub fn station_of_recordings(csv_dir: &Path, mapping: Option<&Mapping>) -> Resul
             others.join("; ")
         ))),
         _ => {
-            let ids: Vec<&str> = fitting.iter().map(|station| station.id.as_str()).collect();
-            Err(Error::Content(format!(
-                "the recordings fit several stations, {}; {what_to_do}",
-                ids.join(", ")
-            )))
+            let ids = fitting.iter().map(|station| station.id.as_str()).collect::<Vec<_>>().join(", ");
+            let usual = fitting.into_iter().find(|station| station.id == USUAL_STATION).ok_or_else(|| {
+                Error::Content(format!("the recordings fit several stations, {ids}; {what_to_do}"))
+            })?;
+            let because = format!(
+                "the usual one of the shipped stations that the recordings fit, {ids}; say --station if it is another"
+            );
+            Ok((usual, because))
         }
     }
 }
@@ -174,7 +181,7 @@ mod tests {
     #[test]
     fn every_shipped_station_can_be_used() {
         let ids = station_ids();
-        assert!(ids.len() >= 2 && ids.iter().any(|id| id == "xarm6-leap"), "{ids:?}");
+        assert!(ids.len() >= 2 && ids.iter().any(|id| id == USUAL_STATION), "{ids:?}");
         for id in ids {
             let station = station(&id).unwrap();
             assert_eq!(station.id, id);
@@ -185,7 +192,7 @@ mod tests {
     #[test]
     fn unknown_station_names_the_shipped_ones() {
         let message = station("xarm7").unwrap_err().to_string();
-        assert!(message.contains("xarm7") && message.contains("xarm6-leap"), "{message}");
+        assert!(message.contains("xarm7") && message.contains(USUAL_STATION), "{message}");
     }
 
     #[test]
