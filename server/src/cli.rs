@@ -10,6 +10,7 @@ mod completions;
 mod devices;
 mod diagnose;
 mod emulate;
+mod export;
 mod import;
 mod index;
 mod job;
@@ -49,6 +50,9 @@ enum Command {
     Session(session::SessionCommand),
     /// Replay a take's joint path through a sensor model
     Replay(replay::ReplayArgs),
+    /// Write recordings for other programs
+    #[command(subcommand)]
+    Export(export::ExportCommand),
     /// Fit the sensor model to a session
     Calibrate(calibrate::CalibrateArgs),
     /// Name what the calibrated model lacks, and add it
@@ -112,6 +116,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Import(args) => import::run(&args),
         Command::Session(command) => session::run(&command),
         Command::Replay(args) => replay::run(&args),
+        Command::Export(command) => export::run(&command),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
         Command::Devices(command) => devices::run(&command),

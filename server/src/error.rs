@@ -8,6 +8,7 @@ use palpate_control::ControlError;
 use palpate_diagnosis::DiagnosisError;
 use palpate_drivers::DriverError;
 use palpate_emulator::EmulationError;
+use palpate_export::ExportError;
 use palpate_jobs::JobsError;
 use palpate_people::PeopleError;
 use palpate_recording::RecordingError;
@@ -58,6 +59,9 @@ pub enum Error {
     /// The people of the data folder.
     #[error(transparent)]
     People(#[from] PeopleError),
+    /// An export.
+    #[error(transparent)]
+    Export(#[from] ExportError),
     /// Nothing of that name.
     #[error("no {what} {id:?}; {hint}")]
     NotFound {
@@ -243,6 +247,15 @@ impl Error {
                 PeopleError::Conflict(_) => Class::Conflict,
                 PeopleError::WrongLogin => Class::NotLoggedIn,
                 PeopleError::Database { .. } => Class::BadContent,
+                _ => Class::Failed,
+            },
+            Self::Export(err) => match err {
+                ExportError::Argument(_) => Class::BadArgument,
+                ExportError::Recording(err) => recording_class(err),
+                ExportError::Content { .. } => Class::BadContent,
+                ExportError::Exists { .. } => Class::Exists,
+                ExportError::Io { action, source, .. } => io_class(action, source),
+                ExportError::Cancelled => Class::Cancelled,
                 _ => Class::Failed,
             },
             Self::NotPermitted(_) => Class::NotPermitted,

@@ -9,6 +9,7 @@ mod door;
 mod etag;
 mod examples;
 mod extract;
+mod foxglove;
 mod identity;
 pub(crate) mod listener;
 mod login_page;

@@ -37,6 +37,8 @@ pub struct ServeConfig {
     pub station: Option<LiveStation>,
     /// Host names by which the server is known, besides `localhost` and addresses.
     pub hosts: Vec<String>,
+    /// Origins of other pages that may watch over Foxglove's protocol.
+    pub foxglove_origins: Vec<String>,
     /// Listen beyond this computer without login and TLS.
     pub insecure: bool,
     /// A proxy on the way has TLS and says from where requests come: everybody has to log in, whatever the address.
@@ -127,7 +129,18 @@ pub async fn serve(
     motion_ended: impl FnOnce(Option<&Ending>) + Send + 'static,
 ) -> Result<Served, Error> {
     let Security { needs_login, has_tls, is_open } = config.security()?;
-    let ServeConfig { listen, data, station, hosts, behind_proxy, tls, train, retention, .. } = config;
+    let ServeConfig {
+        listen,
+        data,
+        station,
+        hosts,
+        foxglove_origins,
+        behind_proxy,
+        tls,
+        train,
+        retention,
+        ..
+    } = config;
     let failed_to = |action: &'static str| {
         move |err: std::io::Error| {
             Error::Argument(format!("failed to {action} {listen}: {err}; try another port"))
@@ -135,7 +148,15 @@ pub async fn serve(
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
     let names = tls::names(listen, &hosts);
-    let access = Access { hosts, insecure: is_open, login: needs_login, behind_proxy, program: None, train };
+    let access = Access {
+        hosts,
+        foxglove_origins,
+        insecure: is_open,
+        login: needs_login,
+        behind_proxy,
+        program: None,
+        train,
+    };
     if needs_login {
         refuse_nobody(&data, listen)?;
     }
@@ -254,6 +275,7 @@ mod tests {
             data: PathBuf::new(),
             station: None,
             hosts: Vec::new(),
+            foxglove_origins: Vec::new(),
             insecure: false,
             behind_proxy: false,
             login: false,

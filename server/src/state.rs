@@ -30,6 +30,8 @@ use crate::{
 pub struct Access {
     /// Host names by which the server is known, besides `localhost` and addresses.
     pub hosts: Vec<String>,
+    /// Origins of other pages that may watch over Foxglove's protocol.
+    pub foxglove_origins: Vec<String>,
     /// It listens beyond this computer without a login; the page says so.
     pub insecure: bool,
     /// Everybody has to log in; without, whoever gets in is the local operator.

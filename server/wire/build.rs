@@ -6,6 +6,7 @@ use prost::Message as _;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let files = [
+        "proto/foxglove/FrameTransforms.proto",
         "proto/foxglove/JointStates.proto",
         "proto/foxglove/Log.proto",
         "proto/palpate/control.proto",

@@ -6,6 +6,7 @@
 mod browser;
 mod build;
 mod mujoco;
+mod others;
 mod page;
 mod paths;
 mod python;
@@ -40,6 +41,10 @@ enum Command {
     Test(test::TestArgs),
     /// What CI runs: formatting, lints, every test, the release build
     Check,
+    /// Have pandas, pyarrow and `datasets` read an exported session: 400 MB of Python packages
+    CheckLerobot(others::LerobotArgs),
+    /// Have Foxglove's client library watch an emulated station: 7 MB of npm packages
+    CheckFoxglove(others::FoxgloveArgs),
     /// Fetch MuJoCo's library and print its folder
     Mujoco,
     /// Take the README's screenshot from a running studio
@@ -60,6 +65,8 @@ fn main() -> anyhow::Result<()> {
         Command::BuildUi => wasm::build_page().map(|dir| println!("built {}", dir.display())),
         Command::Test(args) => test::run(&args),
         Command::Check => test::check(),
+        Command::CheckLerobot(args) => others::lerobot(&args),
+        Command::CheckFoxglove(args) => others::foxglove(&args),
         Command::Mujoco => mujoco::link_dir().map(|dir| println!("{}", dir.display())),
         Command::Screenshot { url, out } => browser::screenshots(&url, &out),
     }

@@ -52,6 +52,9 @@ pub(crate) struct ServeArgs {
     /// A host name by which browsers reach this studio, besides localhost and addresses; may be given several times
     #[arg(long = "allow-host", value_name = "NAME")]
     hosts: Vec<String>,
+    /// An origin whose pages may watch over Foxglove's protocol, e.g. https://app.foxglove.dev; may be given several times
+    #[arg(long = "foxglove-origin", value_name = "ORIGIN")]
+    foxglove_origins: Vec<String>,
     /// Listen beyond this computer without login and TLS: anybody in the network may then take control of the robot
     #[arg(long)]
     insecure: bool,
@@ -105,6 +108,7 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
         data: args.data.unwrap_or_else(|| DATA.into()),
         station,
         hosts: args.hosts,
+        foxglove_origins: args.foxglove_origins,
         insecure: args.insecure,
         behind_proxy: args.behind_proxy,
         login: args.login,

@@ -17,7 +17,7 @@ use axum::{
 use palpate_people::{People, Principal};
 
 use super::{
-    docs,
+    docs, foxglove,
     identity::{self, Client, Shown},
     problem::{Detail, problem_response, respond},
 };
@@ -44,6 +44,8 @@ pub(crate) struct Door {
     pub(crate) behind_proxy: bool,
     /// Names by which the server is known, besides `localhost` and addresses.
     pub(crate) hosts: Vec<String>,
+    /// Origins of other pages that may watch over Foxglove's protocol.
+    pub(crate) foxglove_origins: Vec<String>,
     /// The path of the data folder, which messages to clients do not show.
     pub(crate) data: String,
 }
@@ -55,12 +57,13 @@ impl Door {
             people: access.login.then(|| state.people().clone()),
             behind_proxy: access.behind_proxy,
             hosts: access.hosts.clone(),
+            foxglove_origins: access.foxglove_origins.clone(),
             data: state.data().to_string_lossy().into_owned(),
         }
     }
 
-    /// Why a request with these headers is refused, if it is.
-    fn objection(&self, method: &Method, headers: &HeaderMap) -> Option<(StatusCode, String)> {
+    /// Why a request of `path` with these headers is refused, if it is.
+    fn objection(&self, method: &Method, path: &str, headers: &HeaderMap) -> Option<(StatusCode, String)> {
         let Some(host) = single(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok()) else {
             return Some((StatusCode::BAD_REQUEST, "the request names no host, or several".to_owned()));
         };
@@ -81,16 +84,26 @@ impl Door {
         }
         let is_foreign = match headers.get_all(header::ORIGIN).iter().count() {
             0 => is_cross_site(headers),
-            1 => !single(headers, header::ORIGIN).is_some_and(|origin| is_own(origin, &host)),
+            1 => !single(headers, header::ORIGIN).is_some_and(|origin| {
+                is_own(origin, &host) || (path == foxglove::PATH && self.may_watch(origin))
+            }),
             _ => true,
         };
         is_foreign.then(|| {
-            (
-                StatusCode::FORBIDDEN,
-                "a page of another origin may neither command nor change anything here; open the studio's own page"
+            let detail = match single(headers, header::ORIGIN).filter(|_| path == foxglove::PATH) {
+                Some(origin) => format!(
+                    "pages of {origin:?} may not watch here; to let them, start the studio with --foxglove-origin {origin}"
+                ),
+                None => "a page of another origin may neither command nor change anything here; open the studio's own page"
                     .to_owned(),
-            )
+            };
+            (StatusCode::FORBIDDEN, detail)
         })
+    }
+
+    /// Whether pages of `origin` may watch over Foxglove's protocol, which commands nothing.
+    fn may_watch(&self, origin: &str) -> bool {
+        self.foxglove_origins.iter().any(|allowed| allowed.eq_ignore_ascii_case(origin))
     }
 
     /// Whether the server is known by `host`. Addresses cannot be rebound to another server, so all of them are.
@@ -133,7 +146,7 @@ fn is_cross_site(headers: &HeaderMap) -> bool {
 pub(crate) async fn guard(State(door): State<Arc<Door>>, mut request: Request, next: Next) -> Response {
     let client = Client::of(&request, door.behind_proxy);
     let shown = match &door.people {
-        Some(people) => identity::identify(people, request.headers()),
+        Some(people) => identity::identify(people, request.headers(), foxglove::query_token(request.uri())),
         None => Ok(Principal::local()),
     };
     request.extensions_mut().insert(client);
@@ -143,7 +156,7 @@ pub(crate) async fn guard(State(door): State<Arc<Door>>, mut request: Request, n
         path if path.starts_with("/api/") => API_POLICY,
         _ => PAGE_POLICY,
     };
-    let mut response = match door.objection(request.method(), request.headers()) {
+    let mut response = match door.objection(request.method(), request.uri().path(), request.headers()) {
         Some((status, detail)) => {
             tracing::warn!(method = %request.method(), path = request.uri().path(), detail, "refused at the door");
             problem_response(status, &detail)
@@ -186,12 +199,44 @@ mod tests {
     use super::*;
 
     fn objection(method: &Method, headers: &[(&'static str, &str)]) -> Option<StatusCode> {
-        let door = Door { hosts: vec!["palpate.lab.example".to_owned()], ..Door::default() };
+        objection_at("/api/v1/stream", method, headers)
+    }
+
+    fn objection_at(path: &str, method: &Method, headers: &[(&'static str, &str)]) -> Option<StatusCode> {
+        let door = Door {
+            hosts: vec!["palpate.lab.example".to_owned()],
+            foxglove_origins: vec!["https://viewer.example".to_owned()],
+            ..Door::default()
+        };
         let headers: HeaderMap = headers
             .iter()
             .map(|(name, value)| (header::HeaderName::from_static(name), value.parse().unwrap()))
             .collect();
-        door.objection(method, &headers).map(|(status, _)| status)
+        door.objection(method, path, &headers).map(|(status, _)| status)
+    }
+
+    #[test]
+    fn named_origins_may_watch_over_foxgloves_protocol_and_nothing_else() {
+        let from = |path: &str, method: &Method, origin: &str| {
+            let headers = [("host", "127.0.0.1:8080"), ("upgrade", "websocket"), ("origin", origin)];
+            objection_at(path, method, &headers)
+        };
+        assert_eq!(from("/api/v1/foxglove", &Method::GET, "https://viewer.example"), None);
+        for origin in ["https://evil.example", "http://viewer.example", "https://viewer.example:8443", "null"]
+        {
+            assert_eq!(
+                from("/api/v1/foxglove", &Method::GET, origin),
+                Some(StatusCode::FORBIDDEN),
+                "{origin}"
+            );
+        }
+        for path in ["/api/v1/stream", "/api/v1/control", "/api/v1/foxglove/", "/foxglove"] {
+            assert_eq!(
+                from(path, &Method::GET, "https://viewer.example"),
+                Some(StatusCode::FORBIDDEN),
+                "{path}"
+            );
+        }
     }
 
     #[test]

@@ -61,8 +61,12 @@ impl Client {
     }
 }
 
-/// Who sends these headers.
-pub(crate) fn identify(people: &People, headers: &HeaderMap) -> Result<Principal, Denied> {
+/// Who sends these headers, or shows `query_token` where there is no header for it.
+pub(crate) fn identify(
+    people: &People,
+    headers: &HeaderMap,
+    query_token: Option<&str>,
+) -> Result<Principal, Denied> {
     let now_s = now_s();
     let mut bearers = headers.get_all(header::AUTHORIZATION).iter().filter_map(|value| {
         let (scheme, secret) = value.to_str().ok()?.split_once(' ')?;
@@ -72,6 +76,9 @@ pub(crate) fn identify(people: &People, headers: &HeaderMap) -> Result<Principal
         (Some(secret), None) => return people.authenticate(Presented::Bearer(secret), now_s),
         (Some(_), Some(_)) => return Err(Denied::Unknown),
         (None, _) => {}
+    }
+    if let Some(secret) = query_token {
+        return people.authenticate(Presented::Bearer(secret), now_s);
     }
     let is_foreign = headers
         .get("sec-fetch-site")

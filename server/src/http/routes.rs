@@ -30,7 +30,7 @@ use palpate_wire::api::{Info, Role, Scope, Source, StationDocument};
 use super::{
     control_socket,
     document::{self, Documented, Refusal},
-    login_page,
+    foxglove, login_page,
     problem::{Answer, Problem},
     stream,
 };
@@ -192,6 +192,7 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::POST, "/campaigns/{campaign}/trials/{trial}/unscore", SCORE, post(campaigns::unscore)),
         route(Method::POST, "/campaigns/{campaign}/trials/{trial}/settle", DATA, post(campaigns::settle)),
         route(Method::GET, "/stream", VIEW, get(stream::upgrade)),
+        route(Method::GET, "/foxglove", VIEW, get(foxglove::upgrade)),
         route(Method::GET, "/live", VIEW, get(live::document)),
         route(Method::PUT, "/live/model", STATION, put(live::set_model)),
         route(Method::GET, "/control", VIEW, get(control_socket::upgrade)),

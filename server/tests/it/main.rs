@@ -10,6 +10,7 @@ mod client_paths;
 mod data_folder;
 mod diagnoses;
 mod document;
+mod foxglove;
 mod gate;
 mod jobs;
 mod operations;

@@ -318,7 +318,7 @@ async fn every_route_refuses_no_forged_expired_revoked_and_wrong_role_tokens_and
         assert!(route.needs.lease == NeedsLease::No || least >= Role::Operator, "{path}");
         assert!(!path.contains("/people") || least == Role::Admin, "{path}");
     }
-    for socket in ["/stream", "/control"] {
+    for socket in ["/stream", "/control", "/foxglove"] {
         for (what, headers) in &strangers {
             let refused = house.socket(socket, headers).await.err();
             let is_foreign = what.contains("another site");
@@ -329,6 +329,16 @@ async fn every_route_refuses_no_forged_expired_revoked_and_wrong_role_tokens_and
             }
         }
     }
+    // Foxglove's app sends no headers: its socket, and nothing else, takes a token from the address.
+    let (_, bearer) = house.token(Role::Viewer, None);
+    let secret = bearer.split(' ').nth(1).unwrap();
+    let status = async |path: &str| house.send("GET", path, &[], "").await.status;
+    assert_eq!(status(&format!("/api/v1/info?token={secret}")).await, StatusCode::UNAUTHORIZED);
+    assert_eq!(status(&format!("/api/v1/stream?token={secret}")).await, StatusCode::UNAUTHORIZED);
+    assert_eq!(status("/api/v1/foxglove?token=wrong").await, StatusCode::UNAUTHORIZED);
+    assert_eq!(status("/api/v1/foxglove?token=").await, StatusCode::UNAUTHORIZED);
+    // It is let in, and is no WebSocket.
+    assert_eq!(status(&format!("/api/v1/foxglove?a=b&token={secret}")).await, StatusCode::BAD_REQUEST);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -41,6 +41,8 @@ log = "text"
 
 # Host names by which browsers reach this studio, besides localhost and addresses.
 allow_hosts = []
+# Origins whose pages may watch over Foxglove's protocol (docs/tools.md), e.g. ["https://app.foxglove.dev"].
+foxglove_origins = []
 # Everybody has to log in, also on this computer.
 login = false
 # A proxy in front has TLS, and says in X-Forwarded-For from where requests come.
@@ -79,6 +81,8 @@ pub(crate) struct Config {
     emulate: Option<PathBuf>,
     #[serde(default)]
     allow_hosts: Vec<String>,
+    #[serde(default)]
+    foxglove_origins: Vec<String>,
     #[serde(default)]
     login: bool,
     #[serde(default)]
@@ -142,6 +146,9 @@ impl ServeArgs {
         }
         if self.hosts.is_empty() {
             self.hosts = config.allow_hosts;
+        }
+        if self.foxglove_origins.is_empty() {
+            self.foxglove_origins = config.foxglove_origins;
         }
         self.train = self.train.take().or(config.train.binary.map(at));
         self.retention.fill_in(config.retention);
