@@ -23,7 +23,7 @@ def test_a_policy_sees_the_station_and_moves_it_within_its_limits(p: Palpate, st
     robot.connect()
     try:
         assert robot.is_connected
-        assert p.live().holder == "policy"
+        until("seen to have control", lambda: p.live().holder == "policy")
         seen = robot.get_observation()
         assert list(seen) == list(robot.observation_features)
         assert len(seen) == len(station.joints) + 2 * len(station.channels)
@@ -54,7 +54,7 @@ def test_a_policy_sees_the_station_and_moves_it_within_its_limits(p: Palpate, st
     finally:
         robot.disconnect()
     assert not robot.is_connected
-    assert p.live().holder == ""
+    until("seen to have given it back", lambda: p.live().holder == "")
     robot.disconnect()
 
 
