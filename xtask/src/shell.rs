@@ -20,7 +20,7 @@ pub(crate) fn print_long_steps(begun: Instant) {
         let line: String = line.chars().take(110).collect();
         eprintln!("{:6.0} s  {line}", taken.as_secs_f64());
     }
-    eprintln!("{:6.0} s  in all; the release build is beside the tests", begun.elapsed().as_secs_f64());
+    eprintln!("{:6.0} s  in all", begun.elapsed().as_secs_f64());
 }
 
 /// Runs `command`, showing its output; fails when it does.
@@ -89,30 +89,6 @@ pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
         }
     }
     command
-}
-
-/// `command` where it runs only while nothing else wants to, as far as the system has that.
-pub(crate) fn idle(command: &Command) -> Command {
-    let mut idle = if exists("chrt") {
-        let mut chrt = Command::new("chrt");
-        chrt.args(["--idle", "0"]);
-        chrt
-    } else {
-        let mut nice = Command::new("nice");
-        nice.args(["-n", "19"]);
-        nice
-    };
-    idle.arg(command.get_program()).args(command.get_args());
-    for (name, value) in command.get_envs() {
-        match value {
-            Some(value) => idle.env(name, value),
-            None => idle.env_remove(name),
-        };
-    }
-    if let Some(dir) = command.get_current_dir() {
-        idle.current_dir(dir);
-    }
-    idle
 }
 
 /// Installs Debian packages, or says which command a person must run.

@@ -1,6 +1,6 @@
 //! Every test, and what CI runs.
 
-use std::{path::PathBuf, process::Command, thread, time::Instant};
+use std::{path::PathBuf, process::Command, time::Instant};
 
 use clap::Args;
 
@@ -97,7 +97,7 @@ impl Tests {
     }
 }
 
-/// Formatting, lints with warnings denied, every test, and beside the tests the release build.
+/// Formatting, lints with warnings denied, every test, and the release build.
 pub(crate) fn check() -> anyhow::Result<()> {
     let (root, begun) = (paths::root(), Instant::now());
     skip::check()?;
@@ -108,13 +108,11 @@ pub(crate) fn check() -> anyhow::Result<()> {
         mujoco::add(&mut lints, &dir);
     }
     shell::run(lints.args(["--", "--deny", "warnings"]))?;
-    let tests = Tests::build(&TestArgs { filter: None })?;
-    // Tests wait for clocks and stations most of the time: the release build takes what they leave of the machine.
-    let building = thread::spawn(build::release_beside_others);
-    let tested = tests.run();
-    let built = building.join().unwrap_or_else(|_| Err(anyhow::anyhow!("the release build panicked")));
+    let tested = run(&TestArgs { filter: None });
+    // Not beside the tests, though they wait for clocks most of the time: linking stops real-time stations for a second.
+    let built = tested.and_then(|()| build::release().map(drop));
     shell::print_long_steps(begun);
-    tested.and(built.map(drop))
+    built
 }
 
 /// The folder of MuJoCo's library; none where what needs it is left out.
