@@ -319,3 +319,33 @@ fn an_import_says_which_station_it_takes_and_why() {
     );
     assert!(error.contains("probe-bench does not: ") && error.contains("xarm6-leap does not: "), "{error}");
 }
+
+#[test]
+fn recordings_that_fit_several_stations_are_the_usual_ones_and_the_others_are_named() {
+    let data = Data::empty();
+    let station = palpate_server::assets::station("xarm6-leap").unwrap();
+    let take = data.csv().join("take-01");
+    fs::create_dir_all(&take).unwrap();
+    let table = |names: Vec<&str>, value: &str| {
+        let header = format!("t_s,{}\n", names.join(","));
+        let row = vec![value; names.len()].join(",");
+        (0..300).fold(header, |text, number| format!("{text}{:.2},{row}\n", f64::from(number) * 0.01))
+    };
+    let joints = station.robot.dofs().map(|joint| joint.name.as_str()).collect();
+    fs::write(take.join("joints.csv"), table(joints, "0.0")).unwrap();
+    for stream in &station.layout.streams {
+        let names =
+            station.layout.channels[stream.channels.clone()].iter().map(|channel| channel.id.as_str());
+        fs::write(take.join(format!("{}.csv", stream.id)), table(names.collect(), "10.0")).unwrap();
+    }
+    fs::write(
+        take.join("take.toml"),
+        "object = \"sphere_50mm\"\nobject_pose = { position_m = [0.4, 0.0, 0.3] }\nprimitive = \"tap\"\n\
+         baseline_s = [0.0, 2.0]\n",
+    )
+    .unwrap();
+    let text = palpate_ok(&["import", "--csv", arg(data.csv()), "--explain"]);
+    let first = text.lines().next().unwrap();
+    assert!(first.starts_with("station xarm6-leap: the usual one of the shipped stations"), "{text}");
+    assert!(first.contains("xarm6-leap-c"), "{first}");
+}
