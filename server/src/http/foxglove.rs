@@ -14,7 +14,7 @@ use axum::{
     body::Bytes,
     extract::{
         Extension, State,
-        ws::{CloseFrame, Message, WebSocket, close_code},
+        ws::{Message, WebSocket},
     },
     http::Uri,
     response::Response,
@@ -25,11 +25,10 @@ use palpate_wire::{api::ProblemType, proto::stream_message::Message as Streamed}
 use super::{
     document::Refusal,
     extract::{Asking, Upgrade},
-    identity::no_longer_valid,
     listener::KeepOpen,
     pacing::Pacing,
     problem::{Problem, problem},
-    stream::CLOSE_TIMEOUT,
+    stream::{close, has_to_close},
 };
 use crate::{AppState, Error, hub::Client};
 use feed::Feed;
@@ -83,26 +82,13 @@ pub(crate) async fn upgrade(
     }
     let mut feed = Feed::new(live.station());
     Ok(upgrade.max_message_size(MAX_MESSAGE).on_upgrade(move |mut socket| async move {
-        let gives_way = async {
-            match &open {
-                Some(Extension(open)) => open.gives_way().await,
-                None => std::future::pending().await,
-            }
-        };
         let client = state.hub().join();
-        let mut shutdown = state.shutdown();
         let closes = tokio::select! {
             () = converse(&mut socket, &client, &mut feed) => None,
-            () = gives_way => None,
-            () = no_longer_valid(state.people().clone(), principal) => {
-                Some((close_code::POLICY, "the login or token has ended"))
-            }
-            _ = shutdown.wait_for(|&ends| ends) => Some((close_code::AWAY, "the studio is shutting down")),
+            closes = has_to_close(&state, principal, open) => closes,
         };
-        if let Some((code, reason)) = closes {
-            let close = CloseFrame { code, reason: reason.into() };
-            // The client may be gone already, or never read it.
-            let _ = tokio::time::timeout(CLOSE_TIMEOUT, socket.send(Message::Close(Some(close)))).await;
+        if let Some(why) = closes {
+            close(&mut socket, why).await;
         }
     }))
 }

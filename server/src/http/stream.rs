@@ -14,6 +14,7 @@ use axum::{
     response::Response,
 };
 use futures_util::SinkExt as _;
+use palpate_people::Principal;
 use prost::Message as _;
 
 use super::{
@@ -24,6 +25,9 @@ use super::{
     pacing::Pacing,
 };
 use crate::{AppState, hub::Client, work::Kind};
+
+/// A close code of WebSockets and its reason.
+type Closing = (u16, &'static str);
 
 /// Clients answer pings and otherwise send nothing, bytes.
 const MAX_MESSAGE: usize = 1024;
@@ -50,34 +54,51 @@ pub(crate) async fn upgrade(
     Upgrade(upgrade): Upgrade,
 ) -> Response {
     upgrade.max_message_size(MAX_MESSAGE).on_upgrade(move |socket| async move {
-        let gives_way = async {
-            match &open {
-                Some(Extension(open)) => open.gives_way().await,
-                None => std::future::pending().await,
-            }
-        };
         let client = state.hub().join();
         // A client that is told too little asks for the lists, as it does when it begins.
         let unfinished = state.run(Kind::Read, |state| state.jobs().unfinished_updates()).await;
         for update in unfinished.unwrap_or_default() {
             client.push_job(update);
         }
-        let mut shutdown = state.shutdown();
         let mut socket = socket;
         let closes = tokio::select! {
             () = converse(&mut socket, &client) => None,
-            () = gives_way => None,
-            () = no_longer_valid(state.people().clone(), principal) => {
-                Some((close_code::POLICY, "the login or token has ended"))
-            }
-            _ = shutdown.wait_for(|&ends| ends) => Some((close_code::AWAY, "the studio is shutting down")),
+            closes = has_to_close(&state, principal, open) => closes,
         };
-        if let Some((code, reason)) = closes {
-            let close = CloseFrame { code, reason: reason.into() };
-            // The client may be gone already, or never read it.
-            let _ = tokio::time::timeout(CLOSE_TIMEOUT, socket.send(Message::Close(Some(close)))).await;
+        if let Some(why) = closes {
+            close(&mut socket, why).await;
         }
     })
+}
+
+/// Waits until a connection that only watches has to be closed. Gives what its client is told; nothing where another
+/// connection needs its place.
+pub(super) async fn has_to_close(
+    state: &AppState,
+    principal: Principal,
+    open: Option<Extension<KeepOpen>>,
+) -> Option<Closing> {
+    let gives_way = async {
+        match &open {
+            Some(Extension(open)) => open.gives_way().await,
+            None => std::future::pending().await,
+        }
+    };
+    let mut shutdown = state.shutdown();
+    tokio::select! {
+        () = gives_way => None,
+        () = no_longer_valid(state.people().clone(), principal) => {
+            Some((close_code::POLICY, "the login or token has ended"))
+        }
+        _ = shutdown.wait_for(|&ends| ends) => Some((close_code::AWAY, "the studio is shutting down")),
+    }
+}
+
+/// Tells the client why it is left.
+pub(super) async fn close(socket: &mut WebSocket, (code, reason): Closing) {
+    let close = CloseFrame { code, reason: reason.into() };
+    // The client may be gone already, or never read it.
+    let _ = tokio::time::timeout(CLOSE_TIMEOUT, socket.send(Message::Close(Some(close)))).await;
 }
 
 /// Sends until the client leaves. Nothing is expected from it but the close, and the answers to pings that every WebSocket
