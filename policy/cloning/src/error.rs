@@ -11,6 +11,9 @@ pub enum CloneError {
     /// Episodes, configuration, or a robot do not fit.
     #[error("{0}")]
     Shape(String),
+    /// There is nothing to compute on as was asked.
+    #[error("{0}")]
+    Device(String),
     /// Learning ran away.
     #[error("{what} is not finite at update {update}: lower learning_rate or max_gradient_norm")]
     Diverged {

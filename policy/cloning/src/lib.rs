@@ -9,10 +9,11 @@
 //! take a part of every action away. Commands are part of what is seen.
 //!
 //! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of
-//! fixed size whose gradients are added in order. Nothing here knows a robot or a simulator.
+//! fixed size whose gradients are added in order. On a graphics card (feature `gpu`) a training gets other bits. Nothing here knows a robot or a simulator.
 
 mod cloned;
 mod config;
+mod device;
 mod episodes;
 mod error;
 mod file;
@@ -24,6 +25,7 @@ mod trainer;
 
 pub use cloned::{Cloned, Plan, Robot, Run};
 pub use config::{CloneConfig, DiffusionConfig, Head, ObservationConfig};
+pub use device::TrainingDevice;
 pub use episodes::{Episode, Episodes, Step};
 pub use error::CloneError;
 pub use file::POLICY_FILE;

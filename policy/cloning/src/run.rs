@@ -5,7 +5,8 @@ use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 use palpate_training::{Finish, Judgement, Learner, Progress, Start};
 
 use crate::cloned::Robot;
-use crate::{CloneConfig, CloneError, Episodes, Trainer};
+use crate::device::OnCard;
+use crate::{CloneConfig, CloneError, Episodes, Trainer, TrainingDevice};
 
 /// The configuration with every field.
 pub const CONFIG_FILE: &str = "cloning.toml";
@@ -25,6 +26,8 @@ pub struct Data<'a> {
 /// A trainer with its episodes.
 struct Cloning<'a> {
     trainer: Trainer,
+    /// The training's newest numbers, where they are not in `trainer` itself.
+    card: Option<OnCard>,
     train: &'a Episodes,
     held_out: &'a Episodes,
 }
@@ -59,13 +62,23 @@ impl Learner for Cloning<'_> {
     }
 
     fn update(&mut self, losses: &mut f64) -> Result<f64, CloneError> {
-        let (loss, norm) = self.trainer.update(self.train)?;
+        let (loss, norm) = match &mut self.card {
+            None => self.trainer.update(self.train)?,
+            Some(card) => card.update(&mut self.trainer, self.train)?,
+        };
         *losses += loss;
         Ok(norm)
     }
 
     fn judge(&mut self, losses: &f64, num_updates: u64) -> Result<Judgement<f64>, CloneError> {
-        let losses = [losses / num_updates as f64, self.trainer.judge(self.held_out)?];
+        let held_out = match &self.card {
+            None => self.trainer.judge(self.held_out)?,
+            Some(card) => {
+                card.store(&mut self.trainer);
+                card.judge(&self.trainer, self.held_out)?
+            }
+        };
+        let losses = [losses / num_updates as f64, held_out];
         Ok(Judgement { terms: losses, losses })
     }
 
@@ -74,7 +87,8 @@ impl Learner for Cloning<'_> {
     }
 }
 
-/// Learns in `folder`, where configuration, metrics and checkpoints are kept; `watch` sees each update and may end it.
+/// Learns on `device` in `folder`, where configuration, metrics and checkpoints are kept; `watch` sees each update and may
+/// end it. A training may go on from a checkpoint on another device than the one that wrote it.
 ///
 /// # Errors
 /// A folder that cannot be written, that another run uses, or that holds another training; a training that ran away.
@@ -83,6 +97,7 @@ pub fn train(
     start: Start,
     config: CloneConfig,
     data: Data<'_>,
+    device: &TrainingDevice,
     watch: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<(Trainer, Finish), CloneError> {
     let Data { robot, train, held_out, sources } = data;
@@ -91,7 +106,8 @@ pub fn train(
             Some((path, bytes)) => Trainer::from_checkpoint(config, robot, train, sources, path, bytes)?,
             None => Trainer::new(config, robot, train, sources)?,
         };
-        Ok(Cloning { trainer, train, held_out })
+        let card = device.card.clone().map(|device| OnCard::new(&trainer, device));
+        Ok(Cloning { trainer, card, train, held_out })
     };
     let to_toml = |learner: &Cloning<'_>| learner.trainer.config().to_toml();
     let (learner, finish) = palpate_training::run(folder, start, CONFIG_FILE, learner, to_toml, watch)?;

@@ -14,7 +14,7 @@ use crate::{CloneConfig, CloneError, Head};
 
 /// What noise is for: the order of samples; what is added to chunks; the same for held-out ones.
 const SHUFFLE: u64 = 2;
-const NOISE: u64 = 4;
+pub(crate) const NOISE: u64 = 4;
 const HELD_OUT_NOISE: u64 = 5;
 /// Samples that means and deviations are taken of, at most; and those that held-out episodes are judged by.
 const MAX_MEASURED: usize = 20_000;
@@ -60,6 +60,12 @@ impl Scaling {
         let scaled = values.iter().zip(&self.mean).zip(&self.factor);
         scaled.map(|((&value, mean), factor)| f64::from(value) / factor + mean)
     }
+}
+
+/// Held-out steps that are predicted together, and their number, which their noise follows from.
+pub(crate) struct Part {
+    number: u64,
+    moments: Vec<(usize, usize)>,
 }
 
 /// A training under way.
@@ -163,22 +169,12 @@ impl Trainer {
     /// # Errors
     /// Predictions or gradients that are no numbers. Parameters are then those before.
     pub fn update(&mut self, episodes: &Episodes) -> Result<(f64, f64), CloneError> {
-        let size = self.config.batch_size;
-        let per_epoch = (self.num_samples / size) as u64;
-        let (epoch, batch) = (self.updates / per_epoch, self.updates % per_epoch);
-        let order = match self.order.take() {
-            Some((drawn, order)) if drawn == epoch => order,
-            _ => permutation(&mut generator(self.config.seed, SHUFFLE, epoch, 0), self.num_samples),
-        };
-        let numbers: Vec<(usize, usize)> =
-            order[batch as usize * size..][..size].iter().map(|&idx| self.moments[idx]).collect();
-        let parts: Vec<_> = numbers
+        let samples = self.next_batch(episodes);
+        let parts: Vec<_> = samples
             .par_chunks(CHUNK_SAMPLES)
             .enumerate()
-            .map(|(part, moments)| {
-                let samples: Vec<Sample> =
-                    moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
-                self.gradients(&samples, NOISE, [self.updates, part as u64], size)
+            .map(|(part, samples)| {
+                self.gradients(samples, NOISE, [self.updates, part as u64], self.config.batch_size)
             })
             .collect::<Result<_, CloneError>>()?;
         let mut parts = parts.into_iter();
@@ -197,16 +193,35 @@ impl Trainer {
         let parameters = self.network.arrays.iter_mut().map(|array| &mut array.values);
         self.adam.step(parameters, &total, rate, self.config.weight_decay);
         self.updates += 1;
-        self.order = Some((epoch, order));
-        // A short memory at first, or the average would hold on to the first weights.
-        let updates = self.updates as f64;
-        let decay = self.config.average_decay.min((1.0 + updates) / (10.0 + updates)) as f32;
+        let renewed = self.average_renewed();
         let of_arrays = self.average.iter_mut().zip(&self.network.arrays);
         for (average, array) in of_arrays {
             let both = average.iter_mut().zip(&array.values);
-            both.for_each(|(average, &value)| *average += (1.0 - decay) * (value - *average));
+            both.for_each(|(average, &value)| *average += renewed * (value - *average));
         }
         Ok((loss, norm))
+    }
+
+    /// Samples of the next update.
+    pub(crate) fn next_batch(&mut self, episodes: &Episodes) -> Vec<Sample> {
+        let size = self.config.batch_size;
+        let per_epoch = (self.num_samples / size) as u64;
+        let (epoch, batch) = (self.updates / per_epoch, self.updates % per_epoch);
+        let order = match self.order.take() {
+            Some((drawn, order)) if drawn == epoch => order,
+            _ => permutation(&mut generator(self.config.seed, SHUFFLE, epoch, 0), self.num_samples),
+        };
+        let numbers = order[batch as usize * size..][..size].par_iter();
+        let samples = numbers.map(|&idx| episodes.sample(&self.config, self.moments[idx])).collect();
+        self.order = Some((epoch, order));
+        samples
+    }
+
+    /// By what share the newest parameters renew the moving average. Much at first, or it would hold on to the first
+    /// weights.
+    pub(crate) fn average_renewed(&self) -> f32 {
+        let updates = self.updates as f64;
+        1.0 - self.config.average_decay.min((1.0 + updates) / (10.0 + updates)) as f32
     }
 
     /// The loss of the policy so far, with its averaged parameters, on `episodes`.
@@ -214,23 +229,42 @@ impl Trainer {
     /// # Errors
     /// Predictions that are no numbers.
     pub fn judge(&self, episodes: &Episodes) -> Result<f64, CloneError> {
-        let moments = spread(&episodes.moments(), MAX_JUDGED);
         let network = self.averaged();
-        let losses: Vec<f64> = moments
-            .par_chunks(CHUNK_SAMPLES)
-            .enumerate()
-            .map(|(part, moments)| {
-                let samples: Vec<Sample> =
-                    moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
+        self.judge_with(episodes, |parts| {
+            let loss = |part: &Part| {
                 let device = Device::flex();
-                let tensors = network.tensors(&device);
-                let (rows, wanted) =
-                    self.predictions(&network, &tensors, &samples, HELD_OUT_NOISE, [0, part as u64], &device);
-                self.errors(&values(rows), &wanted, moments.len())
-                    .map(|(_, loss)| loss * moments.len() as f64)
-            })
-            .collect::<Result<_, CloneError>>()?;
-        Ok(losses.iter().sum::<f64>() / moments.len().max(1) as f64)
+                self.loss_of(episodes, part, &network, &network.tensors(&device), &device)
+            };
+            parts.par_iter().map(loss).collect()
+        })
+    }
+
+    /// The mean of the losses on some of `episodes`' steps, which `losses` finds part by part.
+    pub(crate) fn judge_with(
+        &self,
+        episodes: &Episodes,
+        losses: impl FnOnce(&[Part]) -> Result<Vec<f64>, CloneError>,
+    ) -> Result<f64, CloneError> {
+        let moments = spread(&episodes.moments(), MAX_JUDGED);
+        let numbered = moments.chunks(CHUNK_SAMPLES).zip(0..);
+        let parts: Vec<Part> =
+            numbered.map(|(moments, number)| Part { number, moments: moments.to_vec() }).collect();
+        Ok(losses(&parts)?.iter().sum::<f64>() / moments.len().max(1) as f64)
+    }
+
+    /// The sum of the losses of `part`, by `network` with these `tensors` on `device`.
+    pub(crate) fn loss_of(
+        &self,
+        episodes: &Episodes,
+        part: &Part,
+        network: &Network,
+        tensors: &[Tensor<2>],
+        device: &Device,
+    ) -> Result<f64, CloneError> {
+        let samples: Vec<Sample> = part.moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
+        let numbers = [0, part.number];
+        let (rows, wanted) = self.predictions(network, tensors, &samples, HELD_OUT_NOISE, numbers, device);
+        self.errors(&values(rows), &wanted, samples.len()).map(|(_, loss)| loss * samples.len() as f64)
     }
 
     /// The policy so far.
@@ -256,7 +290,7 @@ impl Trainer {
     }
 
     /// What is predicted of `samples`, and what is wanted: chunks, or the noise in them.
-    fn predictions(
+    pub(crate) fn predictions(
         &self,
         network: &Network,
         tensors: &[Tensor<2>],

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
     CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, POLICY_FILE, Progress, Robot, Run,
-    Start,
+    Start, TrainingDevice,
 };
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
@@ -55,6 +55,9 @@ pub(crate) struct CloneArgs {
     /// Go on from the folder's checkpoint
     #[arg(long)]
     resume: bool,
+    /// What computes: "cpu", or "gpu", a graphics card (another card gets other bits)
+    #[arg(long, default_value = "cpu", value_parser = ["cpu", "gpu"])]
+    device: String,
     /// Threads [default: all cores]
     #[arg(long)]
     threads: Option<usize>,
@@ -93,19 +96,24 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     config.observation.tracking &= !args.hide_tracking;
     config.validate()?;
     files::start_threads(args.threads)?;
+    let device = match args.device.as_str() {
+        "gpu" => TrainingDevice::gpu()?,
+        _ => TrainingDevice::cpu(),
+    };
     let (robot, episodes, sources) = learned_from(args)?;
     let [train, held_out] = Episodes::new(robot.shape(), episodes)?.split(&config);
     eprintln!(
-        "{} trials with {} steps to learn from, {} held out",
+        "{} trials with {} steps to learn from, {} held out; learning on {}",
         train.len(),
         train.num_steps(),
-        held_out.len()
+        held_out.len(),
+        device.name()
     );
     let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
     let mut watch = |progress: &Progress| learning::tell(progress, &bar, &cancel);
     let start = if args.resume { Start::Resume } else { Start::Fresh };
     let data = Data { robot, train: &train, held_out: &held_out, sources };
-    let result = palpate_cloning::train(&args.out, start, config, data, &mut watch);
+    let result = palpate_cloning::train(&args.out, start, config, data, &device, &mut watch);
     drop(bar);
     let (trainer, finish) = result?;
     if finish == Finish::Cancelled {

@@ -15,6 +15,37 @@ pub struct Adam {
     pub second: Vec<Vec<f32>>,
 }
 
+/// The numbers of one step of Adam, the same for every parameter: with `m` and `v` the running means, the step is
+/// `value * kept - rate * m / (v.sqrt() + epsilon)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamRates {
+    /// Step size, the bias corrections of both means in it.
+    pub rate: f32,
+    /// What keeps the quotient finite, with the bias correction of the second mean in it.
+    pub epsilon: f32,
+    /// What decay leaves of a parameter.
+    pub kept: f32,
+    /// What a step leaves of the running mean of gradients.
+    pub beta_1: f32,
+    /// The same of squared gradients.
+    pub beta_2: f32,
+}
+
+impl AdamRates {
+    /// Those of step number `step`, from 1.
+    pub fn new(step: u64, learning_rate: f64, weight_decay: f64) -> Self {
+        let steps = step as f64;
+        let second_correction = (1.0 - BETA_2.powf(steps)).sqrt();
+        Self {
+            rate: (learning_rate * second_correction / (1.0 - BETA_1.powf(steps))) as f32,
+            epsilon: (EPSILON * second_correction) as f32,
+            kept: (1.0 - learning_rate * weight_decay) as f32,
+            beta_1: BETA_1 as f32,
+            beta_2: BETA_2 as f32,
+        }
+    }
+}
+
 impl Adam {
     /// An optimiser for arrays of these lengths.
     pub fn new(lengths: impl Iterator<Item = usize>) -> Self {
@@ -32,13 +63,8 @@ impl Adam {
         weight_decay: f64,
     ) {
         self.steps += 1;
-        let steps = self.steps as f64;
-        // The bias corrections of both means, drawn into the step size and into epsilon.
-        let second_correction = (1.0 - BETA_2.powf(steps)).sqrt();
-        let rate = (learning_rate * second_correction / (1.0 - BETA_1.powf(steps))) as f32;
-        let epsilon = (EPSILON * second_correction) as f32;
-        let kept = (1.0 - learning_rate * weight_decay) as f32;
-        let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
+        let AdamRates { rate, epsilon, kept, beta_1, beta_2 } =
+            AdamRates::new(self.steps, learning_rate, weight_decay);
         let memory = self.first.iter_mut().zip(&mut self.second);
         for ((values, gradient), (first, second)) in parameters.zip(gradients).zip(memory) {
             for (((value, &slope), first), second) in values.iter_mut().zip(gradient).zip(first).zip(second) {

@@ -78,6 +78,8 @@ pub(crate) struct JobWork<'a> {
     pub(crate) library: &'a Library,
     pub(crate) folder: &'a JobFolder,
     pub(crate) seed: u64,
+    /// Whether the graphics card is this job's.
+    pub(crate) gpu: bool,
     pub(crate) trainer: &'a Trainer,
     pub(crate) progress: &'a dyn Progress,
     /// Adds a point to the curves: an object of numbers by name, `step` among them.

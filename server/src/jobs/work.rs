@@ -50,6 +50,7 @@ fn work(working: &Working, store: &Store, trainer: &Trainer, cancel: &Cancel) ->
         library: &Library::default(),
         folder: working.folder(),
         seed: spec.seed,
+        gpu: spec.resources.gpu,
         trainer,
         metrics: &|point| working.metrics(point),
         progress: &Reporting(working),

@@ -339,6 +339,22 @@ async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored()
     assert_eq!(asked, expected);
 }
 
+#[tokio::test]
+async fn an_imitation_that_has_the_graphics_card_learns_on_it() {
+    let data = Data::empty();
+    fs::write(data.root().join("runners.toml"), "[process]\ngpu = true\n").unwrap();
+    let (app, _state) = studio(&data, &program(&data, STAND_IN));
+    let gathered = start(&app, "gathering", json!({ "objects": ["cube"], "count": 3 })).await;
+    assert_eq!(ended(&app, &gathered).await.state, JobState::Done);
+    let job =
+        json!({ "kind": "imitation", "request": { "trials": [gathered] }, "resources": { "gpu": true } });
+    let answer = post(&app, "/api/v1/jobs", &job).await;
+    assert_eq!(ended(&app, &answer.json::<Job>().id).await.state, JobState::Done);
+    let asked = fs::read_to_string(data.root().join("runs/asked.txt")).unwrap();
+    let learning = asked.lines().find(|line| line.contains(" clone ")).unwrap();
+    assert!(learning.contains(" --device gpu"), "{learning}");
+}
+
 fn app_of(studio: &Studio) -> Router {
     app(studio.state.clone())
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::episodes::tests::reaching;
-use crate::{Data, DiffusionConfig, Finish, Moment, ObservationConfig, Run, Start, train};
+use crate::{Data, DiffusionConfig, Finish, Moment, ObservationConfig, Run, Start, TrainingDevice, train};
 
 fn robot() -> Robot {
     Robot { joints: vec!["slide".to_owned()], channels: vec!["tip".to_owned()], control_rate_hz: 20.0 }
@@ -127,13 +127,14 @@ fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
     let episodes = reaching(&paces(), 25);
     let [learned, held_out] = episodes.split(&config);
     let folder = tempfile::tempdir().expect("a folder");
+    let cpu = TrainingDevice::cpu();
     let run = |name: &str, start, stop_at: u64| {
         let data = Data { robot: robot(), train: &learned, held_out: &held_out, sources: BTreeMap::new() };
         let mut watch = |progress: &crate::Progress| match progress.update == stop_at {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
         };
-        train(&folder.path().join(name), start, config.clone(), data, &mut watch).expect("a run")
+        train(&folder.path().join(name), start, config.clone(), data, &cpu, &mut watch).expect("a run")
     };
     let (whole, finish) = run("whole", Start::Fresh, u64::MAX);
     assert_eq!(finish, Finish::Complete);
@@ -207,4 +208,76 @@ fn what_a_policy_may_not_feel_changes_nothing() {
         policy.plan(&history, &[0.3], [0, 0]).expect("a plan")
     };
     assert_eq!(planned(0.3, false), planned(0.1, true));
+}
+
+/// The training after `updates`, in a folder of its own or going on from the checkpoint in `folder`.
+fn learned_on(device: &TrainingDevice, config: &CloneConfig, folder: &Path, start: Start) -> Trainer {
+    let [learned, held_out] = reaching(&paces(), 25).split(config);
+    let data = Data { robot: robot(), train: &learned, held_out: &held_out, sources: BTreeMap::new() };
+    let mut watch = |_: &crate::Progress| ControlFlow::Continue(());
+    train(folder, start, config.clone(), data, device, &mut watch).expect("a run").0
+}
+
+/// What `device` makes of a training: without noise the parameters of the CPU but for rounding; with either head less loss
+/// on what is held out, and a checkpoint that the CPU goes on from.
+fn learns_as_the_cpu_does(device: &TrainingDevice) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = |head, updates| CloneConfig { updates, ..config(head) };
+    let short = config(Head::Regression, 20);
+    let [of_cpu, of_device] = [(TrainingDevice::cpu(), "cpu"), (device.clone(), "device")]
+        .map(|(device, name)| learned_on(&device, &short, &folder.path().join(name), Start::Fresh));
+    let pairs = |of: fn(&Trainer) -> Vec<f32>| of(&of_cpu).into_iter().zip(of(&of_device));
+    let flat = |trainer: &Trainer| -> Vec<f32> {
+        trainer.network.arrays.iter().flat_map(|array| array.values.clone()).collect()
+    };
+    let begun = {
+        let [learned, _] = reaching(&paces(), 25).split(&short);
+        flat(&Trainer::new(short.clone(), robot(), &learned, BTreeMap::new()).expect("it fits"))
+    };
+    let moved = pairs(flat).zip(&begun).map(|((cpu, _), begun)| (cpu - begun).abs()).fold(0.0, f32::max);
+    let apart = pairs(flat).map(|(cpu, card)| (cpu - card).abs()).fold(0.0, f32::max);
+    assert!(apart < 0.01 * moved, "parameters moved by {moved} and are {apart} apart");
+    let averages = pairs(|trainer| trainer.average.concat());
+    assert!(averages.map(|(cpu, card)| (cpu - card).abs()).fold(0.0, f32::max) < 0.01 * moved);
+    let [_, held_out] = reaching(&paces(), 25).split(&short);
+    let [cpu, card] = [&of_cpu, &of_device].map(|trainer| trainer.judge(&held_out).expect("a loss"));
+    assert!((cpu - card).abs() < 1e-3 * cpu, "{cpu} and {card}");
+
+    for head in [Head::Regression, Head::Diffusion] {
+        let folder = folder.path().join(format!("{head:?}"));
+        let part = learned_on(device, &config(head, 300), &folder, Start::Fresh);
+        let [learned, held_out] = reaching(&paces(), 25).split(part.config());
+        let begun = Trainer::new(part.config().clone(), robot(), &learned, BTreeMap::new()).expect("it fits");
+        let [before, after] = [&begun, &part].map(|trainer| trainer.judge(&held_out).expect("a loss"));
+        assert!(after < 0.5 * before, "{head:?}: {before} became {after}");
+        let bytes = std::fs::read(folder.join(crate::CHECKPOINT_FILE)).expect("a checkpoint");
+        let again = Trainer::from_checkpoint(
+            part.config().clone(),
+            robot(),
+            &learned,
+            BTreeMap::new(),
+            Path::new("checkpoint"),
+            &bytes,
+        );
+        assert!(again.expect("the CPU reads it").to_checkpoint() == part.to_checkpoint());
+    }
+}
+
+#[test]
+fn one_device_that_keeps_everything_learns_as_the_cpu_does() {
+    learns_as_the_cpu_does(&TrainingDevice::one(burn_tensor::Device::flex()));
+}
+
+/// Wherever Vulkan, Metal or DirectX is, a software driver too: `cargo test -p palpate_cloning --features gpu`.
+#[cfg(feature = "gpu")]
+#[test]
+fn a_graphics_card_learns_as_the_cpu_does() {
+    learns_as_the_cpu_does(&TrainingDevice::gpu().expect("a graphics card, or a driver that plays one"));
+}
+
+#[cfg(not(feature = "gpu"))]
+#[test]
+fn a_program_without_graphics_cards_says_how_to_build_one_with() {
+    let problem = TrainingDevice::gpu().expect_err("it has none").to_string();
+    assert!(problem.contains("--features gpu"), "{problem}");
 }

@@ -37,7 +37,8 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         .maybe("updates", request.updates)
         .flag("silence-touch", request.silence_touch)
         .flag("hide-tracking", request.hide_tracking)
-        .flag("only-won", request.only_won);
+        .flag("only-won", request.only_won)
+        .maybe("device", cx.gpu.then_some("gpu"));
     for id in &request.trials {
         arguments = arguments.with("data", trials(cx.store, id)?.0);
     }
