@@ -74,13 +74,11 @@ await step("the form has every training, and this studio can do all of them", as
   const words = await page.getByRole("option").allTextContents();
   assert.equal(words.length, 7, words.join(", "));
   await page.keyboard.press("Escape");
-  await look("form");
 });
 
 await step("trials of the expert are gathered, and the curves grow to a point an object", async () => {
   await choose("Gather an expert's trials");
   await write("Trials on each object", "2");
-  await look("gathering");
   await button("Start").click();
   await page.waitForURL(/job=gathering-1/);
   await page.getByRole("img", { name: /^Curve success_rate: [\d.]+ at step 10$/ }).waitFor();
