@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-pub(crate) use jobs::{Ending, NewJob, QueuedJob, Row};
+pub(crate) use jobs::{Ending, NewJob, QueuedJob, Row, held_cores};
 pub use jobs::{JobTotals, ListFilter, Submitted};
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 

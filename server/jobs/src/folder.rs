@@ -14,7 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use palpate_wire::api::{Job, JobExit, JobProgress, JobSpec};
+use palpate_wire::api::{Job, JobExit, JobProgress, JobSpec, Resources};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::JobsError;
@@ -24,6 +24,10 @@ const MAX_DOCUMENT_BYTES: u64 = 256 << 20;
 
 /// Names of documents that are being written begin with this.
 const TEMPORARY: &str = ".writing-";
+/// What each shard of a divided job is asked.
+const SHARDS_FILE: &str = "shards.json";
+/// Folders of shards, by their number.
+pub(crate) const SHARDS_DIR: &str = "shards";
 /// Who only looks at a folder, or finds nothing to do, holds its lock for a moment.
 const LOCK_PATIENCE: Duration = Duration::from_secs(10);
 
@@ -31,6 +35,15 @@ const LOCK_PATIENCE: Duration = Duration::from_secs(10);
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobFolder {
     path: PathBuf,
+}
+
+/// What one of the shards of a divided job is asked; the rest of its specification is the job's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Shard {
+    /// In the form of the job's kind.
+    pub request: serde_json::Value,
+    /// Seed of everything random.
+    pub seed: u64,
 }
 
 /// Held by whoever may decide about a job's attempts.
@@ -76,8 +89,9 @@ impl JobFolder {
         self.path.join(name)
     }
 
-    /// Makes the folder, and writes what the job is asked. Refused where a job of that name has been begun.
-    pub fn create(&self, spec: &JobSpec) -> Result<(), JobsError> {
+    /// Makes the folder, and writes what the job and each of its shards are asked. Refused where a job of that name has
+    /// been begun.
+    pub fn create(&self, spec: &JobSpec, shards: &[Shard]) -> Result<(), JobsError> {
         if self.file("attempt.json").exists() {
             return Err(JobsError::Conflict(format!(
                 "the folder {:?} belongs to another job, which the database does not know; move it away",
@@ -85,7 +99,43 @@ impl JobFolder {
             )));
         }
         fs::create_dir_all(&self.path).map_err(JobsError::io("make", &self.path))?;
+        if !shards.is_empty() {
+            self.write(SHARDS_FILE, &shards)?;
+        }
         self.write("spec.json", spec)
+    }
+
+    /// The folder of shard `shard`, which has the same files.
+    pub fn shard(&self, shard: u32) -> Self {
+        Self { path: self.path.join(SHARDS_DIR).join(shard.to_string()) }
+    }
+
+    /// The job whose shard this folder belongs to; `None` if it is that of a job.
+    pub fn job_of_shard(&self) -> Option<Self> {
+        let shards = self.path.parent().filter(|parent| parent.ends_with(SHARDS_DIR))?;
+        Some(Self { path: shards.parent()?.to_owned() })
+    }
+
+    /// Makes the folders of `shards` that are not there.
+    pub(crate) fn make_shards(&self, shards: impl Iterator<Item = u32>) -> Result<(), JobsError> {
+        let missing: Vec<u32> =
+            shards.filter(|&shard| !self.shard(shard).file("spec.json").exists()).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let spec = self.spec()?;
+        let asked: Vec<Shard> = self.read(SHARDS_FILE)?.unwrap_or_default();
+        for shard in missing {
+            let Some(Shard { request, seed }) = asked.get(shard as usize).cloned() else {
+                return Err(JobsError::Content {
+                    path: self.file(SHARDS_FILE),
+                    problem: format!("it does not say what shard {shard} is asked; ask for the job again"),
+                });
+            };
+            let resources = Resources { shards: 0, at_once: 0, ..spec.resources };
+            self.shard(shard).create(&JobSpec { request, seed, resources, ..spec.clone() }, &[])?;
+        }
+        Ok(())
     }
 
     /// What the job is asked.

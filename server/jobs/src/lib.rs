@@ -19,7 +19,7 @@ mod working;
 pub use clock::{rfc3339, rfc3339_now, seconds_between};
 pub use database::{Database, JobTotals, ListFilter, Submitted};
 pub use error::JobsError;
-pub use folder::{FolderLock, JobFolder};
+pub use folder::{FolderLock, JobFolder, Shard};
 pub use inputs::check_inputs;
 pub use runner::{
     Capacity, Launch, ProcessRunner, ProcessRunnerConfig, RunState, Runner, SlurmConfig, SlurmRunner, runners,

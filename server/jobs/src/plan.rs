@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use palpate_wire::api::Resources;
+
 use crate::{database::QueuedJob, runner::Capacity};
 
 /// What running jobs hold.
@@ -33,7 +35,8 @@ impl Holdings {
             held.short_jobs += 1;
         } else {
             held.long_jobs += 1;
-            held.cores += cores_of(job, capacity);
+            // Of a runner with a queue of its own nobody adds them up: each of its jobs may want all that there are.
+            held.cores = held.cores.saturating_add(cores_of(job, capacity));
         }
     }
 }
@@ -41,6 +44,17 @@ impl Holdings {
 fn cores_of(job: &QueuedJob, capacity: Option<Capacity>) -> u32 {
     let all = capacity.map_or(u32::MAX, |capacity| capacity.cores.max(1));
     if job.cores == 0 { all } else { job.cores.min(all) }
+}
+
+/// Shards of a divided job that work at once, on a runner of this `capacity`, in the cores that the job holds.
+pub(crate) fn shards_at_once(resources: &Resources, capacity: Option<Capacity>) -> u32 {
+    let wanted = resources.max_at_once();
+    let Some(capacity) = capacity else { return wanted };
+    if resources.cores == 0 || resources.gpu || resources.short {
+        return 1;
+    }
+    let fit = capacity.cores / resources.cores;
+    wanted.min(fit).max(1)
 }
 
 /// Ids of the jobs of `queue` that start now, in order. `queue` is sorted: who comes first, starts first, unless it
@@ -89,6 +103,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::database::held_cores;
 
     const CAPACITY: Capacity = Capacity { cores: 8, gpu: true, short_jobs: 2 };
 
@@ -145,6 +160,34 @@ mod tests {
             _ => None,
         };
         assert_eq!(plan(&queue, &mut holdings, by_name), ["a"]);
+    }
+
+    #[test]
+    fn shards_stay_within_the_cores_of_their_job() {
+        let at_once = |cores, shards, at_once| {
+            let resources = Resources { cores, shards, at_once, ..Resources::default() };
+            shards_at_once(&resources, Some(CAPACITY))
+        };
+        assert_eq!(at_once(2, 10, 0), 4);
+        assert_eq!(at_once(2, 10, 3), 3);
+        assert_eq!(at_once(3, 10, 0), 2, "2 cores are left over");
+        assert_eq!((at_once(0, 10, 0), at_once(100, 10, 0)), (1, 1), "each takes all cores");
+        let gpu = Resources { cores: 1, gpu: true, shards: 4, ..Resources::default() };
+        assert_eq!((shards_at_once(&gpu, Some(CAPACITY)), shards_at_once(&gpu, None)), (1, 4));
+        // Such a job holds the cores of all that work at once.
+        let wide = Resources { cores: 2, shards: 3, ..Resources::default() };
+        let held = QueuedJob { cores: held_cores(&wide), ..job("divided", 0) };
+        assert_eq!(started(&[job("b", 3)], &[held.clone()]), Vec::<String>::new());
+        assert_eq!(started(&[job("b", 2)], &[held]), ["b"]);
+    }
+
+    #[test]
+    fn cores_of_a_runner_with_a_queue_of_its_own_are_not_counted() {
+        let all: Vec<QueuedJob> =
+            ["a", "b", "c"].iter().map(|id| QueuedJob { runner: "cluster".into(), ..job(id, 0) }).collect();
+        let mut holdings = Holdings::default();
+        holdings.add(&all[0], None);
+        assert_eq!(plan(&all[1..], &mut holdings, |_| Some(None)), ["b", "c"]);
     }
 
     proptest! {

@@ -5,7 +5,7 @@ mod process;
 mod slurm;
 
 pub use file::runners;
-use palpate_wire::api::{JobExit, JobSpec};
+use palpate_wire::api::{JobExit, Resources};
 pub use process::{ProcessRunner, ProcessRunnerConfig};
 pub use slurm::{SlurmConfig, SlurmRunner};
 
@@ -16,12 +16,24 @@ use crate::{JobFolder, JobsError};
 pub struct Launch {
     /// Id of the job.
     pub id: String,
+    /// Which of its shards; `None` for the job itself.
+    pub shard: Option<u32>,
     /// Which attempt; the first is 1.
     pub attempt: u32,
-    /// What is asked.
-    pub spec: JobSpec,
-    /// The job's folder.
+    /// What it needs.
+    pub resources: Resources,
+    /// The job's folder, or its shard's.
     pub folder: JobFolder,
+}
+
+impl Launch {
+    /// What tells the attempt's job or shard from all others.
+    pub fn key(&self) -> String {
+        match self.shard {
+            None => self.id.clone(),
+            Some(shard) => format!("{}/{shard}", self.id),
+        }
+    }
 }
 
 /// Where an attempt stands.
@@ -68,4 +80,15 @@ pub trait Runner: Send + Sync {
 
     /// Asks `launch` to stop, or, with `insists`, ends it.
     fn cancel(&self, launch: &Launch, handle: Option<&str>, insists: bool) -> Result<(), JobsError>;
+
+    /// Starts shards of one job, all with the same number of attempt, of which `max_at_once` may work at once.
+    /// [`Runner::state`] finds each without a handle.
+    fn submit_shards(&self, shards: &[Launch], _max_at_once: u32) -> Result<(), JobsError> {
+        shards.iter().try_for_each(|shard| self.submit(shard).map(|_| ()))
+    }
+
+    /// Asks shards of one job to stop, or, with `insists`, ends them.
+    fn cancel_shards(&self, shards: &[Launch], insists: bool) -> Result<(), JobsError> {
+        shards.iter().try_for_each(|shard| self.cancel(shard, None, insists))
+    }
 }

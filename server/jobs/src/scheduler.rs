@@ -3,8 +3,10 @@
 //! The database is the truth: every change of a job's state is one statement that names the state before. One thread
 //! starts and ends attempts; whoever submits or cancels never waits for it.
 
+mod shards;
+
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, BTreeSet, HashMap},
     fs,
     path::{Path, PathBuf},
     sync::{
@@ -20,7 +22,8 @@ use palpate_wire::api::{Job, JobPage, JobProgress, JobSpec, JobState};
 use crate::{
     Database, JobFolder, JobsError, ListFilter, Submitted,
     clock::rfc3339_now,
-    database::{Ending, JobTotals, NewJob, QueuedJob, Row},
+    database::{Ending, JobTotals, NewJob, QueuedJob, Row, held_cores},
+    folder::Shard,
     inputs,
     plan::{Holdings, plan},
     runner::{Launch, RunState, Runner},
@@ -41,6 +44,8 @@ const CANCEL_GRACE: Duration = Duration::from_secs(5);
 const MAX_PLANNED: u32 = 256;
 /// A job that was cut off this often is not begun again by itself.
 const MAX_CUT_OFF: u32 = 5;
+/// What a divided job has in place of a handle while its last step is handed to the runner.
+const LAST_STEP: &str = "last step";
 /// What is searched of the log of a job that died, for the line that says why.
 const SEARCHED_LOG_BYTES: u64 = 64 << 10;
 
@@ -70,6 +75,8 @@ pub struct Submission<'a> {
     pub prefix: &'a str,
     /// What is asked.
     pub spec: &'a JobSpec,
+    /// What each shard is asked, as many as the resources say.
+    pub shards: &'a [Shard],
     /// Who asks.
     pub owner: &'a str,
     /// Where it should run; the usual place without.
@@ -97,6 +104,8 @@ struct Shared {
 struct Live {
     progress: JobProgress,
     asked: Option<Instant>,
+    /// Shards that are done and whose processes have ended.
+    shards_done: BTreeSet<u32>,
     /// The last complaint about it, so that it is logged once.
     complaint: String,
 }
@@ -149,6 +158,13 @@ impl Scheduler {
             })?,
         };
         let resources = submission.spec.resources;
+        if resources.shards as usize != submission.shards.len() {
+            return Err(JobsError::Argument(format!(
+                "resources.shards = {}, and the job has {}; leave it out",
+                resources.shards,
+                submission.shards.len()
+            )));
+        }
         if resources.gpu && runner.capacity().is_some_and(|capacity| !capacity.gpu) {
             return Err(JobsError::Argument(format!(
                 "the job needs a GPU, and runner {:?} has none; choose another runner",
@@ -164,9 +180,9 @@ impl Scheduler {
         };
         let submitted = {
             let live = self.shared.live();
-            let submitted = config
-                .database
-                .insert(&new, |id| JobFolder::at(config.runs.join(id)).create(submission.spec))?;
+            let submitted = config.database.insert(&new, |id| {
+                JobFolder::at(config.runs.join(id)).create(submission.spec, submission.shards)
+            })?;
             if submitted.is_new {
                 (config.observer)(&submitted.job);
             }
@@ -414,7 +430,13 @@ impl Shared {
                 continue;
             };
             let launch = self.launch(&row);
-            match runner.state(&launch, row.handle.as_deref()) {
+            if launch.resources.shards > 0 && row.handle.is_none() {
+                if let Err(err) = self.look_after_shards(&**runner, &row, &launch) {
+                    self.complain(&row.job.id, &chain(&err));
+                }
+                continue;
+            }
+            match runner.state(&launch, handle(&row)) {
                 Ok(state) => self.apply(&**runner, &row, &launch, state)?,
                 Err(err) => self.complain(&row.job.id, &chain(&err)),
             }
@@ -425,8 +447,9 @@ impl Shared {
     fn launch(&self, row: &Row) -> Launch {
         Launch {
             id: row.job.id.clone(),
+            shard: None,
             attempt: row.job.attempts,
-            spec: row.job.spec.clone(),
+            resources: row.job.spec.resources,
             folder: JobFolder::at(self.config.runs.join(&row.job.id)),
         }
     }
@@ -533,20 +556,25 @@ impl Shared {
         if !row.job.cancel_requested {
             return;
         }
-        let insists = {
-            let mut live = self.live();
-            let known = live.entry(launch.id.clone()).or_default();
-            match known.asked {
-                None => {
-                    known.asked = Some(Instant::now());
-                    false
-                }
-                Some(asked) if asked.elapsed() >= self.config.cancel_grace.unwrap_or(CANCEL_GRACE) => true,
-                Some(_) => return,
-            }
-        };
-        if let Err(err) = runner.cancel(launch, row.handle.as_deref(), insists) {
+        if let Some(insists) = self.insists(&launch.id)
+            && let Err(err) = runner.cancel(launch, handle(row), insists)
+        {
             self.complain(&launch.id, &chain(&err));
+        }
+    }
+
+    /// Whether job `id`, which should stop, is asked now (false) or ended (true); `None` while it has time to obey.
+    fn insists(&self, id: &str) -> Option<bool> {
+        let mut live = self.live();
+        let known = live.entry(id.to_owned()).or_default();
+        match known.asked {
+            None => {
+                known.asked = Some(Instant::now());
+                Some(false)
+            }
+            Some(asked) => {
+                (asked.elapsed() >= self.config.cancel_grace.unwrap_or(CANCEL_GRACE)).then_some(true)
+            }
         }
     }
 
@@ -554,7 +582,9 @@ impl Shared {
         let database = &self.config.database;
         let capacity = |name: &str| self.runner(name).map(|runner| runner.capacity());
         let running = database.in_state(JobState::Running)?;
-        let mut num_running = running.len();
+        // Shards are looked after one by one.
+        let mut num_running: usize =
+            running.iter().map(|row| row.job.spec.resources.max_at_once() as usize).sum();
         let mut holdings = Holdings::default();
         for row in &running {
             holdings.add(&queued(row), capacity(&row.job.runner).flatten());
@@ -587,6 +617,10 @@ impl Shared {
             }
         };
         let launch = self.launch(&row);
+        if launch.resources.shards > 0 {
+            // Its shards begin with the next look.
+            return Ok(true);
+        }
         let started = match self.runner(&row.job.runner) {
             Some(runner) => runner.submit(&launch),
             None => Err(JobsError::Runner(format!("runner {:?} is not configured", row.job.runner))),
@@ -624,12 +658,17 @@ fn telling_line(log: &str) -> Option<&str> {
     lines().find(is_error).or_else(|| lines().next())
 }
 
+/// What the runner gave for the job's own process, if that was written down.
+fn handle(row: &Row) -> Option<&str> {
+    row.handle.as_deref().filter(|handle| *handle != LAST_STEP)
+}
+
 fn queued(row: &Row) -> QueuedJob {
     let resources = row.job.spec.resources;
     QueuedJob {
         id: row.job.id.clone(),
         runner: row.job.runner.clone(),
-        cores: resources.cores,
+        cores: held_cores(&resources),
         gpu: resources.gpu,
         station: resources.station,
         short: resources.short,

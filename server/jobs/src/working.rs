@@ -25,6 +25,8 @@ use crate::{
 
 /// Progress is written this often at most; a change of stage at once.
 const PROGRESS_PERIOD: Duration = Duration::from_millis(100);
+/// Share of a divided job's work that its shards do; its own process, which comes last, does the rest.
+pub(crate) const SHARE_OF_SHARDS: f64 = 0.99;
 /// Signs of life come this often.
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(5);
 /// Exit code of a process whose work somebody else does or has done (`EX_TEMPFAIL` of sysexits).
@@ -151,14 +153,15 @@ impl Working {
     pub fn report(&self, fraction: f64, stage: &str) {
         let mut reported = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         // Reports of several threads may overtake each other; the bar never goes back.
-        let fraction =
-            reported.last.fraction.max(if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 });
+        let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
+        let before = if self.spec.resources.shards > 0 { SHARE_OF_SHARDS } else { 0.0 };
+        let done = reported.last.fraction.max(before + (1.0 - before) * fraction);
         let elapsed_s = self.begun.elapsed().as_secs_f64();
         let due = reported.written.is_none_or(|when| when.elapsed() >= PROGRESS_PERIOD)
             || reported.last.stage != stage;
         reported.last = JobProgress {
             attempt: self.attempt,
-            fraction,
+            fraction: done,
             stage: stage.to_owned(),
             seconds_left: (fraction > 0.05).then(|| elapsed_s / fraction * (1.0 - fraction)),
         };

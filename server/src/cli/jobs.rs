@@ -80,6 +80,12 @@ pub(crate) struct SubmitArgs {
     /// Cores; 0 means all of them [default: as its kind needs]
     #[arg(long)]
     cores: Option<u32>,
+    /// Shards into which the work is divided, for kinds that can be (docs/jobs.md); --cores is then what each of them has
+    #[arg(long, value_name = "N")]
+    shards: Option<u32>,
+    /// Shards that work at once at most [default: as many as there is room for]
+    #[arg(long, value_name = "N", requires = "shards")]
+    at_once: Option<u32>,
     /// Where it runs: process, or the name of a runner in runners.toml [default: the first that there is]
     #[arg(long)]
     runner: Option<String>,
@@ -184,7 +190,12 @@ fn submit(args: &SubmitArgs) -> Result<(), Error> {
         request,
         seed: args.seed,
         priority: args.priority,
-        resources: args.cores.map(|cores| Resources { cores, ..Resources::default() }),
+        resources: (args.cores.is_some() || args.shards.is_some()).then(|| Resources {
+            cores: args.cores.unwrap_or(0),
+            shards: args.shards.unwrap_or(0),
+            at_once: args.at_once.unwrap_or(0),
+            ..Resources::default()
+        }),
         runner: args.runner.clone(),
     };
     let source = JobSource { data: &args.folder.data, train: args.train.as_deref() };

@@ -37,6 +37,8 @@ pub(crate) struct Cache<K, V> {
 
 struct Entries<K, V> {
     slots: HashMap<K, Entry<V>>,
+    /// Sizes of all entries together.
+    total_bytes: usize,
     /// Counts uses; the entry with the smallest is the oldest.
     now: u64,
 }
@@ -53,7 +55,7 @@ type Slot<V> = Arc<Mutex<Option<Arc<V>>>>;
 impl<K: Clone + Eq + Hash, V> Cache<K, V> {
     /// An empty cache that holds values of `budget_bytes` in all.
     pub(crate) fn new(budget_bytes: usize) -> Self {
-        Self { budget_bytes, entries: Mutex::new(Entries { slots: HashMap::new(), now: 0 }) }
+        Self { budget_bytes, entries: Mutex::new(Entries { slots: HashMap::new(), total_bytes: 0, now: 0 }) }
     }
 
     /// The value of `key`, computed if it is not here. An error is not kept: the next caller tries again.
@@ -79,7 +81,7 @@ impl<K: Clone + Eq + Hash, V> Cache<K, V> {
             }
             Err(err) => {
                 drop(value);
-                lock(&self.entries).slots.remove(key);
+                lock(&self.entries).remove(key);
                 Err(err)
             }
         }
@@ -101,10 +103,8 @@ impl<K: Clone + Eq + Hash, V> Cache<K, V> {
     /// Books the size of a new value and makes room for it. The newest value stays, however large it is.
     fn charge(&self, key: &K, size_bytes: usize) {
         let mut entries = lock(&self.entries);
-        if let Some(entry) = entries.slots.get_mut(key) {
-            entry.size_bytes = size_bytes;
-        }
-        while entries.slots.values().map(|entry| entry.size_bytes).sum::<usize>() > self.budget_bytes {
+        entries.charge(key, size_bytes);
+        while entries.total_bytes > self.budget_bytes {
             let oldest = entries
                 .slots
                 .iter()
@@ -112,9 +112,25 @@ impl<K: Clone + Eq + Hash, V> Cache<K, V> {
                 .min_by_key(|(_, entry)| entry.last_used)
                 .map(|(other, _)| other.clone());
             match oldest {
-                Some(oldest) => entries.slots.remove(&oldest),
+                Some(oldest) => entries.remove(&oldest),
                 None => break,
-            };
+            }
+        }
+    }
+}
+
+impl<K: Eq + Hash, V> Entries<K, V> {
+    /// Sets the size of an entry, if it is still here.
+    fn charge(&mut self, key: &K, size_bytes: usize) {
+        if let Some(entry) = self.slots.get_mut(key) {
+            self.total_bytes = self.total_bytes - entry.size_bytes + size_bytes;
+            entry.size_bytes = size_bytes;
+        }
+    }
+
+    fn remove(&mut self, key: &K) {
+        if let Some(entry) = self.slots.remove(key) {
+            self.total_bytes -= entry.size_bytes;
         }
     }
 }
@@ -127,6 +143,8 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use proptest::prelude::*;
 
     use super::*;
 
@@ -163,6 +181,25 @@ mod tests {
         assert_eq!(fetch(&cache, 1, &computed), 2);
         assert_eq!(fetch(&cache, 1, &computed), 2);
         assert_eq!(computed.load(Ordering::Relaxed), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn total_is_the_sum_after_whatever_is_asked(
+            asked in proptest::collection::vec((0u32..8, proptest::option::of(0usize..40)), 1..60),
+        ) {
+            let cache = Cache::<u32, usize>::new(60);
+            for (key, size) in asked {
+                // Without a size it cannot be computed.
+                let found = cache.get_or_try_insert(&key, |&size| size, || size.ok_or(()));
+                prop_assert!(found.is_ok() || size.is_none());
+                let entries = lock(&cache.entries);
+                let sum: usize = entries.slots.values().map(|entry| entry.size_bytes).sum();
+                prop_assert_eq!(entries.total_bytes, sum);
+                prop_assert!(sum <= 60, "each value fits");
+                prop_assert_eq!(found.is_ok(), entries.slots.contains_key(&key));
+            }
+        }
     }
 
     #[test]

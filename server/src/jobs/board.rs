@@ -178,6 +178,8 @@ impl Jobs {
             self.trainer.find()?;
         }
         let files = (kind.check)(&self.store, &request.request)?;
+        let resources = request.resources.unwrap_or(kind.resources);
+        let shards = kinds::shards(kind, &request.request, request.seed, &resources)?;
         let spec = JobSpec {
             kind: kind.name.to_owned(),
             inputs: self.scheduler.hash_inputs(self.store.root(), &files)?,
@@ -185,10 +187,16 @@ impl Jobs {
             seed: request.seed,
             software: super::software(),
             priority: request.priority,
-            resources: request.resources.unwrap_or(kind.resources),
+            resources,
         };
-        let submission =
-            Submission { prefix: kind.prefix, spec: &spec, owner, runner: request.runner.as_deref(), key };
+        let submission = Submission {
+            prefix: kind.prefix,
+            spec: &spec,
+            shards: &shards,
+            owner,
+            runner: request.runner.as_deref(),
+            key,
+        };
         Ok(self.scheduler.submit(&submission)?)
     }
 

@@ -10,6 +10,7 @@ mod expert;
 mod gathering;
 mod imitation;
 mod pretraining;
+mod shards;
 mod training;
 mod tune;
 
@@ -25,6 +26,7 @@ use serde_json::Value;
 
 pub(crate) use calibrate::CALIBRATE;
 pub(crate) use diagnose::{BASE_FILE, CALIBRATED_FILE, DIAGNOSE};
+pub(crate) use shards::{Sharding, shards, take_over};
 
 use super::trainer::Trainer;
 use crate::{
@@ -66,6 +68,8 @@ pub(crate) struct JobKind {
     pub(crate) needs_trainer: bool,
     /// What it makes, if that is an artifact of its own.
     pub(crate) makes: Option<ArtifactSort>,
+    /// How its jobs are divided, if they can be.
+    pub(crate) sharding: Option<Sharding>,
     /// Refuses what cannot be done, before it is queued; gives the files that the job will read.
     pub(crate) check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
     /// Does it, and leaves the results as files of the job's folder.
@@ -88,7 +92,8 @@ pub(crate) struct JobWork<'a> {
 }
 
 /// Seconds of work at most, as a rule.
-const SHORT: Resources = Resources { cores: 0, gpu: false, station: false, memory_mib: None, short: true };
+const SHORT: Resources =
+    Resources { cores: 0, gpu: false, station: false, memory_mib: None, short: true, shards: 0, at_once: 0 };
 /// Minutes of work on every core.
 const LONG: Resources = Resources { short: false, ..SHORT };
 

@@ -133,7 +133,7 @@ fn take_over_one(
     };
     let runs: PathBuf = store.root().join("runs");
     let folder = JobFolder::at(runs.join(&run.id));
-    folder.create(&spec)?;
+    folder.create(&spec, &[])?;
     if let Some(report) = &run.report {
         files::write(&folder.file(REPORT_FILE), report.to_string().as_bytes())?;
     }

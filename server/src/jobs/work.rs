@@ -11,18 +11,20 @@ use super::{
 };
 use crate::{Class, Error, Store, chain, data::library::Library};
 
-/// Works on the job in the folder `dir`, which lies in `runs/` of a data folder; gives the exit code of the process.
+/// Works on the job, or the shard of one, in the folder `dir`, which lies in `runs/` of a data folder; gives the exit code of the process.
 /// How it went stands in the folder.
 /// `train` is the `palpate-train` program, where it is not found by itself.
 pub fn run_job(dir: &Path, config: WorkingConfig, train: Option<&Path>) -> Result<ExitCode, Error> {
     let dir = dir.canonicalize().map_err(Error::io("open", dir))?;
-    let root = dir.parent().and_then(Path::parent).ok_or_else(|| {
+    let folder = JobFolder::at(&dir);
+    let job = folder.job_of_shard().unwrap_or_else(|| folder.clone());
+    let root = job.path().parent().and_then(Path::parent).ok_or_else(|| {
         Error::Argument(format!("{dir:?} is no folder of a job; those lie in runs/ of a data folder"))
     })?;
     let cancel = Arc::new(Cancel::default());
     let asked = cancel.clone();
     on_stop_request(move || asked.cancel())?;
-    let working = match Working::begin(JobFolder::at(&dir), config)? {
+    let working = match Working::begin(folder, config)? {
         Begun::Mine(working) => working,
         Begun::NotMine(code) => return Ok(code),
     };
@@ -56,6 +58,7 @@ fn work(working: &Working, store: &Store, trainer: &Trainer, cancel: &Cancel) ->
         progress: &Reporting(working),
         cancel,
     };
+    kinds::take_over(&cx, kind, spec)?;
     (kind.work)(&cx, &spec.request)
 }
 

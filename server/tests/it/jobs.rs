@@ -92,6 +92,47 @@ async fn session_is_emulated_as_a_job_and_everything_of_it_can_be_read() {
 }
 
 #[tokio::test]
+async fn divided_bench_reports_the_same_bits_as_one_in_one_process() {
+    let data = Data::empty();
+    let app = data.app();
+    let request = json!({
+        "kind": "blind",
+        "request": { "domain": "actuator", "seeds": 3, "only": ["coulomb_friction, strong"], "nulls": 0 },
+        "seed": 7,
+    });
+    let mut divided = request.clone();
+    divided["resources"] = json!({ "shards": 2, "at_once": 1 });
+    let mut reports = Vec::new();
+    for request in [&request, &divided] {
+        let answer = post(&app, "/api/v1/jobs", request).await;
+        assert_eq!(answer.status, 202, "{:?}", answer.body);
+        let job = ended(&app, &answer.json::<Job>().id).await;
+        assert_eq!((job.state, job.problem.as_deref(), job.fraction), (JobState::Done, None, 1.0));
+        reports.push(get(&app, &format!("/api/v1/jobs/{}/files/report.json", job.id)).await.body);
+    }
+    assert_eq!(reports[0], reports[1]);
+    let runs = data.root().join("runs");
+    let read = |path: &str| fs::read_to_string(runs.join(path)).unwrap();
+    // Seeds 7 and 8 were asked of one shard, 9 of the other; the job's own process asked for none again.
+    let shards = [read("blind-2/shards/0/answers.jsonl"), read("blind-2/shards/1/answers.jsonl")];
+    assert_eq!(shards.each_ref().map(|answers| answers.lines().count()), [4, 2]);
+    assert_eq!(read("blind-2/answers.jsonl"), shards.concat());
+    let spec: Value = serde_json::from_str(&read("blind-2/shards/1/spec.json")).unwrap();
+    assert_eq!((&spec["seed"], &spec["request"]["seeds"]), (&json!(9), &json!(1)));
+
+    for (kind, asked, shards, word) in [
+        ("emulate", json!({ "truth": "bench", "session": "x" }), 2, "cannot be divided"),
+        ("blind", request["request"].clone(), 4, "at most 3"),
+        ("blind", request["request"].clone(), 0, "at_once = 1"),
+    ] {
+        let resources = json!({ "shards": shards, "at_once": 1 });
+        let refused = json!({ "kind": kind, "request": asked, "resources": resources });
+        let problem = post(&app, "/api/v1/jobs", &refused).await.problem(400);
+        assert!(problem.contains("resources.") && problem.contains(word), "{problem}");
+    }
+}
+
+#[tokio::test]
 async fn request_that_is_sent_twice_makes_one_job() {
     let data = Data::with_session();
     let app = data.app();

@@ -3,7 +3,7 @@
 
 use std::{fs::Metadata, time::UNIX_EPOCH};
 
-use palpate_wire::api::{Job, JobPage, JobSpec, JobState};
+use palpate_wire::api::{Job, JobPage, JobSpec, JobState, Resources};
 use rusqlite::{OptionalExtension as _, Params, Row as SqlRow, TransactionBehavior, named_params, params};
 
 use super::Database;
@@ -29,6 +29,11 @@ pub(crate) struct Row {
     pub(crate) handle: Option<String>,
     /// Attempts that were cut off without anybody's doing since the job was last asked for.
     pub(crate) cut_off: u32,
+}
+
+/// Cores of all shards that work at once; 0: all that there are.
+pub(crate) fn held_cores(resources: &Resources) -> u32 {
+    resources.cores.saturating_mul(resources.max_at_once())
 }
 
 /// A job that is to be queued.
@@ -132,7 +137,7 @@ impl Database {
                 "INSERT INTO jobs (id, kind, state, spec, owner, runner, priority, cores, gpu, station, short, created, stage)
                  VALUES (?1, ?2, 'queued', ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, 'waiting for other jobs')",
                 params![
-                    id, new.spec.kind, spec, new.owner, new.runner, new.spec.priority, resources.cores, resources.gpu,
+                    id, new.spec.kind, spec, new.owner, new.runner, new.spec.priority, held_cores(&resources), resources.gpu,
                     resources.station, resources.short, created
                 ],
             )

@@ -30,7 +30,7 @@ pub struct ProcessRunnerConfig {
 #[derive(Debug)]
 pub struct ProcessRunner {
     config: ProcessRunnerConfig,
-    /// Processes that this one started, by job. Others are known by their folder's lock.
+    /// Processes that this one started, by job or shard. Others are known by their folder's lock.
     children: Mutex<HashMap<String, (u32, Child)>>,
 }
 
@@ -47,12 +47,12 @@ impl ProcessRunner {
     /// How the child of `launch` ended; `None` while it works, `Some(None)` if this process did not start it.
     fn own_child(&self, launch: &Launch) -> Result<Option<Option<ExitStatus>>, JobsError> {
         let mut children = self.children();
-        let Some((attempt, child)) = children.get_mut(&launch.id) else { return Ok(Some(None)) };
+        let Some((attempt, child)) = children.get_mut(&launch.key()) else { return Ok(Some(None)) };
         if *attempt != launch.attempt {
             return Ok(Some(None));
         }
         let failed = |what: &str, err: &dyn std::fmt::Display| {
-            JobsError::Runner(format!("failed to {what} the process of job {:?}: {err}", launch.id))
+            JobsError::Runner(format!("failed to {what} the process of job {:?}: {err}", launch.key()))
         };
         let pid = pid_of(child.id()).ok_or_else(|| failed("name", &"it has no number"))?;
         // It is left a zombie, so that its number, which is its group's, still belongs to it when the group is ended.
@@ -64,7 +64,7 @@ impl ProcessRunner {
         // What it started itself ends with it.
         let _ = kill_process_group(pid, Signal::KILL);
         let status = child.wait().map_err(|err| failed("wait for", &err))?;
-        children.remove(&launch.id);
+        children.remove(&launch.key());
         Ok(Some(Some(status)))
     }
 }
@@ -101,14 +101,14 @@ impl Runner for ProcessRunner {
             .stderr(also)
             // Ctrl-C in the studio's terminal is not meant for it.
             .process_group(0);
-        if launch.spec.resources.cores > 0 {
-            command.env("RAYON_NUM_THREADS", launch.spec.resources.cores.to_string());
+        if launch.resources.cores > 0 {
+            command.env("RAYON_NUM_THREADS", launch.resources.cores.to_string());
         }
         let child = command.spawn().map_err(|err| {
-            JobsError::Runner(format!("failed to start {program:?} for job {:?}: {err}", launch.id))
+            JobsError::Runner(format!("failed to start {program:?} for job {:?}: {err}", launch.key()))
         })?;
         let pid = child.id();
-        self.children().insert(launch.id.clone(), (launch.attempt, child));
+        self.children().insert(launch.key(), (launch.attempt, child));
         Ok(pid.to_string())
     }
 
@@ -140,7 +140,7 @@ impl Runner for ProcessRunner {
 
     fn cancel(&self, launch: &Launch, _handle: Option<&str>, insists: bool) -> Result<(), JobsError> {
         let signal = if insists { Signal::KILL } else { Signal::TERM };
-        let own = self.children().get(&launch.id).map(|(_, child)| child.id());
+        let own = self.children().get(&launch.key()).map(|(_, child)| child.id());
         let pid = match own {
             // A child that has ended keeps its number until it is waited for.
             Some(pid) => Some(pid),
@@ -156,7 +156,7 @@ impl Runner for ProcessRunner {
             // It has ended meanwhile.
             Ok(()) | Err(rustix::io::Errno::SRCH) => Ok(()),
             Err(err) => {
-                Err(JobsError::Runner(format!("failed to stop the process of job {:?}: {err}", launch.id)))
+                Err(JobsError::Runner(format!("failed to stop the process of job {:?}: {err}", launch.key())))
             }
         }
     }

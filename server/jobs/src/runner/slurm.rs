@@ -21,7 +21,7 @@ use sha2::{Digest as _, Sha256};
 
 use self::answers::{Known, parse_queue, parse_show_job};
 use super::{Capacity, Launch, RunState, Runner};
-use crate::JobsError;
+use crate::{JobFolder, JobsError, folder::SHARDS_DIR};
 
 /// What Slurm says of its queue is asked for this often at most.
 const QUEUE_PERIOD: Duration = Duration::from_secs(2);
@@ -92,9 +92,18 @@ impl SlurmRunner {
         Ok(Self { config, root, studio, queue: Mutex::default() })
     }
 
-    /// What Slurm knows `launch` by.
+    /// What Slurm calls `launch`: an array has one name for all of its tasks.
     fn job_name(&self, launch: &Launch) -> String {
-        format!("palpate-{}-{}-{}", self.studio, launch.id, launch.attempt)
+        let shards = if launch.shard.is_some() { "-shards" } else { "" };
+        format!("palpate-{}-{}{shards}-{}", self.studio, launch.id, launch.attempt)
+    }
+
+    /// What tells `launch` from all else in Slurm's queue.
+    fn queue_name(&self, launch: &Launch) -> String {
+        match launch.shard {
+            None => self.job_name(launch),
+            Some(shard) => format!("{}_{shard}", self.job_name(launch)),
+        }
     }
 
     /// `path` as the nodes see it.
@@ -107,8 +116,8 @@ impl SlurmRunner {
         Ok(data.join(inside))
     }
 
-    fn script(&self, launch: &Launch) -> Result<String, JobsError> {
-        let folder = self.on_nodes(launch.folder.path())?;
+    /// A script that works on attempt `attempt` of the job whose folder the word `folder` names in a shell.
+    fn script(&self, folder: &str, attempt: u32) -> Result<String, JobsError> {
         let mut script = "#!/bin/sh\n".to_owned();
         for line in &self.config.lines {
             script.push_str(line);
@@ -116,25 +125,66 @@ impl SlurmRunner {
         }
         // The process itself must get Slurm's request to stop, hence exec.
         script.push_str(&format!(
-            "exec {} job run --dir {} --attempt {}\n",
+            "exec {} job run --dir {folder} --attempt {attempt}\n",
             quoted(&self.config.program)?,
-            quoted(&folder)?,
-            launch.attempt
         ));
         Ok(script)
+    }
+
+    /// Hands Slurm the file `script` of the folder `job`; gives its number. `launch` is the job, or one of the shards of the
+    /// array that `options` ask for.
+    fn sbatch(
+        &self,
+        launch: &Launch,
+        job: &JobFolder,
+        script: &str,
+        options: &[String],
+    ) -> Result<String, JobsError> {
+        let resources = launch.resources;
+        let mut arguments = vec![
+            "--parsable".to_owned(),
+            format!("--job-name={}", self.job_name(launch)),
+            format!("--comment=palpate:run:{}", launch.id),
+            "--open-mode=append".to_owned(),
+            format!("--chdir={}", self.on_nodes(job.path())?.display()),
+            // A new attempt is the studio's to begin.
+            "--no-requeue".to_owned(),
+        ];
+        arguments.extend_from_slice(options);
+        arguments.extend(self.config.partition.iter().map(|partition| format!("--partition={partition}")));
+        if resources.cores > 0 {
+            arguments.push(format!("--cpus-per-task={}", resources.cores));
+        }
+        if resources.gpu {
+            arguments.push("--gres=gpu:1".to_owned());
+        }
+        arguments.extend(resources.memory_mib.map(|mib| format!("--mem={mib}M")));
+        arguments.push(job.file(script).display().to_string());
+        let answer = self.run("sbatch", &arguments.iter().map(String::as_str).collect::<Vec<_>>())?;
+        // With several clusters the answer is NUMBER;CLUSTER.
+        let number = answer.trim().split(';').next().unwrap_or_default().to_owned();
+        if number.is_empty() || !number.bytes().all(|byte| byte.is_ascii_digit()) {
+            return Err(JobsError::Runner(format!("sbatch gave no number of a job but {answer:?}")));
+        }
+        // The next look must not rest on an answer from before.
+        self.queue().asked = None;
+        Ok(number)
     }
 
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What Slurm says of the job called `name`; `None` if it does not know it.
-    fn ask(&self, name: &str, handle: Option<&str>) -> Result<Option<Known>, JobsError> {
+    /// What Slurm says of `launch`; `None` if it does not know it.
+    fn ask(&self, launch: &Launch, handle: Option<&str>) -> Result<Option<Known>, JobsError> {
+        let name = self.queue_name(launch);
+        let name = name.as_str();
         let mut queue = self.queue();
         if queue.asked.is_none_or(|asked| asked.elapsed() >= QUEUE_PERIOD) {
             queue.asked = Some(Instant::now());
             // `%j` comes last, for it is the only one that may hold anything.
-            let answer = self.run("squeue", &["--noheader", "--states=all", "--format=%i|%T|%r|%j"]);
+            let answer =
+                self.run("squeue", &["--noheader", "--array", "--states=all", "--format=%i|%T|%r|%j"]);
             match answer {
                 Ok(text) => {
                     queue.jobs = parse_queue(&text);
@@ -151,6 +201,10 @@ impl SlurmRunner {
             return Ok(Some(known.clone()));
         }
         drop(queue);
+        if launch.shard.is_some() {
+            // The answer is from after the last submission, so the array has ended long ago, or was never there.
+            return Ok(None);
+        }
         // It is newer than the last answer, or ended: squeue leaves out what ended before MinJobAge.
         let Some(number) = handle else { return self.ask_by_name(name) };
         let shown = self.run("scontrol", &["--oneliner", "show", "job", number]);
@@ -190,6 +244,21 @@ impl SlurmRunner {
         }))
     }
 
+    /// Asks those of `jobs` that have not ended to stop, or, with `insists`, ends them.
+    fn scancel(&self, jobs: &[Known], insists: bool) -> Result<(), JobsError> {
+        let (waiting, running): (Vec<&Known>, Vec<&Known>) =
+            jobs.iter().filter(|known| !known.has_ended()).partition(|known| known.is_waiting());
+        let kill: &[&str] = if insists { &["--signal=KILL", "--full"] } else { &[] };
+        for (options, jobs) in [(&[][..], waiting), (kill, running)] {
+            if !jobs.is_empty() {
+                let numbers: Vec<&str> = jobs.iter().map(|known| known.number.as_str()).collect();
+                self.run("scancel", &[options, &numbers[..]].concat())?;
+                self.queue().asked = None;
+            }
+        }
+        Ok(())
+    }
+
     /// The attempt is lost, once nothing can begin it any more.
     fn lost(launch: &Launch) -> Result<RunState, JobsError> {
         let Some(lock) = launch.folder.try_lock()? else { return Ok(RunState::Running) };
@@ -216,51 +285,42 @@ impl Runner for SlurmRunner {
     }
 
     fn submit(&self, launch: &Launch) -> Result<String, JobsError> {
+        begin(launch)?;
         let folder = &launch.folder;
-        let lock = folder.lock()?;
-        folder.begin_attempt(launch.attempt, &lock)?;
-        drop(lock);
-        let script = folder.file("job.sh");
-        fs::write(&script, self.script(launch)?).map_err(JobsError::io("write", &script))?;
         let on_nodes = self.on_nodes(folder.path())?;
-        let resources = launch.spec.resources;
-        let mut arguments = vec![
-            "--parsable".to_owned(),
-            format!("--job-name={}", self.job_name(launch)),
-            format!("--comment=palpate:run:{}", launch.id),
-            format!("--output={}", on_nodes.join("log.txt").display()),
-            "--open-mode=append".to_owned(),
-            format!("--chdir={}", on_nodes.display()),
-            // A new attempt is the studio's to begin.
-            "--no-requeue".to_owned(),
-        ];
-        arguments.extend(self.config.partition.iter().map(|partition| format!("--partition={partition}")));
-        if resources.cores > 0 {
-            arguments.push(format!("--cpus-per-task={}", resources.cores));
-        }
-        if resources.gpu {
-            arguments.push("--gres=gpu:1".to_owned());
-        }
-        arguments.extend(resources.memory_mib.map(|mib| format!("--mem={mib}M")));
-        arguments.push(script.display().to_string());
-        let answer = self.run("sbatch", &arguments.iter().map(String::as_str).collect::<Vec<_>>())?;
-        // With several clusters the answer is NUMBER;CLUSTER.
-        let number = answer.trim().split(';').next().unwrap_or_default().to_owned();
-        if number.is_empty() || !number.bytes().all(|byte| byte.is_ascii_digit()) {
-            return Err(JobsError::Runner(format!("sbatch gave no number of a job but {answer:?}")));
-        }
-        // The next look must not rest on an answer from before.
-        self.queue().asked = None;
-        Ok(number)
+        let script = self.script(&quoted(&on_nodes)?, launch.attempt)?;
+        fs::write(folder.file("job.sh"), script).map_err(JobsError::io("write", folder.file("job.sh")))?;
+        let log = format!("--output={}", on_nodes.join("log.txt").display());
+        self.sbatch(launch, folder, "job.sh", &[log])
     }
 
+    fn submit_shards(&self, shards: &[Launch], max_at_once: u32) -> Result<(), JobsError> {
+        let Some(first) = shards.first() else { return Ok(()) };
+        let Some(job) = first.folder.job_of_shard() else {
+            return Err(JobsError::Runner(format!("{:?} is no folder of a shard", first.folder.path())));
+        };
+        shards.iter().try_for_each(begin)?;
+        let on_nodes = self.on_nodes(&job.file(SHARDS_DIR))?;
+        let script = self.script(&format!("{}/$SLURM_ARRAY_TASK_ID", quoted(&on_nodes)?), first.attempt)?;
+        fs::write(job.file("shards.sh"), script).map_err(JobsError::io("write", job.file("shards.sh")))?;
+        let indices: Vec<u32> = shards.iter().filter_map(|launch| launch.shard).collect();
+        let log = format!("--output={}", on_nodes.join("%a/log.txt").display());
+        let number = self.sbatch(first, &job, "shards.sh", &[array(&indices, max_at_once), log])?;
+        tracing::info!(
+            job = first.id,
+            number,
+            shards = indices.len(),
+            "an array of shards is in Slurm's queue"
+        );
+        Ok(())
+    }
     fn state(&self, launch: &Launch, handle: Option<&str>) -> Result<RunState, JobsError> {
-        let name = self.job_name(launch);
+        let name = self.queue_name(launch);
         if let Some(exit) = launch.folder.exit(launch.attempt) {
             self.queue().silent_since.remove(&name);
             return Ok(RunState::Ended(exit));
         }
-        let Some(known) = self.ask(&name, handle)? else {
+        let Some(known) = self.ask(launch, handle)? else {
             return match Self::is_alive(launch) {
                 true => Ok(RunState::Running),
                 false => Self::lost(launch),
@@ -287,16 +347,39 @@ impl Runner for SlurmRunner {
     }
 
     fn cancel(&self, launch: &Launch, handle: Option<&str>, insists: bool) -> Result<(), JobsError> {
-        let name = self.job_name(launch);
-        let Some(known) = self.ask(&name, handle)? else { return Ok(()) };
-        let mut arguments = Vec::new();
-        if insists && !known.is_waiting() {
-            arguments.extend(["--signal=KILL", "--full"]);
+        match self.ask(launch, handle)? {
+            Some(known) => self.scancel(&[known], insists),
+            None => Ok(()),
         }
-        arguments.push(known.number.as_str());
-        self.run("scancel", &arguments)?;
-        self.queue().asked = None;
-        Ok(())
+    }
+
+    fn cancel_shards(&self, shards: &[Launch], insists: bool) -> Result<(), JobsError> {
+        let mut known = Vec::new();
+        for shard in shards {
+            known.extend(self.ask(shard, None)?);
+        }
+        self.scancel(&known, insists)
+    }
+}
+
+/// Makes the attempt of `launch` the one that counts.
+fn begin(launch: &Launch) -> Result<(), JobsError> {
+    let lock = launch.folder.lock()?;
+    launch.folder.begin_attempt(launch.attempt, &lock)
+}
+
+/// The option of sbatch for tasks `indices`, which ascend, of which `max_at_once` may run at once.
+fn array(indices: &[u32], max_at_once: u32) -> String {
+    let runs = indices.chunk_by(|before, after| before + 1 == *after);
+    let runs = runs.filter_map(|run| match run {
+        [] => None,
+        [one] => Some(one.to_string()),
+        [first, .., last] => Some(format!("{first}-{last}")),
+    });
+    let runs = runs.collect::<Vec<_>>().join(",");
+    match (max_at_once as usize) < indices.len() {
+        true => format!("--array={runs}%{max_at_once}"),
+        false => format!("--array={runs}"),
     }
 }
 
@@ -311,6 +394,14 @@ fn quoted(path: &Path) -> Result<String, JobsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn array_names_what_is_begun_again_and_its_limit() {
+        assert_eq!(array(&[0, 1, 2, 3], 4), "--array=0-3");
+        assert_eq!(array(&[0, 1, 2, 3], 2), "--array=0-3%2");
+        assert_eq!(array(&[1, 3, 4, 7, 8, 9], 4), "--array=1,3-4,7-9%4");
+        assert_eq!(array(&[5], 4), "--array=5");
+    }
 
     #[test]
     fn paths_stay_one_word_of_the_script() {

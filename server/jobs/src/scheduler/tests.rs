@@ -11,9 +11,9 @@ use crate::runner::Capacity;
 /// Processes, which outlive studios.
 #[derive(Debug, Default)]
 struct World {
-    /// By job and attempt.
+    /// By job or shard and attempt.
     processes: BTreeMap<(String, u32), Process>,
-    /// How often the work of each job was done to the end.
+    /// How often the work of each job and shard was done to the end.
     done: BTreeMap<String, u32>,
     /// The studio crashes when it next starts a process: before that, or after.
     crash: Option<Crash>,
@@ -33,6 +33,7 @@ struct Process {
     is_alive: bool,
     is_asked: bool,
     exit: Option<JobState>,
+    folder: JobFolder,
 }
 
 struct FakeRunner(Arc<Mutex<World>>);
@@ -48,16 +49,20 @@ impl Runner for FakeRunner {
 
     fn submit(&self, launch: &Launch) -> Result<String, JobsError> {
         let crash = lock(&self.0).crash.take();
+        launch.folder.begin_attempt(launch.attempt, &launch.folder.lock()?)?;
         assert_ne!(crash, Some(Crash::BeforeStart), "the studio is killed");
         {
             let mut world = lock(&self.0);
-            let others =
-                world.processes.iter().filter(|((id, _), process)| *id == launch.id && process.is_alive);
-            assert_eq!(others.count(), 0, "two processes work on {}", launch.id);
-            let started_by = world.studio;
-            let process = Process { started_by, is_alive: true, is_asked: false, exit: None };
-            let before = world.processes.insert((launch.id.clone(), launch.attempt), process);
-            assert!(before.is_none(), "attempt {} of {} is begun twice", launch.attempt, launch.id);
+            let key = launch.key();
+            let others = world.processes.iter().filter(|((id, _), process)| *id == key && process.is_alive);
+            assert_eq!(others.count(), 0, "two processes work on {key}");
+            let folder = launch.folder.clone();
+            let process =
+                Process { started_by: world.studio, is_alive: true, is_asked: false, exit: None, folder };
+            let before = world.processes.insert((key.clone(), launch.attempt), process);
+            assert!(before.is_none(), "attempt {} of {key} is begun twice", launch.attempt);
+            let at_once = world.processes.values().filter(|process| process.is_alive).count();
+            assert!(at_once <= 3, "{at_once} processes share 2 cores and the lane of short jobs");
         }
         assert_ne!(crash, Some(Crash::AfterStart), "the studio is killed");
         Ok("1".to_owned())
@@ -65,29 +70,27 @@ impl Runner for FakeRunner {
 
     fn state(&self, launch: &Launch, _: Option<&str>) -> Result<RunState, JobsError> {
         let world = lock(&self.0);
-        let Some(process) = world.processes.get(&(launch.id.clone(), launch.attempt)) else {
-            return Ok(RunState::Lost);
+        let known = world.processes.get(&(launch.key(), launch.attempt));
+        let lost = || -> Result<RunState, JobsError> {
+            if let Some(exit) = launch.folder.exit(launch.attempt) {
+                return Ok(RunState::Ended(exit));
+            }
+            launch.folder.give_up_attempt(launch.attempt, &launch.folder.lock()?)?;
+            Ok(RunState::Lost)
         };
+        let Some(process) = known else { return lost() };
         Ok(match process.exit {
-            Some(outcome) => RunState::Ended(JobExit {
-                attempt: launch.attempt,
-                outcome,
-                code: 0,
-                problem: None,
-                started: rfc3339_now(),
-                ended: rfc3339_now(),
-                host: String::new(),
-            }),
+            Some(outcome) => RunState::Ended(exit(launch.attempt, outcome)),
             None if process.is_alive => RunState::Running,
             // Only who started it knows more.
             None if process.started_by == world.studio => RunState::Died("killed".to_owned()),
-            None => RunState::Lost,
+            None => lost()?,
         })
     }
 
     fn cancel(&self, launch: &Launch, _: Option<&str>, insists: bool) -> Result<(), JobsError> {
         let mut world = lock(&self.0);
-        if let Some(process) = world.processes.get_mut(&(launch.id.clone(), launch.attempt)) {
+        if let Some(process) = world.processes.get_mut(&(launch.key(), launch.attempt)) {
             process.is_asked = true;
             process.is_alive &= !insists;
         }
@@ -95,10 +98,23 @@ impl Runner for FakeRunner {
     }
 }
 
+fn exit(attempt: u32, outcome: JobState) -> JobExit {
+    JobExit {
+        attempt,
+        outcome,
+        code: 0,
+        problem: (outcome == JobState::Failed).then(|| "it was told to fail".to_owned()),
+        started: rfc3339_now(),
+        ended: rfc3339_now(),
+        host: String::new(),
+    }
+}
+
 #[derive(Clone, Debug)]
 enum Step {
     Submit {
         short: bool,
+        shards: u32,
     },
     Cancel(usize),
     Retry(usize),
@@ -125,7 +141,10 @@ fn step() -> impl Strategy<Value = Step> {
     let ending =
         prop_oneof![Just(Ending::Done), Just(Ending::Failed), Just(Ending::Cancelled), Just(Ending::Killed)];
     prop_oneof![
-        4 => any::<bool>().prop_map(|short| Step::Submit { short }),
+        4 => (any::<bool>(), 0u32..8).prop_map(|(short, shards)| {
+            // Half of all jobs are not divided.
+            Step::Submit { short, shards: shards.saturating_sub(4) }
+        }),
         2 => (0usize..8).prop_map(Step::Cancel),
         1 => (0usize..8).prop_map(Step::Retry),
         1 => (0usize..8).prop_map(Step::Delete),
@@ -183,16 +202,25 @@ impl Scene {
     }
 
     fn submit(&mut self, short: bool) {
-        let spec = spec(short);
-        let submission = Submission { prefix: "run-", spec: &spec, owner: "me", runner: None, key: None };
+        self.submit_divided(short, 0);
+    }
+
+    fn submit_divided(&mut self, short: bool, shards: u32) {
+        let mut spec = spec(short);
+        spec.resources.shards = shards;
+        let shards: Vec<Shard> = (0..shards)
+            .map(|shard| Shard { request: serde_json::json!({ "part": shard }), seed: u64::from(shard) })
+            .collect();
+        let submission =
+            Submission { prefix: "run-", spec: &spec, shards: &shards, owner: "me", runner: None, key: None };
         self.ids.push(self.scheduler().submit(&submission).unwrap().job.id);
     }
 
     fn finish(&self, which: usize, ending: Ending) {
         let mut world = lock(&self.world);
         let alive = world.processes.iter_mut().filter(|(_, process)| process.is_alive);
-        let Some(((id, _), process)) = alive.into_iter().nth(which) else { return };
-        let id = id.clone();
+        let Some(((id, attempt), process)) = alive.into_iter().nth(which) else { return };
+        let (id, attempt) = (id.clone(), *attempt);
         process.is_alive = false;
         process.exit = match ending {
             Ending::Done => Some(JobState::Done),
@@ -200,6 +228,9 @@ impl Scene {
             Ending::Cancelled => Some(JobState::Cancelled),
             Ending::Killed => None,
         };
+        if let Some(outcome) = process.exit {
+            process.folder.write_exit(&exit(attempt, outcome)).unwrap();
+        }
         if matches!(ending, Ending::Done) {
             *world.done.entry(id).or_default() += 1;
         }
@@ -208,7 +239,7 @@ impl Scene {
     fn take(&mut self, step: &Step) {
         let id = |which: &usize| self.ids.get(*which).cloned();
         match step {
-            Step::Submit { short } => self.submit(*short),
+            Step::Submit { short, shards } => self.submit_divided(*short, *shards),
             Step::Cancel(which) => {
                 if let Some(id) = id(which)
                     && self.scheduler().cancel(&id).is_ok()
@@ -252,8 +283,12 @@ impl Scene {
                 continue;
             }
             let job = self.scheduler().job(id).unwrap();
+            let of_shards = world.done.iter().filter(|(key, _)| key.starts_with(&format!("{id}/")));
+            let of_shards: Vec<u32> = of_shards.map(|(_, &done)| done).collect();
+            assert!(of_shards.iter().all(|&done| done <= 1), "shards of {id} were done {of_shards:?} times");
             if job.state == JobState::Done {
                 assert_eq!(done, 1, "{id} is called done and is not");
+                assert_eq!(of_shards.len(), job.spec.resources.shards as usize, "{job:?}");
             }
         }
     }
@@ -316,7 +351,7 @@ fn same_key_gives_the_same_job_and_another_request_with_it_is_refused() {
         let request = format!("seed {}", spec.seed);
         let key: Option<&str> = key;
         let key = key.map(|key| (key, request.as_str()));
-        let submission = Submission { prefix: "run-", spec, owner: "me", runner: None, key };
+        let submission = Submission { prefix: "run-", spec, shards: &[], owner: "me", runner: None, key };
         scene.scheduler().submit(&submission)
     };
     let first = submit(&one, Some("abc")).unwrap();
@@ -375,7 +410,8 @@ fn higher_priority_starts_first() {
     let mut scene = Scene::new();
     for priority in [0, 5, 5, -3] {
         let spec = JobSpec { priority, resources: Resources::default(), ..spec(false) };
-        let submission = Submission { prefix: "run-", spec: &spec, owner: "me", runner: None, key: None };
+        let submission =
+            Submission { prefix: "run-", spec: &spec, shards: &[], owner: "me", runner: None, key: None };
         scene.ids.push(scene.scheduler().submit(&submission).unwrap().job.id);
     }
     let mut order = Vec::new();
@@ -388,6 +424,81 @@ fn higher_priority_starts_first() {
         scene.finish(0, Ending::Done);
     }
     assert_eq!(order, ["run-2", "run-3", "run-1", "run-4"]);
+}
+
+#[test]
+fn failed_shard_fails_the_job_and_what_others_have_done_is_not_done_again() {
+    let mut scene = Scene::new();
+    scene.submit_divided(false, 4);
+    scene.scheduler().tick();
+    scene.scheduler().tick();
+    let work = |scene: &Scene| {
+        let world = lock(&scene.world);
+        world
+            .processes
+            .iter()
+            .filter(|(_, at)| at.is_alive)
+            .map(|((key, _), _)| key.clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(work(&scene), ["run-1/0", "run-1/1"], "two cores, two shards");
+    scene.finish(0, Ending::Done);
+    scene.scheduler().tick();
+    assert_eq!(work(&scene), ["run-1/1", "run-1/2"]);
+    let job = scene.scheduler().job("run-1").unwrap();
+    assert_eq!(
+        (job.state, job.stage.as_str()),
+        (JobState::Running, "1 of 4 shards done, 1 at work, 2 waiting")
+    );
+    assert!((job.fraction - 0.99 / 4.0).abs() < 1e-9, "{job:?}");
+
+    fs::write(scene.scheduler().folder("run-1").shard(2).file("log.txt"), "error: the disk hums\n").unwrap();
+    scene.finish(1, Ending::Failed);
+    scene.scheduler().tick();
+    assert!(
+        lock(&scene.world).processes[&("run-1/1".to_owned(), 1)].is_asked,
+        "the others are asked to stop"
+    );
+    scene.finish(0, Ending::Cancelled);
+    scene.scheduler().tick();
+    let job = scene.scheduler().job("run-1").unwrap();
+    assert_eq!((job.state, job.problem.as_deref()), (JobState::Failed, Some("shard 2: it was told to fail")));
+    let log = scene.scheduler().folder("run-1").log_tail(1000).unwrap();
+    assert_eq!(log, "--- shard 2:\nerror: the disk hums\n");
+    assert!(work(&scene).is_empty());
+
+    scene.scheduler().retry("run-1").unwrap();
+    scene.restart();
+    scene.scheduler().tick();
+    scene.scheduler().tick();
+    assert_eq!(work(&scene), ["run-1/1", "run-1/2"], "shard 0 is done");
+    // One process is killed while no studio looks: only it is begun again.
+    scene.finish(1, Ending::Killed);
+    scene.restart();
+    scene.scheduler().tick();
+    assert_eq!(work(&scene), ["run-1/1", "run-1/2"]);
+    scene.drain();
+    let world = lock(&scene.world);
+    let attempts: Vec<(&str, u32)> = world.processes.keys().map(|(key, at)| (key.as_str(), *at)).collect();
+    let shards =
+        [("run-1/0", 1), ("run-1/1", 1), ("run-1/1", 17), ("run-1/2", 1), ("run-1/2", 17), ("run-1/2", 19)];
+    assert_eq!(attempts, [&[("run-1", 2)], &shards[..], &[("run-1/3", 17)]].concat());
+}
+
+#[test]
+fn shard_that_is_cut_off_again_and_again_fails_the_job() {
+    let mut scene = Scene::new();
+    scene.submit_divided(false, 1);
+    let mut begun = 0;
+    for _ in 0..40 {
+        scene.scheduler().tick();
+        begun += usize::from(lock(&scene.world).processes.values().any(|process| process.is_alive));
+        scene.finish(0, Ending::Killed);
+        scene.restart();
+    }
+    let job = scene.scheduler().job("run-1").unwrap();
+    assert_eq!((job.state, begun), (JobState::Failed, 5), "{job:?}");
+    assert!(job.problem.unwrap().starts_with("shard 0: it was cut off 5 times"));
 }
 
 #[test]

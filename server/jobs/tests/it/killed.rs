@@ -11,12 +11,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use palpate_jobs::Database;
+use palpate_jobs::{Database, runners};
 use palpate_wire::api::JobState;
 use serde_json::json;
 
 use self::rand_like::Numbers;
-use crate::support::{PATIENCE, PROBE, open, process_runner, processes_naming};
+use crate::slurm::Cluster;
+use crate::support::{PATIENCE, PROBE, open, processes_naming};
 
 const NUM_KILLS: usize = 50;
 
@@ -76,6 +77,11 @@ impl Studio {
 fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     let dir = tempfile::tempdir().unwrap();
     let ledger = dir.path().join("ledger.txt");
+    // A part of the jobs runs on Slurm, where there is one.
+    let cluster = Cluster::start();
+    let slurm = cluster.as_ref().map(Cluster::runner_file).unwrap_or_default();
+    let process = "[process]\ncores = 2\nshort_jobs = 2\ngpu = false\nnice = 5\n";
+    fs::write(dir.path().join("runners.toml"), format!("{process}{slurm}")).unwrap();
     let mut numbers = Numbers(20_261_125);
     let (mut queued, mut asked) = (Vec::new(), Vec::new());
     let mut killed_while_running = 0;
@@ -83,8 +89,11 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
         let mut studio = Studio::start(dir.path());
         let until = Instant::now() + Duration::from_millis(20 + numbers.below(180));
         while Instant::now() < until {
+            let on_slurm = numbers.below(8) == 0 && cluster.is_some();
             let request = json!({
                 "sleep_ms": numbers.below(250), "ledger": ledger, "short": numbers.below(2) == 0,
+                "shards": if numbers.below(6) == 0 { 3 } else { 0 },
+                "runner": if on_slurm { "cluster" } else { "process" },
             });
             studio.ask(&format!("submit {request}"));
             if numbers.below(6) == 0 && !queued.is_empty() {
@@ -106,7 +115,8 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     assert!(queued.len() > NUM_KILLS / 2, "only {} jobs were acknowledged", queued.len());
     assert!(killed_while_running > NUM_KILLS / 10, "jobs ran at {killed_while_running} of {NUM_KILLS} kills");
 
-    let (scheduler, _) = open(dir.path(), vec![process_runner()]);
+    let runners = runners(dir.path(), vec![PROBE.into()]).unwrap();
+    let (scheduler, _) = open(dir.path(), runners);
     let begun = Instant::now();
     while !scheduler.unfinished().unwrap().is_empty() {
         assert!(begun.elapsed() < 4 * PATIENCE, "{:?}", scheduler.unfinished().unwrap());
@@ -114,9 +124,10 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     }
     let mut done_by_job: BTreeMap<String, usize> = BTreeMap::new();
     for line in fs::read_to_string(&ledger).unwrap().lines() {
+        // Of a job, `run-1`, or of a shard, `run-1/shards/0`.
         let (folder, _attempt) = line.rsplit_once(' ').unwrap();
-        let id = Path::new(folder).file_name().unwrap().to_str().unwrap().to_owned();
-        *done_by_job.entry(id).or_default() += 1;
+        let (_, id) = folder.rsplit_once("/runs/").unwrap();
+        *done_by_job.entry(id.to_owned()).or_default() += 1;
     }
     for (id, count) in &done_by_job {
         assert_eq!(*count, 1, "{id} was done {count} times");
@@ -124,7 +135,12 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     for id in &queued {
         let job = scheduler.job(id).unwrap();
         match job.state {
-            JobState::Done => assert_eq!(done_by_job.get(id), Some(&1), "{job:?}"),
+            JobState::Done => {
+                assert_eq!(done_by_job.get(id), Some(&1), "{job:?}");
+                for shard in 0..job.spec.resources.shards {
+                    assert_eq!(done_by_job.get(&format!("{id}/shards/{shard}")), Some(&1), "{job:?}");
+                }
+            }
             // Whose acknowledgement was cut off may have been heard all the same.
             JobState::Cancelled => assert!(job.cancel_requested, "{job:?}"),
             _ => panic!("{job:?}"),
@@ -134,6 +150,14 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
         let job = scheduler.job(id).unwrap();
         assert!(matches!(job.state, JobState::Cancelled | JobState::Done), "{job:?}");
     }
+    let done = |on: &str, divided: bool| {
+        queued.iter().any(|id| {
+            let job = scheduler.job(id).unwrap();
+            job.state == JobState::Done && job.runner == on && (job.spec.resources.shards > 0) == divided
+        })
+    };
+    assert!(done("process", false) && done("process", true));
+    assert!(cluster.is_none() || (done("cluster", false) && done("cluster", true)));
     drop(scheduler);
     let left = processes_naming(dir.path().to_str().unwrap());
     assert!(left.is_empty(), "orphans: {left:?}");

@@ -92,6 +92,42 @@ fn job_that_does_not_hear_is_ended_and_so_is_what_it_started() {
 }
 
 #[test]
+fn shards_are_processes_within_the_cores_and_one_that_crashes_is_named() {
+    let scene = Scene::new();
+    let shard = json!({ "sleep_ms": 200, "ledger": scene.ledger_path() });
+    let one = Resources { cores: 1, ..Resources::default() };
+    let last = json!({ "ledger": scene.ledger_path() });
+    let job = scene.submit_divided(last, one, vec![shard.clone(); 5]);
+    let working = scene.wait(&job.id, |job| job.stage.contains("2 at work"));
+    assert!(working.state == JobState::Running && working.fraction < 0.99, "{working:?}");
+    let done = scene.ended(&job.id);
+    assert_eq!((done.state, done.fraction, done.attempts), (JobState::Done, 1.0, 1), "{done:?}");
+    let ledger = scene.ledger();
+    assert_eq!(ledger.len(), 6);
+    assert!(ledger[..5].iter().all(|line| line.contains(&format!("/{}/shards/", job.id))), "{ledger:?}");
+    assert!(ledger[5].ends_with(&format!("/{} 1", job.id)), "the job's own process comes last: {ledger:?}");
+    let folder = scene.scheduler.folder(&job.id);
+    assert_eq!(folder.shard(3).job_of_shard(), Some(folder.clone()));
+    assert!(folder.shard(4).file("exit.json").is_file() && folder.job_of_shard().is_none());
+    let told = scene.told.lock().unwrap().clone();
+    let fractions: Vec<f64> = told.iter().map(|(_, _, fraction)| *fraction).collect();
+    assert!(fractions.is_sorted() && fractions.len() > 4, "{fractions:?}");
+
+    let slow = json!({ "sleep_ms": 600_000 });
+    let crashing = vec![slow.clone(), json!({ "outcome": "abort" }), slow.clone()];
+    let failed = scene.ended(&scene.submit_divided(json!({}), one, crashing).id);
+    let problem = failed.problem.unwrap();
+    assert!(problem.starts_with("shard 1: its process ended by signal 6"), "{problem}");
+    assert!(problem.ends_with("working as attempt 1"), "{problem}");
+
+    let cancelled = scene.submit_divided(json!({}), one, vec![slow; 3]).id;
+    scene.wait(&cancelled, |job| job.stage.contains("2 at work"));
+    scene.scheduler.cancel(&cancelled).unwrap();
+    assert_eq!(scene.ended(&cancelled).state, JobState::Cancelled);
+    assert!(processes_naming(scene.dir.path().to_str().unwrap()).is_empty(), "no process is left");
+}
+
+#[test]
 fn memory_limit_ends_the_job_and_nothing_else() {
     let scene = Scene::new();
     let limit = Resources { cores: 1, memory_mib: Some(300), ..Resources::default() };

@@ -12,8 +12,8 @@ use std::{
 };
 
 use palpate_jobs::{Runner, SlurmConfig, SlurmRunner};
-use palpate_wire::api::JobState;
-use serde_json::json;
+use palpate_wire::api::{JobState, Resources};
+use serde_json::{Value, json};
 
 use crate::support::{PATIENCE, PROBE, Scene, open, processes_naming, wait};
 
@@ -21,7 +21,7 @@ use crate::support::{PATIENCE, PROBE, Scene, open, processes_naming, wait};
 static TURN: Mutex<()> = Mutex::new(());
 
 /// A cluster in a folder of its own: own key, own ports, loopback only, no systemd, no cgroups, no database.
-struct Cluster {
+pub(crate) struct Cluster {
     dir: tempfile::TempDir,
     conf: PathBuf,
     _turn: MutexGuard<'static, ()>,
@@ -48,7 +48,7 @@ fn slurm_conf(dir: &Path, host: &str, ports: [u16; 2]) -> String {
 
 impl Cluster {
     /// `None` where `PALPATE_SKIP` names slurm.
-    fn start() -> Option<Self> {
+    pub(crate) fn start() -> Option<Self> {
         if skip::leaves_out("slurm") {
             return None;
         }
@@ -128,6 +128,15 @@ impl Cluster {
         Arc::new(SlurmRunner::new(config, data).unwrap())
     }
 
+    /// The same for `runners.toml`.
+    pub(crate) fn runner_file(&self) -> String {
+        format!(
+            "[[slurm]]\nname = \"cluster\"\nprogram = {PROBE:?}\npartition = \"main\"\n\
+             lines = [\"#SBATCH --time=10\"]\nenvironment = {{ SLURM_CONF = {:?} }}\n",
+            self.conf.display().to_string()
+        )
+    }
+
     fn scene(&self) -> Scene {
         let dir = tempfile::tempdir().unwrap();
         let runner = self.runner(dir.path());
@@ -192,6 +201,35 @@ fn jobs_run_on_a_cluster_with_their_log_exit_and_cancel() {
     let problem = job.problem.unwrap();
     assert!(job.state == JobState::Failed && problem.contains("Slurm says FAILED"), "{problem}");
 
+    // An array: a task that fails stops the others, and is begun again without those that are done.
+    let ledger = json!({ "ledger": scene.ledger_path() });
+    let one = Resources { cores: 1, ..Resources::default() };
+    let hangs = json!({ "sleep_ms": 600_000, "unless": scene.dir.path().join("mended") });
+    let fails = json!({ "outcome": "fail", "unless": scene.dir.path().join("mended") });
+    let limited = Resources { at_once: 2, ..one };
+    let divided = scene.submit_divided(
+        ledger.clone(),
+        limited,
+        vec![ledger.clone(), merged(&hangs, &ledger), merged(&fails, &ledger)],
+    );
+    let job = scene.ended(&divided.id);
+    assert_eq!((job.state, job.problem.as_deref()), (JobState::Failed, Some("shard 2: it was told to fail")));
+    assert!(scene.scheduler.folder(&divided.id).log_tail(10_000).unwrap().contains("working as attempt 1"));
+    let named = cluster.slurm("squeue", &["-h", "-r", "-t", "all", "-o", "%j|%k|%K"]);
+    let task = format!("-{0}-shards-1|palpate:run:{0}|2", divided.id);
+    assert!(named.contains(&task), "{named}");
+    assert_eq!(scene.ledger().len(), 2, "shard 0 is done: {:?}", scene.ledger());
+    fs::write(scene.dir.path().join("mended"), "").unwrap();
+    scene.scheduler.retry(&divided.id).unwrap();
+    let job = scene.ended(&divided.id);
+    assert_eq!((job.state, job.attempts, job.fraction), (JobState::Done, 2, 1.0), "{job:?}");
+    let runs = format!("{}/runs/", scene.dir.path().canonicalize().unwrap().display());
+    let done: Vec<String> = scene.ledger()[1..].iter().map(|line| line.replace(&runs, "")).collect();
+    let shard = |shard: u32, attempt: u32| format!("{}/shards/{shard} {attempt}", divided.id);
+    assert_eq!(done[0], shard(0, 1), "{done:?}");
+    assert!(done[1..3].contains(&shard(1, 17)) && done[1..3].contains(&shard(2, 17)), "{done:?}");
+    assert_eq!(done[3..], [format!("{} 2", divided.id)]);
+
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let running: Vec<String> =
         (0..cores).map(|_| scene.submit(json!({ "sleep_ms": 600_000, "deaf": true })).id).collect();
@@ -201,18 +239,26 @@ fn jobs_run_on_a_cluster_with_their_log_exit_and_cancel() {
     let waits = scene.submit(json!({ "ledger": scene.ledger_path() })).id;
     let stage = scene.wait(&waits, |job| job.stage.starts_with("waiting in Slurm")).stage;
     assert!(stage.contains("Resources") || stage.contains("Priority") || stage.contains("None"), "{stage}");
-    for id in running.iter().chain([&waits]) {
+    let array = scene.submit_divided(ledger.clone(), one, vec![ledger; 4]).id;
+    scene.wait(&array, |job| job.stage == "0 of 4 shards done, 0 at work, 4 waiting");
+    for id in running.iter().chain([&waits, &array]) {
         scene.scheduler.cancel(id).unwrap();
     }
-    for id in running.iter().chain([&waits]) {
+    for id in running.iter().chain([&waits, &array]) {
         assert_eq!(scene.ended(id).state, JobState::Cancelled, "{id}");
     }
-    assert_eq!(scene.ledger().len(), 1);
+    assert_eq!(scene.ledger().len(), 5);
     let begun = Instant::now();
     while !processes_naming(scene.dir.path().to_str().unwrap()).is_empty() {
         assert!(begun.elapsed() < PATIENCE, "Slurm leaves processes");
         sleep(Duration::from_millis(50));
     }
+}
+
+fn merged(one: &Value, other: &Value) -> Value {
+    let mut fields = one.as_object().unwrap().clone();
+    fields.extend(other.as_object().unwrap().clone());
+    Value::Object(fields)
 }
 
 #[test]

@@ -8,7 +8,8 @@ use std::{
 };
 
 use palpate_jobs::{
-    Capacity, Database, ProcessRunner, ProcessRunnerConfig, Runner, Scheduler, SchedulerConfig, Submission,
+    Capacity, Database, ProcessRunner, ProcessRunnerConfig, Runner, Scheduler, SchedulerConfig, Shard,
+    Submission,
 };
 use palpate_wire::api::{Job, JobSpec, JobState, Resources};
 use serde_json::Value;
@@ -66,6 +67,12 @@ impl Scene {
     }
 
     pub(crate) fn submit_with(&self, request: Value, resources: Resources) -> Job {
+        self.submit_divided(request, resources, Vec::new())
+    }
+
+    /// A job with shards of these requests.
+    pub(crate) fn submit_divided(&self, request: Value, resources: Resources, shards: Vec<Value>) -> Job {
+        let resources = Resources { shards: shards.len() as u32, ..resources };
         let spec = JobSpec {
             kind: "probe".to_owned(),
             request,
@@ -75,7 +82,15 @@ impl Scene {
             priority: 0,
             resources,
         };
-        let submission = Submission { prefix: "run-", spec: &spec, owner: "test", runner: None, key: None };
+        let shards: Vec<Shard> = shards.into_iter().map(|request| Shard { request, seed: 0 }).collect();
+        let submission = Submission {
+            prefix: "run-",
+            spec: &spec,
+            shards: &shards,
+            owner: "test",
+            runner: None,
+            key: None,
+        };
         self.scheduler.submit(&submission).unwrap().job
     }
 

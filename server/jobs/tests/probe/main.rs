@@ -15,8 +15,8 @@ use std::{
 };
 
 use palpate_jobs::{
-    Begun, Capacity, Database, JobFolder, JobsError, Outcome, ProcessRunner, ProcessRunnerConfig, Scheduler,
-    SchedulerConfig, Submission, Working, WorkingConfig, on_stop_request,
+    Begun, Database, JobFolder, JobsError, Outcome, Scheduler, SchedulerConfig, Shard, Submission, Working,
+    WorkingConfig, on_stop_request, runners,
 };
 use palpate_wire::api::{JobSpec, Resources};
 use serde_json::{Value, json};
@@ -47,7 +47,11 @@ fn work(dir: &str, attempt: &str) -> Result<ExitCode, JobsError> {
         Begun::Mine(working) => working,
         Begun::NotMine(code) => return Ok(code),
     };
-    let request = working.spec().request.clone();
+    let mut request = working.spec().request.clone();
+    if request["unless"].as_str().is_some_and(|path| Path::new(path).exists()) {
+        // Whatever was wrong has been mended.
+        request = json!({ "ledger": request["ledger"] });
+    }
     println!("working as attempt {attempt}");
     if request["grandchild"] == true {
         let child = std::process::Command::new("sleep").arg("1000").spawn();
@@ -88,16 +92,11 @@ fn work(dir: &str, attempt: &str) -> Result<ExitCode, JobsError> {
 
 fn studio(data: &Path) -> Result<ExitCode, JobsError> {
     let this = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("palpate-jobs-probe"));
-    let runner = ProcessRunner::new(ProcessRunnerConfig {
-        command: vec![this],
-        nice: 5,
-        capacity: Capacity { cores: 2, gpu: false, short_jobs: 2 },
-    });
     let scheduler = Scheduler::start(SchedulerConfig {
         runs: data.join("runs"),
         trash: data.join("trash/runs"),
         database: Arc::new(Database::open(&data.join("palpate.sqlite"))?),
-        runners: vec![Arc::new(runner)],
+        runners: runners(data, vec![this])?,
         observer: Arc::new(|_| {}),
         cancel_grace: Some(Duration::from_millis(300)),
     })?;
@@ -108,6 +107,8 @@ fn studio(data: &Path) -> Result<ExitCode, JobsError> {
             Some(("submit", request)) => {
                 let request: Value = serde_json::from_str(request).unwrap_or_default();
                 let short = request["short"] == true;
+                let num_shards = request["shards"].as_u64().unwrap_or(0) as usize;
+                let shards = vec![Shard { request: request.clone(), seed: 0 }; num_shards];
                 let spec = JobSpec {
                     kind: "probe".to_owned(),
                     request,
@@ -115,10 +116,22 @@ fn studio(data: &Path) -> Result<ExitCode, JobsError> {
                     seed: 0,
                     software: "probe".to_owned(),
                     priority: 0,
-                    resources: Resources { cores: 1, short, ..Resources::default() },
+                    resources: Resources {
+                        cores: 1,
+                        short,
+                        shards: num_shards as u32,
+                        ..Resources::default()
+                    },
                 };
-                let submission =
-                    Submission { prefix: "run-", spec: &spec, owner: "test", runner: None, key: None };
+                let runner = spec.request["runner"].as_str();
+                let submission = Submission {
+                    prefix: "run-",
+                    spec: &spec,
+                    shards: &shards,
+                    owner: "test",
+                    runner,
+                    key: None,
+                };
                 println!("queued {}", scheduler.submit(&submission)?.job.id);
             }
             Some(("cancel", id)) => println!("asked {}", scheduler.cancel(id)?.id),

@@ -17,6 +17,7 @@ pub(crate) const CALIBRATE: JobKind = JobKind {
     resources: SHORT,
     needs_trainer: false,
     makes: Some(ArtifactSort::Model),
+    sharding: None,
     check,
     work,
 };

@@ -26,6 +26,7 @@ pub(crate) const DIAGNOSE: JobKind = JobKind {
     resources: LONG,
     needs_trainer: false,
     makes: Some(ArtifactSort::Model),
+    sharding: None,
     check,
     work,
 };

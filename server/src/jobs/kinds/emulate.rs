@@ -19,6 +19,7 @@ pub(crate) const EMULATE: JobKind = JobKind {
     resources: SHORT,
     needs_trainer: false,
     makes: Some(ArtifactSort::Session),
+    sharding: None,
     check,
     work,
 };

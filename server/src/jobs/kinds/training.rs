@@ -41,7 +41,16 @@ pub(super) const fn training(
     check: fn(&Store, &Value) -> Result<Vec<PathBuf>, Error>,
     work: fn(&JobWork<'_>, &Value) -> Result<(), Error>,
 ) -> JobKind {
-    JobKind { name, prefix, resources: TRAINING, needs_trainer: true, makes: Some(makes), check, work }
+    JobKind {
+        name,
+        prefix,
+        resources: TRAINING,
+        needs_trainer: true,
+        makes: Some(makes),
+        sharding: None,
+        check,
+        work,
+    }
 }
 
 /// Arguments of `palpate-train`.
@@ -422,6 +431,22 @@ pub(super) fn check_objects(store: &Store, ids: &[String]) -> Result<Vec<PathBuf
         )));
     }
     Ok(own)
+}
+
+/// Ids of the objects that a list names: groups are of shipped ones. A list without any means `group`.
+pub(super) fn named_objects(ids: &[String], group: &str) -> Vec<String> {
+    let group = match ids {
+        [] => group,
+        [one] if GROUPS.contains(&one.as_str()) => one,
+        ids => return ids.to_vec(),
+    };
+    let is_in_group = |id: &&str| {
+        let text = assets::text(&format!("objects/{id}.toml")).unwrap_or_default();
+        let file: toml::Table = text.parse().unwrap_or_default();
+        let of_object = file.get("group").and_then(toml::Value::as_str);
+        of_object.is_some_and(|of_object| group == "all" || group == of_object)
+    };
+    assets::names_in("objects", ".toml").into_iter().filter(is_in_group).map(str::to_owned).collect()
 }
 
 /// Objects `ids` as palpate-train takes them.

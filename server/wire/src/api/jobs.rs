@@ -105,6 +105,26 @@ pub struct Resources {
     /// It takes seconds, so it does not wait for jobs that take longer.
     #[serde(default)]
     pub short: bool,
+    /// Shards into which the work is divided, each a process or a task of a Slurm array; 0: it is not divided. What is said
+    /// of cores, GPU and memory is then what each of them has.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shards: u32,
+    /// Shards that work at once at most; 0: as many as there is room for.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub at_once: u32,
+}
+
+impl Resources {
+    /// Shards that may work at once; 1 where the work is not divided.
+    pub fn max_at_once(&self) -> u32 {
+        let limit = if self.at_once == 0 { self.shards } else { self.at_once };
+        limit.min(self.shards).max(1)
+    }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it by reference")]
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 /// Where a job stands, without its outcome: `GET /api/v1/jobs/{id}`.

@@ -35,6 +35,11 @@ impl Known {
         )
     }
 
+    /// It is in nobody's way any more.
+    pub(super) fn has_ended(&self) -> bool {
+        !self.is_waiting() && !self.is_running()
+    }
+
     /// Its process cannot have written how it ended.
     pub(super) fn ended_from_outside(&self) -> bool {
         matches!(self.state.as_str(), "NODE_FAIL" | "BOOT_FAIL" | "OUT_OF_MEMORY")
@@ -46,7 +51,8 @@ impl Known {
     }
 }
 
-/// Jobs by name, from `squeue --format=%i|%T|%r|%j`. Of several of one name the newest counts.
+/// Jobs by name, from `squeue --array --format=%i|%T|%r|%j`; tasks of an array by name and index, `NAME_INDEX`. Of several
+/// of one name the newest counts.
 pub(super) fn parse_queue(text: &str) -> HashMap<String, Known> {
     let mut jobs: HashMap<String, Known> = HashMap::new();
     for line in text.lines() {
@@ -57,11 +63,15 @@ pub(super) fn parse_queue(text: &str) -> HashMap<String, Known> {
             continue;
         };
         let order = |number: &str| number.split('_').next().and_then(|number| number.parse::<u64>().ok());
-        if jobs.get(name).is_some_and(|known| order(&known.number) > order(number)) {
+        let name = match number.split_once('_') {
+            Some((_, idx)) if idx.bytes().all(|byte| byte.is_ascii_digit()) => format!("{name}_{idx}"),
+            _ => name.to_owned(),
+        };
+        if jobs.get(&name).is_some_and(|known| order(&known.number) > order(number)) {
             continue;
         }
         let known = Known { number: number.to_owned(), state: state.to_owned(), reason: reason.to_owned() };
-        jobs.insert(name.to_owned(), known);
+        jobs.insert(name, known);
     }
     jobs
 }
@@ -95,6 +105,20 @@ mod tests {
         assert_eq!(jobs["palpate-ab-run-1-1"].state, "COMPLETED");
         assert!(jobs["palpate-ab-run-2-1"].is_waiting());
         assert_eq!(jobs["other|with|bars"].number, "18_[0-5%2]");
+    }
+
+    #[test]
+    fn tasks_of_an_array_are_told_apart_and_each_newest_counts() {
+        let name = "palpate-ab-blind-1-shards-1";
+        let jobs = parse_queue(&format!(
+            "20_0|RUNNING|None|{name}\n20_1|NODE_FAIL|None|{name}\n20_2|PENDING|JobArrayTaskLimit|{name}\n\
+             22_1|PENDING|Priority|palpate-ab-blind-1-shards-2\n19_0|CANCELLED|None|{name}\n"
+        ));
+        assert_eq!(jobs.len(), 4);
+        assert!(jobs[&format!("{name}_0")].is_running());
+        assert!(jobs[&format!("{name}_1")].is_worth_another_attempt());
+        assert!(jobs[&format!("{name}_2")].is_waiting());
+        assert_eq!(jobs["palpate-ab-blind-1-shards-2_1"].number, "22_1");
     }
 
     #[test]
