@@ -433,13 +433,18 @@ class DiagnosisReport:
 
 @dataclass(frozen=True)
 class Resources:
-    """What a job needs of the machine. 0 cores are all of them; a `short` job does not wait for long ones."""
+    """What a job needs of the machine. 0 cores are all of them; a `short` job does not wait for long ones.
+
+    Work that is divided into `shards` has `at_once` of them at work at most (0: as many as there is room for).
+    """
 
     cores: int = 0
     gpu: bool = False
     station: bool = False
     memory_mib: int | None = None
     short: bool = False
+    shards: int = 0
+    at_once: int = 0
 
 
 @dataclass(frozen=True)

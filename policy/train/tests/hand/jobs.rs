@@ -141,10 +141,22 @@ fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     done(&studio, &data, &on_top);
 
     // What the searching expert does is imitated, and the imitation scored.
-    let gathered = start(&studio, "gathering", &json!({ "objects": ["cube", "ball"], "count": 2 }));
+    // A shard an object; both are there when the job's own process counts them.
+    let request = json!({
+        "kind": "gathering", "request": { "objects": ["cube", "ball"], "count": 2 }, "seed": 3,
+        "resources": { "shards": 2 },
+    });
+    let gathered = studio.post::<Job>("/jobs", &request).expect("it waits").id;
     let kept = done(&studio, &data, &gathered);
     assert_eq!((&kept["trials"], &kept["objects"]["ball"]["trials"]), (&json!(4), &json!(2)));
     assert_eq!(curve_steps(&data, &gathered), [1, 2], "a point an object");
+    for (shard, object) in ["cube", "ball"].iter().enumerate() {
+        let log = data.join(format!("runs/{gathered}/shards/{shard}/log.txt"));
+        let log = std::fs::read_to_string(log).expect("its log");
+        assert!(log.contains(&format!("{object}: ")) && !log.contains("already"), "{log}");
+    }
+    let log = std::fs::read_to_string(data.join(format!("runs/{gathered}/log.txt"))).expect("a log");
+    assert_eq!(log.matches("trials are there already").count(), 2, "{log}");
     let config = "updates = 4\ncheckpoint_updates = 2\nbatch_size = 4\ntrunk = [8]\n";
     let imitated = start(&studio, "imitation", &json!({ "trials": [gathered], "config": config }));
     let learned = done(&studio, &data, &imitated);

@@ -84,15 +84,21 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     fs::write(dir.path().join("runners.toml"), format!("{process}{slurm}")).unwrap();
     let mut numbers = Numbers(20_261_125);
     let (mut queued, mut asked) = (Vec::new(), Vec::new());
-    let mut killed_while_running = 0;
+    let (mut killed_while_running, mut submitted) = (0, 0);
     for _ in 0..NUM_KILLS {
         let mut studio = Studio::start(dir.path());
         let until = Instant::now() + Duration::from_millis(20 + numbers.below(180));
         while Instant::now() < until {
-            let on_slurm = numbers.below(8) == 0 && cluster.is_some();
+            submitted += 1;
+            let (on_slurm, shards) = match submitted % 24 {
+                3 => (cluster.is_some(), 2),
+                15 => (cluster.is_some(), 0),
+                7 | 19 => (false, 3),
+                _ => (false, 0),
+            };
             let request = json!({
                 "sleep_ms": numbers.below(250), "ledger": ledger, "short": numbers.below(2) == 0,
-                "shards": if numbers.below(6) == 0 { 3 } else { 0 },
+                "shards": shards,
                 "runner": if on_slurm { "cluster" } else { "process" },
             });
             studio.ask(&format!("submit {request}"));
