@@ -177,7 +177,7 @@ mod tests {
         // Such a job holds the cores of all that work at once.
         let wide = Resources { cores: 2, shards: 3, ..Resources::default() };
         let held = QueuedJob { cores: held_cores(&wide), ..job("divided", 0) };
-        assert_eq!(started(&[job("b", 3)], &[held.clone()]), Vec::<String>::new());
+        assert_eq!(started(&[job("b", 3)], std::slice::from_ref(&held)), Vec::<String>::new());
         assert_eq!(started(&[job("b", 2)], &[held]), ["b"]);
     }
 

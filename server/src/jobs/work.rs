@@ -11,8 +11,8 @@ use super::{
 };
 use crate::{Class, Error, Store, chain, data::library::Library};
 
-/// Works on the job, or the shard of one, in the folder `dir`, which lies in `runs/` of a data folder; gives the exit code of the process.
-/// How it went stands in the folder.
+/// Works on the job, or the shard of one, in the folder `dir`, which lies in `runs/` of a data folder; gives the exit
+/// code of the process. How it went stands in the folder.
 /// `train` is the `palpate-train` program, where it is not found by itself.
 pub fn run_job(dir: &Path, config: WorkingConfig, train: Option<&Path>) -> Result<ExitCode, Error> {
     let dir = dir.canonicalize().map_err(Error::io("open", dir))?;

@@ -1,10 +1,13 @@
 // An operator starts trainings from the page: gathers an expert's trials, watches the curves, imitates the expert, and ends a
-// training that would go on for hours. Usage: node training.mjs URL SCREENSHOT_DIR
+// training that would go on for hours, also after the studio was started again, for which this writes the line "restart" and reads
+// the address of the new one. Usage: node training.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
+import { once } from "node:events";
 import { join } from "node:path";
+import { createInterface } from "node:readline";
 import { openBrowser } from "./browser.mjs";
 
-const [url, shots] = process.argv.slice(2);
+let [url, shots] = process.argv.slice(2);
 const { context, page, errors } = await openBrowser();
 context.setDefaultTimeout(180_000);
 const button = (name) => page.getByRole("button", { name, exact: true });
@@ -127,6 +130,27 @@ await step("a training that would go on for hours is cancelled", async () => {
   await until("the tuning is cancelled", async () => (await ended("tuning-1")) === "cancelled");
   await button("Try again").waitFor();
   await shot("cancelled");
+});
+
+await step("tried again it works on while the studio is started again, and is found there", async () => {
+  await button("Try again").click();
+  await until("it works again", async () => {
+    const { state, attempts, fraction } = await document("/jobs/tuning-1");
+    return state === "running" && attempts === 2 && fraction > 0;
+  });
+  await page.goto("about:blank");
+  console.log("restart");
+  const answers = createInterface({ input: process.stdin });
+  [url] = await once(answers, "line");
+  answers.close();
+  await page.goto(`${url}/#/jobs?job=gathering-1`);
+  await page.getByRole("img", { name: "Curve trials: 20 at step 10" }).waitFor();
+  await page.goto(`${url}/#/jobs?job=tuning-1`);
+  await button("Cancel").waitFor();
+  const { state, attempts } = await document("/jobs/tuning-1");
+  assert.deepEqual([state, attempts], ["running", 2], "it went on");
+  await button("Cancel").click();
+  await until("the tuning is cancelled", async () => (await ended("tuning-1")) === "cancelled");
 });
 
 assert.deepEqual(errors, [], "the page logged errors");

@@ -90,10 +90,10 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
         let until = Instant::now() + Duration::from_millis(20 + numbers.below(180));
         while Instant::now() < until {
             submitted += 1;
-            let (on_slurm, shards) = match submitted % 24 {
+            let (on_slurm, shards) = match submitted % 32 {
                 3 => (cluster.is_some(), 2),
-                15 => (cluster.is_some(), 0),
-                7 | 19 => (false, 3),
+                19 => (cluster.is_some(), 0),
+                7 | 23 => (false, 3),
                 _ => (false, 0),
             };
             let request = json!({
