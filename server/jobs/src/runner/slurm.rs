@@ -314,6 +314,7 @@ impl Runner for SlurmRunner {
         );
         Ok(())
     }
+
     fn state(&self, launch: &Launch, handle: Option<&str>) -> Result<RunState, JobsError> {
         let name = self.queue_name(launch);
         if let Some(exit) = launch.folder.exit(launch.attempt) {
