@@ -9,7 +9,8 @@
 //! take a part of every action away. Commands are part of what is seen.
 //!
 //! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of
-//! fixed size whose gradients are added in order. On a graphics card (feature `gpu`) a training gets other bits. Nothing here knows a robot or a simulator.
+//! fixed size whose gradients are added in order. On a graphics card (feature `gpu`) a training
+//! gets other bits. Nothing here knows a robot or a simulator.
 
 mod cloned;
 mod config;
