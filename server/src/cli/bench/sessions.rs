@@ -1,4 +1,4 @@
-//! `palpate bench sessions`: how long a studio takes to start and to list a data folder of many sessions.
+//! `palpate bench sessions`: how long a studio takes to start and to list a data folder of many sessions and jobs.
 //!
 //! Sessions are the shipped emulated one again and again. Their takes are hard links, because a thousand copies fill
 //! seven gigabytes; the studio takes each for a file of its own.
@@ -15,8 +15,9 @@ use palpate_recording::Session;
 use palpate_server::{Error, assets};
 use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::SessionSummary;
+use palpate_wire::api::{Job, JobPage, SessionSummary};
 use serde::Serialize;
+use serde_json::json;
 
 use super::{
     output,
@@ -32,6 +33,9 @@ pub(crate) struct SessionsArgs {
     /// Sessions in the folder
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u16).range(1..))]
     sessions: u16,
+    /// Jobs that have ended there
+    #[arg(long, default_value_t = 10_000)]
+    jobs: u32,
     /// How often the studio is started
     #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u16).range(1..))]
     starts: u16,
@@ -57,6 +61,7 @@ impl Durations {
 struct SessionsBenchReport {
     sessions: usize,
     takes: usize,
+    jobs: u32,
     /// The list when nothing is known of the takes, so that each is decoded, s.
     first_list_s: f64,
     starts: u16,
@@ -66,7 +71,9 @@ struct SessionsBenchReport {
     healthy_s: Durations,
     /// Until the first list was answered too.
     listed_s: Durations,
-    /// The list once more.
+    /// Until the newest jobs were listed too.
+    jobs_listed_s: Durations,
+    /// The list of sessions once more.
     listed_again_s: Durations,
     /// The list as sent.
     list_bytes: usize,
@@ -86,6 +93,9 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
         link(&recorded, &sessions.join(format!("session-{number:05}")))?;
     }
     let takes = usize::from(args.sessions) * recorded.file.takes.len();
+    // One job at a time, so that others wait.
+    let runners = data.path().join("runners.toml");
+    fs::write(&runners, "[process]\ncores = 1\n").map_err(Error::io("write", &runners))?;
     let bar = Bar::new();
     let studio = Studio::start(data.path(), &[])?;
     bar.report(0.0, "first list");
@@ -93,10 +103,12 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
     client.wait_up_to(FIRST_LIST_PATIENCE)?;
     let (listed, first_list_s): (Vec<SessionSummary>, f64) = client.ask("GET", "sessions", None)?;
     check(&listed, usize::from(args.sessions), takes)?;
+    leave_jobs(&mut client, args.jobs, &bar)?;
     drop(studio);
 
     let load_average = load_average();
     let (mut listening, mut healthy, mut listed, mut again) = (vec![], vec![], vec![], vec![]);
+    let mut jobs_listed = vec![];
     let (mut list_bytes, mut peak_memory_mb) = (0, 0.0);
     for start in 0..args.starts {
         bar.report(f64::from(start) / f64::from(args.starts), "starts");
@@ -108,6 +120,11 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
         healthy.push(begun.elapsed().as_secs_f64());
         let (list, _) = client.exchange("GET", "/api/v1/sessions", None)?;
         listed.push(begun.elapsed().as_secs_f64());
+        let (page, _): (JobPage, _) = client.ask("GET", "jobs", None)?;
+        jobs_listed.push(begun.elapsed().as_secs_f64());
+        if page.jobs.is_empty() != (args.jobs == 0) {
+            return Err(Error::Internal(format!("{} jobs were listed of {}", page.jobs.len(), args.jobs)));
+        }
         again.push(client.exchange("GET", "/api/v1/sessions", None)?.1);
         let entries: Vec<SessionSummary> =
             serde_json::from_slice(&list).map_err(|err| Error::Internal(format!("no list: {err}")))?;
@@ -119,11 +136,13 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
     let report = SessionsBenchReport {
         sessions: usize::from(args.sessions),
         takes,
+        jobs: args.jobs,
         first_list_s,
         starts: args.starts,
         listening_s: Durations::of(&listening),
         healthy_s: Durations::of(&healthy),
         listed_s: Durations::of(&listed),
+        jobs_listed_s: Durations::of(&jobs_listed),
         listed_again_s: Durations::of(&again),
         list_bytes,
         peak_memory_mb,
@@ -134,15 +153,16 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
 
 fn print(report: &SessionsBenchReport) -> Result<(), Error> {
     output::line(&format!(
-        "{} sessions of {} takes in all: the first list, which decodes every take, took {:.1} s; load average {:.1}",
-        report.sessions, report.takes, report.first_list_s, report.load_average
+        "{} sessions of {} takes in all, {} jobs: the first list, which decodes every take, took {:.1} s; load average {:.1}",
+        report.sessions, report.takes, report.jobs, report.first_list_s, report.load_average
     ))?;
     output::line(&format!("{:34} {:>8} {:>8}", format!("{} starts, s", report.starts), "median", "longest"))?;
     for (name, of) in [
         ("until it listens", &report.listening_s),
         ("until it answers /healthz", &report.healthy_s),
         ("until it has listed all sessions", &report.listed_s),
-        ("the list once more", &report.listed_again_s),
+        ("until it has listed jobs too", &report.jobs_listed_s),
+        ("the list of sessions once more", &report.listed_again_s),
     ] {
         output::line(&format!("{name:34} {:>8.3} {:>8.3}", of.median, of.max))?;
     }
@@ -151,6 +171,28 @@ fn print(report: &SessionsBenchReport) -> Result<(), Error> {
         report.list_bytes / 1000,
         report.peak_memory_mb
     ))
+}
+
+/// Queues `jobs` behind one that runs, and cancels each.
+fn leave_jobs(client: &mut Client, jobs: u32, bar: &Bar) -> Result<(), Error> {
+    let mut queue = |request: serde_json::Value| -> Result<Job, Error> {
+        Ok(client.ask("POST", "jobs", Some(&request))?.0)
+    };
+    if jobs == 0 {
+        return Ok(());
+    }
+    let first =
+        queue(json!({ "kind": "blind", "request": { "seeds": 1_000_000 }, "resources": { "cores": 1 } }))?;
+    let mut ids = vec![first.id];
+    for number in 1..jobs {
+        bar.report(f64::from(number) / f64::from(jobs), "jobs");
+        ids.push(queue(json!({ "kind": "diagnose", "request": { "session": "session-00001" } }))?.id);
+    }
+    // Those that wait end at once; the one that runs comes last, or another would take its place.
+    for id in ids.iter().rev() {
+        let _: Job = client.ask("POST", &format!("jobs/{id}/cancel"), None)?.0;
+    }
+    Ok(())
 }
 
 /// Makes a session in the folder `dir` with the takes of `session`.
