@@ -342,6 +342,7 @@ async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored()
 #[tokio::test]
 async fn an_imitation_that_has_the_graphics_card_learns_on_it() {
     let data = Data::empty();
+    fs::create_dir_all(data.root()).unwrap();
     fs::write(data.root().join("runners.toml"), "[process]\ngpu = true\n").unwrap();
     let (app, _state) = studio(&data, &program(&data, STAND_IN));
     let gathered = start(&app, "gathering", json!({ "objects": ["cube"], "count": 3 })).await;
