@@ -123,6 +123,8 @@ await step("the policy is traced back to the trials that it imitates", async () 
 await step("a training that would go on for hours is cancelled", async () => {
   await button("Start a training").click();
   await choose("Tune a script");
+  // Until it is there, the button is where the form of the kind before has it.
+  await page.getByText("Makes a closing script better").waitFor();
   await button("Start").click();
   await page.waitForURL(/job=tuning-1/);
   await until("the tuning works", async () => (await document("/jobs/tuning-1")).fraction > 0);
