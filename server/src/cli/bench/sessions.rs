@@ -5,6 +5,7 @@
 
 use std::{
     fs,
+    net::SocketAddr,
     path::Path,
     time::{Duration, Instant},
 };
@@ -27,6 +28,9 @@ use super::{
 
 /// A first list decodes every take.
 const FIRST_LIST_PATIENCE: Duration = Duration::from_secs(3600);
+
+/// A studio takes so many of one connection in a second, and as fast as they are answered here it would be more.
+const REQUESTS_OF_A_CONNECTION: usize = 100;
 
 #[derive(Args)]
 pub(crate) struct SessionsArgs {
@@ -103,7 +107,7 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
     client.wait_up_to(FIRST_LIST_PATIENCE)?;
     let (listed, first_list_s): (Vec<SessionSummary>, f64) = client.ask("GET", "sessions", None)?;
     check(&listed, usize::from(args.sessions), takes)?;
-    leave_jobs(&mut client, args.jobs, &bar)?;
+    leave_jobs(studio.addr, args.jobs, &bar)?;
     drop(studio);
 
     let load_average = load_average();
@@ -174,23 +178,26 @@ fn print(report: &SessionsBenchReport) -> Result<(), Error> {
 }
 
 /// Queues `jobs` behind one that runs, and cancels each.
-fn leave_jobs(client: &mut Client, jobs: u32, bar: &Bar) -> Result<(), Error> {
-    let mut queue = |request: serde_json::Value| -> Result<Job, Error> {
-        Ok(client.ask("POST", "jobs", Some(&request))?.0)
-    };
-    if jobs == 0 {
-        return Ok(());
-    }
-    let first =
-        queue(json!({ "kind": "blind", "request": { "seeds": 1_000_000 }, "resources": { "cores": 1 } }))?;
-    let mut ids = vec![first.id];
-    for number in 1..jobs {
+fn leave_jobs(addr: SocketAddr, jobs: u32, bar: &Bar) -> Result<(), Error> {
+    let holder = json!({ "kind": "blind", "request": { "seeds": 1_000_000 }, "resources": { "cores": 1 } });
+    let waiting = json!({ "kind": "diagnose", "request": { "session": "session-00001" } });
+    let mut client = Client::connect(addr)?;
+    let mut ids = Vec::new();
+    for number in 0..jobs {
         bar.report(f64::from(number) / f64::from(jobs), "jobs");
-        ids.push(queue(json!({ "kind": "diagnose", "request": { "session": "session-00001" } }))?.id);
+        if ids.len() % REQUESTS_OF_A_CONNECTION == 0 {
+            client = Client::connect(addr)?;
+        }
+        let request = if number == 0 { &holder } else { &waiting };
+        let (job, _): (Job, _) = client.ask("POST", "jobs", Some(request))?;
+        ids.push(job.id);
     }
     // Those that wait end at once; the one that runs comes last, or another would take its place.
-    for id in ids.iter().rev() {
-        let _: Job = client.ask("POST", &format!("jobs/{id}/cancel"), None)?.0;
+    for (number, id) in ids.iter().rev().enumerate() {
+        if number % REQUESTS_OF_A_CONNECTION == 0 {
+            client = Client::connect(addr)?;
+        }
+        let _: (Job, _) = client.ask("POST", &format!("jobs/{id}/cancel"), None)?;
     }
     Ok(())
 }
