@@ -124,8 +124,7 @@ impl OnCard {
             (self.parameters[idx], self.first[idx], self.second[idx]) = (value, first, second);
         }
         // Only now, so that the card had everything to do before anybody waits for it.
-        let found = floats(Tensor::cat(vec![loss, norm], 0));
-        let [loss, norm] = [f64::from(found[0]), f64::from(found[1])];
+        let [loss, norm] = [number(loss)?, number(norm)?];
         let diverged = |what| Err(CloneError::Diverged { what, update });
         match (loss.is_finite(), norm.is_finite()) {
             (false, _) => diverged("a prediction"),
@@ -174,6 +173,14 @@ impl OnCard {
     }
 }
 
-fn floats(tensor: Tensor<1>) -> Vec<f32> {
-    tensor.into_data().try_into_vec().expect("networks are made of 32-bit floats")
+/// The one number of `tensor`, once the card has it.
+fn number(tensor: Tensor<1>) -> Result<f64, CloneError> {
+    let failed = |err: &dyn std::fmt::Display| {
+        CloneError::Device(format!(
+            "the graphics card failed: {err}; go on from the last checkpoint with `--resume`"
+        ))
+    };
+    let data = tensor.try_into_data().map_err(|err| failed(&err))?;
+    let numbers: Vec<f32> = data.try_into_vec().map_err(|err| failed(&format!("{err:?}")))?;
+    numbers.first().map(|&number| f64::from(number)).ok_or_else(|| failed(&"it gave no number"))
 }
