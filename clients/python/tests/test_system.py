@@ -279,7 +279,7 @@ def test_a_slow_reader_gets_new_frames(p: Palpate) -> None:
 
 def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
     kinds = {kind.kind: kind for kind in p.jobs.kinds()}
-    trainings = ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation"]
+    trainings = ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "pipeline"]
     assert set(kinds) >= {"calibrate", "diagnose", *trainings}
     # Where palpate-train is missing, that is said of all of them.
     assert len({kinds[kind].problem for kind in trainings}) == 1
@@ -291,6 +291,7 @@ def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
         lambda: p.jobs.pretraining(["no such job"]),
         lambda: p.jobs.gathering(["no such object"]),
         lambda: p.jobs.imitation(["no such job"]),
+        lambda: p.jobs.pipeline(model="no such model"),
     ]
     for ask in asks:
         with pytest.raises(PalpateError) as caught:

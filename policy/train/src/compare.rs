@@ -1,5 +1,6 @@
 //! Compares policies under a protocol, on the same starts.
 
+mod kept;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -19,6 +20,7 @@ use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, events};
 use rayon::prelude::*;
 
+use self::kept::{ArmRecord, Record};
 use self::report::{Arm, Comparison, OfObject};
 use crate::clone::{self, Imitator};
 use crate::evaluate::EvaluateArgs;
@@ -70,8 +72,23 @@ impl Mover {
     }
 }
 
+/// One arm of a comparison: what moves the robot, and what that gets to know.
+struct Contestant {
+    name: String,
+    /// What moves the robot, as the command names it.
+    policy: String,
+    mover: Mover,
+    known: Known,
+}
+
 /// The arms of a comparison, the policy first.
-fn arms(args: &EvaluateArgs) -> anyhow::Result<Vec<(String, Mover, Known)>> {
+fn arms(args: &EvaluateArgs) -> anyhow::Result<Vec<Contestant>> {
+    let arm = |name: &str, policy: &str, mover: &Mover, known: Known| Contestant {
+        name: name.to_owned(),
+        policy: policy.to_owned(),
+        mover: mover.clone(),
+        known,
+    };
     let policy = Mover::parse(&args.policy);
     let whole = policy.known();
     let known = Known {
@@ -79,32 +96,28 @@ fn arms(args: &EvaluateArgs) -> anyhow::Result<Vec<(String, Mover, Known)>> {
         tracking: whole.tracking && !args.hide_tracking,
         ..whole
     };
-    let mut arms = vec![("policy".to_owned(), policy.clone(), known)];
+    let mut arms = vec![arm("policy", &args.policy, &policy, known)];
     if args.controls {
-        for (name, mover) in [
-            ("script", Mover::Script),
-            ("repetition", Mover::Search(Senses::NONE)),
-            ("oracle", Mover::Oracle),
-        ] {
-            let known = mover.known();
-            arms.push((name.to_owned(), mover, known));
+        for name in ["script", "repetition", "oracle"] {
+            let mover = Mover::parse(name);
+            arms.push(arm(name, name, &mover, mover.known()));
         }
         for (name, known) in [
             ("silenced", Known { touch: false, ..known }),
             ("tracking_hidden", Known { tracking: false, ..known }),
             ("clock_only", Known { touch: false, tracking: false, ..known }),
         ] {
-            arms.push((name.to_owned(), policy.clone(), known));
+            arms.push(arm(name, &args.policy, &policy, known));
         }
     }
     for text in &args.beside {
         let mover = Mover::parse(text);
-        let known = mover.known();
-        arms.push((text.clone(), mover, known));
+        arms.push(arm(text, text, &mover, mover.known()));
     }
-    let twice = arms.iter().enumerate().find(|(idx, arm)| arms[..*idx].iter().any(|one| one.0 == arm.0));
-    if let Some((_, (name, ..))) = twice {
-        bail!("{name:?} is compared twice; leave one --beside out");
+    let twice =
+        arms.iter().enumerate().find(|(idx, arm)| arms[..*idx].iter().any(|one| one.name == arm.name));
+    if let Some((_, arm)) = twice {
+        bail!("{:?} is compared twice; leave one --beside out", arm.name);
     }
     Ok(arms)
 }
@@ -122,6 +135,9 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         files::check_out(out)?;
     }
+    if let Some(folder) = &args.by_object {
+        std::fs::create_dir_all(folder).with_context(|| format!("failed to create {folder:?}"))?;
+    }
     if args.task.scene.start_cm.is_some() {
         bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
     }
@@ -138,24 +154,50 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let mut endings: Vec<Vec<OfObject>> = arms.iter().map(|_| Vec::new()).collect();
     for object in &objects {
         let mut of_object = Bench::open(args, object, &protocol)?;
-        for ((_, mover, known), endings) in arms.iter().zip(&mut endings) {
-            let ready = of_object.ready(args, mover, *known, &protocol, &mut experiences)?;
-            let scene = if known.touch { &of_object.scene } else { &of_object.without_touch };
-            let trials = (0..protocol.trials)
-                .into_par_iter()
-                .map(|trial| {
-                    let ending = ready.run(scene, *known, protocol.seed, trial)?;
-                    let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-                    bar.report(done as f64 / all as f64, "trials");
-                    Ok(ending)
-                })
-                .collect::<anyhow::Result<Vec<Ending>>>()?;
-            endings.push(OfObject { id: scene.object().id.clone(), group: scene.object().group, trials });
+        let ready = arms
+            .iter()
+            .map(|arm| of_object.ready(args, &arm.mover, arm.known, &protocol, &mut experiences))
+            .collect::<anyhow::Result<Vec<Ready>>>()?;
+        let kept = args.by_object.as_ref().map(|folder| {
+            let record = of_object.record(args, &protocol, &arms);
+            (kept::path(folder, &record.object), record)
+        });
+        let found = match &kept {
+            Some((path, record)) => kept::read(path, record)?,
+            None => None,
+        };
+        let of_arms = if let Some(found) = found {
+            done.fetch_add(protocol.trials * arms.len() as u64, Ordering::Relaxed);
+            bar.line(&format!("{}: {} trials are there already", of_object.id(), protocol.trials));
+            found
+        } else {
+            let mut of_arms = Vec::with_capacity(arms.len());
+            for (arm, ready) in arms.iter().zip(&ready) {
+                let scene = if arm.known.touch { &of_object.scene } else { &of_object.without_touch };
+                let trials = (0..protocol.trials)
+                    .into_par_iter()
+                    .map(|trial| {
+                        let ending = ready.run(scene, arm.known, protocol.seed, trial)?;
+                        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+                        bar.report(done as f64 / all as f64, "trials");
+                        Ok(ending)
+                    })
+                    .collect::<anyhow::Result<Vec<Ending>>>()?;
+                of_arms.push(trials);
+            }
+            if let Some((path, record)) = kept {
+                kept::write(&path, record, &of_arms)?;
+            }
+            of_arms
+        };
+        let group = of_object.scene.object().group;
+        for (trials, endings) in of_arms.into_iter().zip(&mut endings) {
+            endings.push(OfObject { id: of_object.id(), group, trials });
         }
         of_object.sources.list().into_iter().for_each(|source| sources.keep(source));
     }
     drop(bar);
-    let arms = arms.into_iter().zip(endings).map(|((name, ..), objects)| Arm { name, objects }).collect();
+    let arms = arms.into_iter().zip(endings).map(|(arm, objects)| Arm { name: arm.name, objects }).collect();
     let comparison = Comparison {
         protocol_name: name,
         protocol,
@@ -223,6 +265,27 @@ impl Bench {
         })
     }
 
+    fn id(&self) -> String {
+        self.scene.object().id.clone()
+    }
+
+    /// What trials of `arms` are made with, once these are ready.
+    fn record(&self, args: &EvaluateArgs, protocol: &Protocol, arms: &[Contestant]) -> Record {
+        let of_arm = |arm: &Contestant| ArmRecord {
+            name: arm.name.clone(),
+            policy: arm.policy.clone(),
+            known: arm.known,
+        };
+        Record {
+            object: self.id(),
+            protocol: protocol.clone(),
+            arms: arms.iter().map(of_arm).collect(),
+            know_shape: args.know_shape,
+            without_script: args.task.without_script,
+            sources: self.sources.list(),
+        }
+    }
+
     /// Makes `mover` ready to run.
     fn ready(
         &mut self,
@@ -232,7 +295,7 @@ impl Bench {
         protocol: &Protocol,
         experiences: &mut Experiences,
     ) -> anyhow::Result<Ready> {
-        let id = self.scene.object().id.clone();
+        let id = self.id();
         match mover {
             Mover::Script => Ok(Ready::Scripted(Arc::new(self.script.clone()))),
             Mover::Search(_) | Mover::Oracle => {

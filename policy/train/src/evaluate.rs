@@ -54,6 +54,9 @@ pub(crate) struct EvaluateArgs {
     /// The searching expert and the oracle know which of the shapes in the closings they look for
     #[arg(long, requires = "protocol")]
     pub(crate) know_shape: bool,
+    /// Folder for the trials, a file an object: trials that are there already are not run again
+    #[arg(long, requires = "protocol")]
+    pub(crate) by_object: Option<PathBuf>,
     /// Write the comparison with every trial to this file
     #[arg(long, requires = "protocol")]
     pub(crate) out: Option<PathBuf>,

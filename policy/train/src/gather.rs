@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{Episode, Moment, Robot, Step};
+use palpate_grasp::Protocol;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::search::{Prior, Searcher, Senses};
 use palpate_grasp::trial::{Known, Outcome, Score, conduct};
@@ -99,12 +100,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     }
     let sources = Sources::default();
     let (protocol_name, protocol) = compare::protocol(&args.protocol, &sources)?;
-    if protocol.seed == args.seed {
-        bail!(
-            "--seed is {}, the seed of the protocol {protocol_name:?}: what is learned would be judged on the same starts",
-            args.seed
-        );
-    }
+    check_seed(args.seed, &protocol_name, &protocol)?;
     files::start_threads(args.scene.threads)?;
     let objects = files::objects(&args.objects)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("failed to create {:?}", args.out))?;
@@ -178,6 +174,16 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     }
     drop(bar);
     events::report(&report);
+    Ok(())
+}
+
+/// Refuses to learn from the starts that a protocol judges by.
+pub(crate) fn check_seed(seed: u64, protocol_name: &str, protocol: &Protocol) -> anyhow::Result<()> {
+    if protocol.seed == seed {
+        bail!(
+            "--seed is {seed}, the seed of the protocol {protocol_name:?}: what is learned would be judged on the same starts"
+        );
+    }
     Ok(())
 }
 

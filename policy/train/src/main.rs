@@ -1,5 +1,6 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than they,
-//! searches by touch, keeps what experts do and imitates it, scores what was learned, pretrains the tactile encoder,
+//! searches by touch, keeps what experts do and imitates it, scores what was learned, does all of that as one pipeline,
+//! pretrains the tactile encoder,
 //! and measures the grasp world's speed.
 
 mod against_hand;
@@ -15,6 +16,7 @@ mod export;
 mod files;
 mod gather;
 mod learning;
+mod pipeline;
 mod policy;
 mod ppo;
 mod script;
@@ -57,6 +59,8 @@ enum Command {
     Gather(gather::GatherArgs),
     /// Learn to do what an expert did: by regression or by diffusion
     Clone(clone::CloneArgs),
+    /// From a sensor model to policies that are scored: closings, gathered trials, trainings, evaluations, a report
+    Pipeline(pipeline::PipelineArgs),
     /// Pretrain the tactile encoder with what demonstrations know beyond touch
     Encode(encode::EncodeArgs),
     /// Make a small file of a policy, for `evaluate` and `demos`, or of an encoder
@@ -127,6 +131,7 @@ fn main() -> ExitCode {
         Command::Demos(args) => demos::run(&args),
         Command::Gather(args) => gather::run(&args),
         Command::Clone(args) => clone::run(&args),
+        Command::Pipeline(args) => pipeline::run(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Curves(args) => curves::run(&args),

@@ -15,8 +15,8 @@ use axum::{
 use palpate_wire::api::{
     BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DemonstrationsRequest,
     DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest, EvaluationRequest, ExpertRequest,
-    GatheringRequest, ImitationRequest, LEASE_HEADER, PretrainingRequest, ProblemDetails, ProblemType,
-    TuneRequest,
+    GatheringRequest, ImitationRequest, LEASE_HEADER, PipelineRequest, PretrainingRequest, ProblemDetails,
+    ProblemType, TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
@@ -65,7 +65,8 @@ use super::{
         DemonstrationsRequest,
         PretrainingRequest,
         GatheringRequest,
-        ImitationRequest
+        ImitationRequest,
+        PipelineRequest
     )),
 )]
 struct Head;

@@ -9,6 +9,7 @@ mod evaluation;
 mod expert;
 mod gathering;
 mod imitation;
+mod pipeline;
 mod pretraining;
 mod shards;
 mod training;
@@ -47,6 +48,7 @@ pub(crate) const KINDS: &[&JobKind] = &[
     &pretraining::PRETRAINING,
     &gathering::GATHERING,
     &imitation::IMITATION,
+    &pipeline::PIPELINE,
 ];
 
 /// The numbers that a job found.

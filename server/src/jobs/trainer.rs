@@ -1,41 +1,24 @@
 //! `palpate-train` as a child process: the program that learns, which is built apart so that the studio never links
 //! MuJoCo.
 //!
-//! It is told to print events (`palpate_terminal::events`), and ends when this process does, for its standard input
-//! then ends. What it prints besides goes to the log of the job.
+//! It runs as [`child`] says. What it prints besides events goes to the log of the job.
 
 use std::{
     env,
     ffi::OsString,
     fs,
-    io::{self, BufRead, BufReader, Read, Write as _},
     os::unix::{fs::PermissionsExt as _, process::ExitStatusExt as _},
     path::{Path, PathBuf},
-    process::{Command, ExitStatus, Stdio},
-    sync::atomic::{AtomicBool, Ordering},
-    thread,
-    time::{Duration, Instant},
+    process::ExitStatus,
 };
 
-use palpate_sim::job::{Cancel, Progress};
-use rustix::process::{Pid, Signal, kill_process};
-use serde::Deserialize;
-use serde_json::{Map, Value};
+use palpate_terminal::child::{self, Listener};
+use serde_json::Value;
 
 use crate::Error;
 
 /// Its name.
 const PROGRAM: &str = "palpate-train";
-/// Longest line of an event, bytes: the report of a large set of demonstrations has some hundred kilobytes.
-const MAX_LINE_BYTES: usize = 16 << 20;
-/// This much of a line that is no event goes to the log, characters.
-const MAX_LOGGED_CHARS: usize = 1000;
-/// Whether somebody asks to stop is looked at this often.
-const LOOK_PERIOD: Duration = Duration::from_millis(50);
-/// A request to stop is passed on after this. Where it went to the whole process group, as studios and terminals send
-/// it, the program has it already, and a second one would end it before it has left its folder in order.
-const PASS_ON_AFTER: Duration = Duration::from_secs(2);
-
 /// Where `palpate-train` is looked for.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trainer {
@@ -43,22 +26,6 @@ pub(crate) struct Trainer {
     pub(crate) configured: Option<PathBuf>,
     /// The `palpate` program.
     pub(crate) palpate: Option<PathBuf>,
-}
-
-/// Who hears of what it prints.
-pub(crate) struct Listener<'a> {
-    pub(crate) progress: &'a dyn Progress,
-    pub(crate) metrics: &'a dyn Fn(&Value),
-    pub(crate) cancel: &'a Cancel,
-}
-
-/// A line of its standard output.
-#[derive(Deserialize)]
-#[serde(tag = "event", rename_all = "snake_case")]
-enum Event {
-    Progress { fraction: f64, stage: String },
-    Metrics { point: Map<String, Value> },
-    Report { report: Value },
 }
 
 impl Trainer {
@@ -96,52 +63,16 @@ impl Trainer {
         let program = self.find()?;
         let shown: Vec<_> = args.iter().map(|arg| arg.to_string_lossy()).collect();
         println!("{PROGRAM} {}", shown.join(" "));
-        let mut child = Command::new(&program)
-            .arg("--events")
-            .args(args)
-            .current_dir(dir)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(Error::io("start", &program))?;
-        // Held until it has ended.
-        let _stdin = child.stdin.take();
-        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
-        let has_ended = AtomicBool::new(false);
-        let (report, complaint) = thread::scope(|scope| {
-            let asks = scope.spawn(|| {
-                let mut cancelled = None;
-                while !has_ended.load(Ordering::Relaxed) {
-                    if listener.cancel.is_cancelled() {
-                        let since = *cancelled.get_or_insert_with(Instant::now);
-                        if since.elapsed() >= PASS_ON_AFTER {
-                            // It is not waited for before this thread has ended, so the number is still its own.
-                            if let Some(pid) = pid {
-                                let _ = kill_process(pid, Signal::TERM);
-                            }
-                            return;
-                        }
-                    }
-                    thread::park_timeout(LOOK_PERIOD);
-                }
-            });
-            let complaint = scope.spawn(|| stderr.map(copy_complaints).unwrap_or_default());
-            let report = stdout.map(|stdout| read_events(stdout, listener)).transpose();
-            let complaint = complaint.join().unwrap_or_default();
-            has_ended.store(true, Ordering::Relaxed);
-            asks.thread().unpark();
-            (report, complaint)
-        });
-        let status = child.wait().map_err(Error::io("wait for", &program))?;
+        let mut command = child::command(&program);
+        let ended =
+            child::run(command.args(args).current_dir(dir), listener).map_err(Error::io("run", &program))?;
         if listener.cancel.is_cancelled() {
             return Err(Error::Cancelled);
         }
-        if !status.success() {
-            return Err(failure(status, &complaint));
+        match ended.status.success() {
+            true => Ok(ended.report),
+            false => Err(failure(ended.status, &ended.complaint)),
         }
-        Ok(report.map_err(Error::io("read what is printed by", &program))?.flatten())
     }
 }
 
@@ -163,94 +94,16 @@ fn failure(status: ExitStatus, complaint: &str) -> Error {
     }
 }
 
-/// Passes events on, and everything else to the log; gives the last report.
-fn read_events(stdout: impl Read, listener: &Listener<'_>) -> io::Result<Option<Value>> {
-    let mut report = None;
-    for_each_line(stdout, MAX_LINE_BYTES, |line| match line {
-        Line::Whole(line) => match serde_json::from_slice(line) {
-            Ok(Event::Progress { fraction, stage }) => listener.progress.report(fraction, &stage),
-            Ok(Event::Metrics { mut point }) => {
-                point.retain(|_, value| value.is_number());
-                if point.contains_key("step") {
-                    (listener.metrics)(&Value::Object(point));
-                }
-            }
-            Ok(Event::Report { report: found }) => report = Some(found),
-            Err(_) => {
-                let text: String = String::from_utf8_lossy(line).chars().take(MAX_LOGGED_CHARS).collect();
-                println!("{text}");
-            }
-        },
-        Line::TooLong => println!("a line of more than {MAX_LINE_BYTES} bytes was left out"),
-    })?;
-    Ok(report)
-}
-
-/// Copies what is meant for people to the log; gives the last line in which the program says why it cannot go on.
-fn copy_complaints(stderr: impl Read) -> String {
-    let mut complaint = String::new();
-    let copied = for_each_line(stderr, MAX_LINE_BYTES, |line| {
-        let Line::Whole(line) = line else { return };
-        let text = String::from_utf8_lossy(line);
-        // The log may be on a full disk; the work goes on.
-        let _ = writeln!(io::stderr(), "{text}");
-        let said = text.strip_prefix("palpate-train: ").or_else(|| text.strip_prefix("error: "));
-        if let Some(said) = said {
-            complaint = said.chars().take(MAX_LOGGED_CHARS).collect();
-        } else if text.contains("' panicked at ") {
-            complaint = text.chars().take(MAX_LOGGED_CHARS).collect();
-        }
-    });
-    if let Err(err) = copied {
-        tracing::warn!(%err, "failed to read what palpate-train says");
-    }
-    complaint
-}
-
-enum Line<'a> {
-    /// Without its end.
-    Whole(&'a [u8]),
-    /// It is left out.
-    TooLong,
-}
-
-/// Calls `read` with every line of `input`, of which `max_bytes` are kept at most.
-fn for_each_line(input: impl Read, max_bytes: usize, mut read: impl FnMut(Line<'_>)) -> io::Result<()> {
-    let mut input = BufReader::new(input);
-    let (mut line, mut is_too_long) = (Vec::new(), false);
-    loop {
-        let part = match input.fill_buf() {
-            Err(err) if err.kind() == io::ErrorKind::Interrupted => continue,
-            part => part?,
-        };
-        if part.is_empty() {
-            if is_too_long {
-                read(Line::TooLong);
-            } else if !line.is_empty() {
-                read(Line::Whole(&line));
-            }
-            return Ok(());
-        }
-        let end = part.iter().position(|&byte| byte == b'\n');
-        let text = &part[..end.unwrap_or(part.len())];
-        is_too_long |= line.len() + text.len() > max_bytes;
-        if !is_too_long {
-            line.extend_from_slice(text);
-        }
-        let used = end.map_or(part.len(), |end| end + 1);
-        input.consume(used);
-        if end.is_some() {
-            read(if is_too_long { Line::TooLong } else { Line::Whole(&line) });
-            line.clear();
-            is_too_long = false;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, Mutex};
+    use std::{
+        io,
+        sync::{Arc, Mutex},
+        thread,
+        time::{Duration, Instant},
+    };
 
+    use palpate_sim::job::{Cancel, Progress};
     use serde_json::json;
 
     use super::*;
@@ -280,7 +133,8 @@ mod tests {
         let (heard, points) = (Heard::default(), Mutex::new(Vec::new()));
         let listener = Listener {
             progress: &heard,
-            metrics: &|point| points.lock().unwrap().push(point.clone()),
+            metrics: &|point| points.lock().unwrap().push(Value::Object(point.clone())),
+            log: &|_| {},
             cancel,
         };
         let mut tries = 0;
@@ -358,20 +212,6 @@ printf '{"event":"progress","fraction":0.75,"stage":"the last line has no end"}'
             assert!(matches!(ran.result, Err(Error::Cancelled)), "{script}: {:?}", ran.result);
             assert!(begun.elapsed() < Duration::from_secs(300), "it was not waited for");
         }
-    }
-
-    #[test]
-    fn line_without_end_takes_no_memory() {
-        let mut lines = Vec::new();
-        let text = [vec![b'x'; 100_000], b"\nshort\n".to_vec(), vec![b'y'; 50]].concat();
-        for_each_line(&text[..], 40, |line| {
-            lines.push(match line {
-                Line::Whole(line) => String::from_utf8_lossy(line).into_owned(),
-                Line::TooLong => "too long".to_owned(),
-            });
-        })
-        .unwrap();
-        assert_eq!(lines, ["too long", "short", "too long"]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What long commands share: a progress bar with the time left on standard error, where that is a terminal, Ctrl-C as a
-//! request to stop, and [`events`] for programs that start such a command.
+//! request to stop, [`events`] for programs that start such a command, and [`child`] to start one.
 
+pub mod child;
 pub mod events;
 
 use std::sync::Arc;

@@ -51,8 +51,8 @@ echo '{"event":"report","report":{"won":3}}'
 "#;
 
 /// The kinds that the program works on.
-const TRAININGS: [&str; 7] =
-    ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation"];
+const TRAININGS: [&str; 8] =
+    ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "pipeline"];
 
 fn program(data: &Data, text: &str) -> PathBuf {
     let path = data.path("palpate-train");
@@ -331,10 +331,10 @@ async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored()
         "--events gather --count 3 --seed 5 --out runs/gathering-1/trials --objects cube,egg",
         "--events clone --seed 5 --out runs/imitation-1/training --resume --head diffusion --only-won --data \
          runs/gathering-1/trials",
-        "--events evaluate --policy clone:runs/imitation-1/policy.safetensors --seed 5 --protocol wide --objects seen --out \
-         runs/evaluation-1/comparison.json",
+        "--events evaluate --policy clone:runs/imitation-1/policy.safetensors --seed 5 --protocol wide --objects seen \
+         --by-object runs/evaluation-1/trials --out runs/evaluation-1/comparison.json",
         "--events evaluate --policy clone:runs/imitation-1/policy.safetensors --seed 5 --protocol wide --objects cube,ring \
-         --out runs/evaluation-2/comparison.json",
+         --by-object runs/evaluation-2/trials --out runs/evaluation-2/comparison.json",
     ];
     assert_eq!(asked, expected);
 }

@@ -11,7 +11,7 @@ use crate::env::stream;
 use crate::{Contacts, GraspConfig, GraspEnv, GraspError, GraspScene, Script, ScriptRun, Start, World};
 
 /// How a trial ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Touched, lifted, and held for the time asked.
@@ -211,7 +211,7 @@ fn judged<T>(
 }
 
 /// What a controller gets to know in a trial: controls of an experiment take something away, or give what no robot has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 pub struct Known {
     /// Touch as it is felt; otherwise no channel ever feels anything.
     pub touch: bool,
@@ -227,11 +227,12 @@ impl Known {
 }
 
 /// How a trial under a protocol ended.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Ending {
     /// Its verdict.
     pub outcome: Outcome,
     /// When the verdict was there, s.
+    #[serde(rename = "seconds")]
     pub time_s: f64,
     /// Whether the controller said in a task of one claim that it held the object.
     pub claimed: bool,

@@ -1,6 +1,6 @@
-// An operator starts trainings from the page: gathers an expert's trials, watches the curves, imitates the expert, and ends a
-// training that would go on for hours, also after the studio was started again, for which this writes the line "restart" and reads
-// the address of the new one. Usage: node training.mjs URL SCREENSHOT_DIR
+// An operator starts trainings and a diagnosis from Home: gathers an expert's trials, watches the curves, imitates the expert, and
+// ends a training that would go on for hours and the diagnosis that waits for it, both found again after the studio was started
+// again, for which this writes the line "restart" and reads the address of the new one. Usage: node training.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
 import { once } from "node:events";
 import { join } from "node:path";
@@ -68,14 +68,15 @@ async function look(name) {
 }
 
 await step("the form has every training, and this studio can do all of them", async () => {
-  await page.goto(`${url}/#/jobs`);
+  await page.goto(`${url}/#/home`);
   await button("Start a training").click();
+  await page.waitForURL(/job=new/);
   await page.getByRole("combobox", { name: "What to start" }).click();
   const kinds = await document("/kinds");
   assert.deepEqual(kinds.filter(({ is_available }) => !is_available), []);
   await page.getByRole("option").last().waitFor();
   const words = await page.getByRole("option").allTextContents();
-  assert.equal(words.length, 7, words.join(", "));
+  assert.equal(words.length, 8, words.join(", "));
   await page.keyboard.press("Escape");
 });
 
@@ -134,12 +135,37 @@ await step("a training that would go on for hours is cancelled", async () => {
   await shot("cancelled");
 });
 
-await step("tried again it works on while the studio is started again, and is found there", async () => {
+await step("a session is calibrated from Home, which then offers to diagnose it", async () => {
+  const asked = { kind: "emulate", request: { truth: "demo", session: "demo" } };
+  const { id } = await (await page.request.post(`${url}/api/v1/jobs`, { data: asked })).json();
+  await until("the session", async () => (await ended(id)) === "done");
+  await page.goto(`${url}/#/home`);
+  await button("Calibrate on demo").click();
+  await page.waitForURL(/#\/calibrate\/demo/);
+  const [{ id: run }] = await until("the calibration", async () => {
+    const runs = await document("/calibrations");
+    return runs.length > 0 && runs[0].state === "done" && runs;
+  });
+  const saved = await page.request.post(`${url}/api/v1/calibrations/${run}/save`, { data: { name: "Demo hand" } });
+  assert.equal(saved.status(), 201, await saved.text());
+  await page.goto(`${url}/#/home`);
+  await button("Diagnose demo").waitFor();
+});
+
+await step("tried again it works on while the studio is started again, and is found there with what waits for it", async () => {
+  await page.goto(`${url}/#/jobs?job=tuning-1`);
   await button("Try again").click();
   await until("it works again", async () => {
     const { state, attempts, fraction } = await document("/jobs/tuning-1");
     return state === "running" && attempts === 2 && fraction > 0;
   });
+  await page.goto(`${url}/#/home`);
+  await button("Diagnose demo").click();
+  await page.waitForURL(/run=diagnosis-1/);
+  assert.equal((await document("/diagnoses"))[0].state, "queued", "it needs the cores that the tuning has");
+  await page.goto(`${url}/#/home`);
+  await page.getByRole("button", { name: "diagnosis-1: diagnose waits for its turn" }).waitFor();
+  await look("home");
   await page.goto("about:blank");
   console.log("restart");
   const answers = createInterface({ input: process.stdin });
@@ -153,6 +179,16 @@ await step("tried again it works on while the studio is started again, and is fo
   assert.deepEqual([state, attempts], ["running", 2], "it went on");
   await button("Cancel").click();
   await until("the tuning is cancelled", async () => (await ended("tuning-1")) === "cancelled");
+  await page.goto(`${url}/#/home`);
+  await page.getByRole("button", { name: /^diagnosis-1: diagnose \d+ %/ }).click();
+  await until("the diagnosis works", async () => (await ended("diagnosis-1")) === "running");
+  await button("Cancel").click();
+  await until("the diagnosis is cancelled", async () => (await ended("diagnosis-1")) === "cancelled");
+  await button("Try again").click();
+  await until("the diagnosis works again", async () => (await document("/jobs/diagnosis-1")).attempts === 2);
+  await until("it has begun", async () => (await document("/jobs/diagnosis-1")).fraction > 0);
+  await button("Cancel").click();
+  await until("the diagnosis is cancelled again", async () => (await ended("diagnosis-1")) === "cancelled");
 });
 
 assert.deepEqual(errors, [], "the page logged errors");

@@ -116,8 +116,16 @@ fn no_job_yet_says_what_a_job_is() {
 }
 
 fn kinds(api: &SharedApi, problem: Option<&str>) {
-    let trainings =
-        ["expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "tune"];
+    let trainings = [
+        "expert",
+        "evaluation",
+        "demonstrations",
+        "pretraining",
+        "gathering",
+        "imitation",
+        "pipeline",
+        "tune",
+    ];
     let kinds = trainings.map(|kind| JobKindDocument {
         kind: kind.into(),
         resources: Default::default(),

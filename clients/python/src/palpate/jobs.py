@@ -210,7 +210,7 @@ class Jobs:
     ) -> Job:
         """Scores a policy in fresh trials, or under a protocol.
 
-        `policy` is a job of `expert`, the name of a shipped policy, or, under a protocol, a job of `imitation`.
+        `policy` is a job of `expert`, the name of a shipped policy, or, under a protocol, a job of `imitation` or `pipeline`.
         `objects` are ids, or one of `seen`, `unseen` and `all`; None means the policy's own.
         """
         return self._train(
@@ -341,6 +341,25 @@ class Jobs:
             hide_tracking=hide_tracking,
             only_won=only_won,
         )
+
+    def pipeline(
+        self,
+        *,
+        preset: str | None = None,
+        config: str | None = None,
+        model: str | Model | None = None,
+        key: str | None = None,
+    ) -> Job:
+        """From a sensor model to policies that are scored: closings, gathered trials, trainings, evaluations, a report.
+
+        Args:
+            preset: What to do: `small` (without) or `paper`.
+            config: The text of a configuration in place of a preset; seeds stand in it.
+            model: Saved sensor model that makes touch; None means the station's nominal model.
+            key: The same text again gives the same job again.
+
+        """
+        return self._train("pipeline", 0, key, preset=preset, config=config, model=model)
 
     def tune(
         self,

@@ -121,17 +121,10 @@ impl Arm {
         let mean_s = self.counts(|_| true).and_then(|counts| counts.mean_seconds);
         document.insert("mean_seconds".to_owned(), serde_json::json!(mean_s));
         if with_trials {
-            let trials: BTreeMap<&str, Vec<serde_json::Value>> = self
+            let trials: BTreeMap<&str, serde_json::Value> = self
                 .objects
                 .iter()
-                .map(|object| {
-                    let trial = |ending: &Ending| {
-                        serde_json::json!({
-                            "outcome": ending.outcome, "seconds": ending.time_s, "claimed": ending.claimed,
-                        })
-                    };
-                    (object.id.as_str(), object.trials.iter().map(trial).collect())
-                })
+                .map(|object| (object.id.as_str(), serde_json::json!(object.trials)))
                 .collect();
             document.insert("trials".to_owned(), serde_json::json!(trials));
         }

@@ -157,14 +157,46 @@ fn an_expert_is_trained_scored_and_cancelled_while_the_studio_comes_and_goes() {
     }
     let log = std::fs::read_to_string(data.join(format!("runs/{gathered}/log.txt"))).expect("a log");
     assert_eq!(log.matches("trials are there already").count(), 2, "{log}");
+    // Undivided it leaves the same bytes.
+    let request = json!({ "objects": ["cube", "ball"], "count": 2 });
+    let whole = start(&studio, "gathering", &request);
+    done(&studio, &data, &whole);
+    let trials = |id: &str, object: &str| {
+        std::fs::read(data.join(format!("runs/{id}/trials/{object}.safetensors.zst"))).expect("trials")
+    };
+    for object in ["cube", "ball"] {
+        assert!(trials(&whole, object) == trials(&gathered, object), "other bytes on {object}");
+    }
     let config = "updates = 4\ncheckpoint_updates = 2\nbatch_size = 4\ntrunk = [8]\n";
     let imitated = start(&studio, "imitation", &json!({ "trials": [gathered], "config": config }));
     let learned = done(&studio, &data, &imitated);
     assert_eq!(learned["updates"], 4, "{learned}");
     assert_eq!(curve_steps(&data, &imitated), [2, 4], "a point a checkpoint");
-    let request = json!({ "policy": imitated, "protocol": "paper", "objects": ["cube"], "trials": 1 });
-    let compared = done(&studio, &data, &start(&studio, "evaluation", &request));
-    assert!(compared.to_string().contains("\"cube\""), "{compared}");
+    let request =
+        json!({ "policy": imitated, "protocol": "paper", "objects": ["cube", "ball"], "trials": 1 });
+    let divided =
+        json!({ "kind": "evaluation", "request": request, "seed": 3, "resources": { "shards": 2 } });
+    let divided = studio.post::<Job>("/jobs", &divided).expect("it waits").id;
+    let compared = [divided, start(&studio, "evaluation", &request)].map(|id| {
+        let mut report = done(&studio, &data, &id);
+        report["seconds"] = Value::Null;
+        report
+    });
+    assert_eq!(compared[0]["objects"]["cube"]["trials"], 1, "{}", compared[0]);
+    assert_eq!(compared[0], compared[1], "divided it finds something else");
+    let shipped = json!({ "policy": "searching", "protocol": "paper", "objects": ["cube"], "trials": 1 });
+    done(&studio, &data, &start(&studio, "evaluation", &shipped));
+    // All of that as one job, whose first policy serves as its own.
+    let config = "[closings]\nobjects = \"cube\"\ncount = 12\nseed = 3\n\
+        [trials]\nobjects = \"cube\"\ncount = 4\nprotocol = \"wide\"\nseed = 101\n\
+        [[policies]]\nname = \"short\"\nupdates = 2\nseeds = [0]\n\
+        [[evaluations]]\nprotocol = \"paper\"\nobjects = \"cube\"\ntrials = 1\n";
+    let pipeline = start(&studio, "pipeline", &json!({ "config": config }));
+    let report = done(&studio, &data, &pipeline);
+    assert_eq!(report["evaluations"]["paper"]["short_0"]["seen"]["trials"], 1, "{report}");
+    assert!(data.join(format!("runs/{pipeline}/report.html")).is_file());
+    let request = json!({ "policy": pipeline, "protocol": "paper", "objects": ["cube"], "trials": 1 });
+    done(&studio, &data, &start(&studio, "evaluation", &request));
     // The seed of the starts by which policies are judged is refused, and the job says so.
     let same = json!({ "kind": "gathering", "request": { "count": 1 }, "seed": 2 });
     let job: Job = studio.post("/jobs", &same).expect("it waits");

@@ -91,19 +91,20 @@ fn a_search_is_compared_with_its_controls_and_has_the_same_bits_for_any_number_o
     let again = path("again.safetensors");
     make(&again, "3");
     assert_eq!(std::fs::read(&closings).expect("a file"), std::fs::read(&again).expect("a file"));
-    let run = |out: &str, threads: &str| -> Value {
-        printed(&[
+    let kept = path("kept");
+    let call = |objects: &str, seed: &str, out: &str, more: &[&str]| {
+        let args = [
             "evaluate",
             "--policy",
             "search",
             "--protocol",
             "claim",
             "--objects",
-            "cube,ring",
+            objects,
             "--trials",
             "3",
             "--seed",
-            "9",
+            seed,
             "--controls",
             "--beside",
             "search:touch",
@@ -111,13 +112,23 @@ fn a_search_is_compared_with_its_controls_and_has_the_same_bits_for_any_number_o
             &closings,
             "--out",
             out,
-            "--threads",
-            threads,
-        ]);
-        let text = std::fs::read_to_string(Path::new(out)).expect("a file");
-        serde_json::from_str(&text).expect("a report")
+        ];
+        palpate_train(&[&args, more].concat())
     };
-    let (mut one, mut other) = (run(&path("one.json"), "1"), run(&path("other.json"), "3"));
+    let run = |objects: &str, out: &str, more: &[&str]| -> (Value, String) {
+        let output = call(objects, "9", out, more);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}");
+        let text = std::fs::read_to_string(Path::new(out)).expect("a file");
+        (serde_json::from_str(&text).expect("a report"), said)
+    };
+    let (mut one, _) = run("cube,ring", &path("one.json"), &["--threads", "1"]);
+    // In two calls, each of which keeps its trials.
+    let by_object = ["--threads", "3", "--by-object", &kept];
+    let (ring, _) = run("ring", &path("ring.json"), &by_object);
+    assert_eq!(ring["trials"]["ring"], one["trials"]["ring"]);
+    let (mut other, said) = run("cube,ring", &path("other.json"), &by_object);
+    assert!(said.contains("ring: 3 trials are there already") && !said.contains("cube: 3"), "{said}");
     for report in [&mut one, &mut other] {
         report["seconds"] = Value::Null;
     }
@@ -134,6 +145,12 @@ fn a_search_is_compared_with_its_controls_and_has_the_same_bits_for_any_number_o
         assert_eq!(won(&one) - won(control), only("only_policy") - only("only_control"), "{name}");
     }
     assert_eq!((&one["seen"]["trials"], &one["unseen"]["trials"]), (&3.into(), &3.into()));
+    let refused = call("ring", "8", &path("refused.json"), &by_object);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        !refused.status.success() && said.contains("3 starts of seed 9 within 8 cm, expected 3 of seed 8"),
+        "{said}"
+    );
     // Who has been told the place finds the cube.
     assert!(one["controls"]["oracle"]["objects"]["cube"]["successes"].as_i64() >= Some(2), "{one}");
 }

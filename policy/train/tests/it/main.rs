@@ -5,6 +5,7 @@ mod cloning;
 mod comparisons;
 mod demonstrations;
 mod encoders;
+mod pipeline;
 mod policies;
 
 use std::path::Path;

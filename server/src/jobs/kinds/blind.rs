@@ -12,7 +12,7 @@ use palpate_jobs::{JobFolder, Shard};
 use palpate_wire::api::{BlindDomain, BlindRequest};
 use serde_json::Value;
 
-use super::{JobKind, JobWork, LONG, Sharding, check_truth_name, parse};
+use super::{JobKind, JobWork, LONG, Sharding, check_truth_name, parse, shards};
 use crate::{Error, Store, assets};
 
 /// Hides effects in emulated sessions, has them diagnosed, and scores the names.
@@ -51,8 +51,7 @@ fn count(request: &Value) -> Result<u64, Error> {
 fn shard(request: &Value, seed: u64, seeds: Range<u64>) -> Result<Shard, Error> {
     let of_all: BlindRequest = parse(&BLIND, request)?;
     let request = BlindRequest { seeds: seeds.end - seeds.start, ..of_all };
-    let request = serde_json::to_value(request).map_err(|err| Error::Internal(err.to_string()))?;
-    Ok(Shard { request, seed: seed.saturating_add(seeds.start) })
+    shards::shard(&request, seed.saturating_add(seeds.start))
 }
 
 /// Adds the shard's answers to the job's: those that are there are not asked for again.

@@ -1,22 +1,28 @@
 //! `palpate-train evaluate` as a job.
 
-use std::{ffi::OsString, path::PathBuf};
+use std::{ffi::OsString, ops::Range, path::PathBuf};
 
+use palpate_jobs::{JobFolder, Shard};
 use palpate_wire::api::{ArtifactSort, EvaluationRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
+    JobKind, JobWork, Sharding, parse, shards,
     training::{
-        Arguments, PolicyOf, check_counts, check_objects, check_protocol, check_start, model_file, objects,
-        training,
+        Arguments, PolicyOf, TRIALS_DIR, check_counts, check_objects, check_protocol, check_start,
+        model_file, named_objects, objects, training,
     },
 };
 use crate::{Error, Store};
 
 /// Scores a policy.
-pub(crate) const EVALUATION: JobKind =
-    training("evaluation", "evaluation-", ArtifactSort::Evaluation, check, work);
+pub(crate) const EVALUATION: JobKind = JobKind {
+    sharding: Some(Sharding { parts: "objects", count, shard, take_over }),
+    ..training("evaluation", "evaluation-", ArtifactSort::Evaluation, check, work)
+};
+
+/// Objects of an imitation that names none.
+const USUAL_OBJECTS: &str = "seen";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: EvaluationRequest = parse(&EVALUATION, request)?;
@@ -44,7 +50,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let policy = PolicyOf::find(store, &request.policy)?;
     if request.protocol.is_none() && matches!(policy, PolicyOf::Imitation { .. }) {
         return Err(Error::Argument(format!(
-            "job {:?} imitates an expert on many objects; give a protocol that says where they start",
+            "policy {:?} imitates an expert on many objects; give a protocol that says where they start",
             request.policy
         )));
     }
@@ -54,13 +60,36 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     Ok(files)
 }
 
+fn count(request: &Value) -> Result<u64, Error> {
+    let request: EvaluationRequest = parse(&EVALUATION, request)?;
+    let why = match (&request.protocol, &request.objects[..]) {
+        (Some(_), [_, ..]) => return Ok(named_objects(&request.objects, USUAL_OBJECTS).len() as u64),
+        (None, _) => "without a protocol an evaluation is of one object",
+        (Some(_), []) => {
+            "the request does not say which objects the shards share; give objects, or \"seen\", \"unseen\" or \"all\""
+        }
+    };
+    Err(Error::Argument(format!("resources.shards: {why}")))
+}
+
+fn shard(request: &Value, seed: u64, of_shard: Range<u64>) -> Result<Shard, Error> {
+    let of_all: EvaluationRequest = parse(&EVALUATION, request)?;
+    let objects = shards::some_of(named_objects(&of_all.objects, USUAL_OBJECTS), of_shard);
+    shards::shard(&EvaluationRequest { objects, ..of_all }, seed)
+}
+
+fn take_over(cx: &JobWork<'_>, shard: &JobFolder) -> Result<(), Error> {
+    shards::take_files_over(&shard.file(TRIALS_DIR), &cx.folder.file(TRIALS_DIR))
+}
+
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let request: EvaluationRequest = parse(&EVALUATION, request)?;
     cx.forget_metrics()?;
-    let out = request.protocol.is_some().then(|| cx.folder.file("comparison.json"));
+    let file = |name: &str| request.protocol.is_some().then(|| cx.folder.file(name));
+    let (out, trials) = (file("comparison.json"), file(TRIALS_DIR));
     let policy = PolicyOf::find(cx.store, &request.policy)?;
     let named = match (&policy, &request.objects[..]) {
-        (PolicyOf::Imitation { .. }, []) => Some(OsString::from("seen")),
+        (PolicyOf::Imitation { .. }, []) => Some(OsString::from(USUAL_OBJECTS)),
         (_, []) => None,
         (_, ids) => Some(objects(cx.store, ids)),
     };
@@ -74,6 +103,7 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         .maybe("protocol", request.protocol)
         .path("objects", named)
         .flag("controls", request.controls)
+        .path("by-object", trials)
         .path("out", out);
     cx.train_and_report(arguments)
 }

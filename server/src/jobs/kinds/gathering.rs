@@ -1,13 +1,13 @@
 //! `palpate-train gather` as a job.
 
-use std::{fs, io, ops::Range, path::PathBuf};
+use std::{ops::Range, path::PathBuf};
 
 use palpate_jobs::{JobFolder, Shard};
 use palpate_wire::api::{ArtifactSort, GatheringRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, Sharding, parse,
+    JobKind, JobWork, Sharding, parse, shards,
     training::{
         Arguments, TRIALS_DIR, check_counts, check_objects, check_protocol, model_file, named_objects,
         objects, training,
@@ -40,29 +40,14 @@ fn count(request: &Value) -> Result<u64, Error> {
     Ok(named_objects(&request.objects, USUAL_OBJECTS).len() as u64)
 }
 
-fn shard(request: &Value, seed: u64, objects: Range<u64>) -> Result<Shard, Error> {
+fn shard(request: &Value, seed: u64, of_shard: Range<u64>) -> Result<Shard, Error> {
     let of_all: GatheringRequest = parse(&GATHERING, request)?;
-    let named = named_objects(&of_all.objects, USUAL_OBJECTS).into_iter();
-    let objects = named.skip(objects.start as usize).take((objects.end - objects.start) as usize).collect();
-    let request = serde_json::to_value(GatheringRequest { objects, ..of_all })
-        .map_err(|err| Error::Internal(err.to_string()))?;
-    Ok(Shard { request, seed })
+    let objects = shards::some_of(named_objects(&of_all.objects, USUAL_OBJECTS), of_shard);
+    shards::shard(&GatheringRequest { objects, ..of_all }, seed)
 }
 
-/// Moves the shard's files, one an object, to the job's: what is there is not made again.
 fn take_over(cx: &JobWork<'_>, shard: &JobFolder) -> Result<(), Error> {
-    let (from, to) = (shard.file(TRIALS_DIR), cx.folder.file(TRIALS_DIR));
-    let entries = match fs::read_dir(&from) {
-        Err(err) if err.kind() == io::ErrorKind::NotFound => return Ok(()),
-        entries => entries.map_err(Error::io("read", &from))?,
-    };
-    fs::create_dir_all(&to).map_err(Error::io("make", &to))?;
-    for entry in entries {
-        let entry = entry.map_err(Error::io("read", &from))?;
-        // Each object is one shard's; of what was cut off while it was written nobody takes notice.
-        fs::rename(entry.path(), to.join(entry.file_name())).map_err(Error::io("move", entry.path()))?;
-    }
-    Ok(())
+    shards::take_files_over(&shard.file(TRIALS_DIR), &cx.folder.file(TRIALS_DIR))
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {

@@ -4,10 +4,11 @@
 //! the shards have left in their folders and then does what it always does, for which it finds the work done. So a job
 //! has the same outcome divided or not, and one whose shards left nothing does all of it by itself.
 
-use std::ops::Range;
+use std::{fs, io, ops::Range, path::Path};
 
 use palpate_jobs::{JobFolder, Shard};
 use palpate_wire::api::{JobSpec, Resources};
+use serde::Serialize;
 use serde_json::Value;
 
 use super::{JobKind, JobWork, KINDS};
@@ -79,9 +80,36 @@ pub(crate) fn take_over(cx: &JobWork<'_>, kind: &JobKind, spec: &JobSpec) -> Res
     (0..spec.resources.shards).try_for_each(|shard| (sharding.take_over)(cx, &cx.folder.shard(shard)))
 }
 
+/// Those of `all` that a shard has.
+pub(super) fn some_of(all: Vec<String>, of_shard: Range<u64>) -> Vec<String> {
+    let each = (0..).zip(all).filter(|(idx, _)| of_shard.contains(idx));
+    each.map(|(_, one)| one).collect()
+}
+
+/// A shard that is asked `request`.
+pub(super) fn shard(request: &impl Serialize, seed: u64) -> Result<Shard, Error> {
+    let request = serde_json::to_value(request).map_err(|err| Error::Internal(err.to_string()))?;
+    Ok(Shard { request, seed })
+}
+
+/// Moves a shard's files, one an object, from folder `from` to the job's `to`: what is there is not made again.
+pub(super) fn take_files_over(from: &Path, to: &Path) -> Result<(), Error> {
+    let entries = match fs::read_dir(from) {
+        Err(err) if err.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(Error::io("read", from))?,
+    };
+    fs::create_dir_all(to).map_err(Error::io("make", to))?;
+    for entry in entries {
+        let entry = entry.map_err(Error::io("read", from))?;
+        // Each object is one shard's; of what was cut off while it was written nobody takes notice.
+        fs::rename(entry.path(), to.join(entry.file_name())).map_err(Error::io("move", entry.path()))?;
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
-    use palpate_wire::api::{BlindRequest, GatheringRequest};
+    use palpate_wire::api::{BlindRequest, EvaluationRequest, GatheringRequest};
     use proptest::prelude::*;
     use serde_json::json;
 
@@ -98,13 +126,20 @@ mod tests {
             divided(kind, &request, 0, shards).unwrap_err().to_string()
         };
         let err = refused("expert", json!({ "object": "cube" }), 2);
-        assert!(err.contains("resources.shards = 2") && err.contains("it is for blind, gathering"), "{err}");
+        assert!(
+            err.contains("resources.shards = 2") && err.contains("it is for blind, evaluation, gathering"),
+            "{err}"
+        );
         let err = refused("blind", json!({ "seeds": 3 }), 4);
         assert!(err.contains("3 seeds; give at most 3"), "{err}");
         let err = refused("blind", json!({ "seeds": u64::MAX }), 1000);
         assert!(err.contains("give at most 256"), "{err}");
         let err = refused("gathering", json!({ "objects": ["cube"] }), 2);
         assert!(err.contains("1 objects; give at most 1"), "{err}");
+        let err = refused("evaluation", json!({ "policy": "cube" }), 2);
+        assert!(err.contains("without a protocol"), "{err}");
+        let err = refused("evaluation", json!({ "policy": "imitation-1", "protocol": "wide" }), 2);
+        assert!(err.contains("give objects, or \"seen\""), "{err}");
         let kind = super::super::kind("blind").unwrap();
         let request = json!({ "seeds": 3 });
         let err = |resources| super::shards(kind, &request, 0, &resources).unwrap_err().to_string();
@@ -130,6 +165,16 @@ mod tests {
         assert!(unseen.contains(&"ring".to_owned()) && !seen.concat().contains(&"ring".to_owned()));
         assert_eq!(objects(json!({ "objects": ["all"] }), 20).len(), 20);
         assert_eq!(objects(json!({ "objects": ["ring", "cube"], "count": 3 }), 2), [["ring"], ["cube"]]);
+        let request =
+            json!({ "policy": "imitation-1", "protocol": "wide", "objects": ["all"], "controls": true });
+        for (shard, of_gathering) in divided("evaluation", &request, 7, 6)
+            .unwrap()
+            .into_iter()
+            .zip(objects(json!({ "objects": ["all"] }), 6))
+        {
+            let of_shard: EvaluationRequest = serde_json::from_value(shard.request).unwrap();
+            assert_eq!((of_shard.objects, of_shard.controls, shard.seed), (of_gathering, true, 7));
+        }
     }
 
     proptest! {

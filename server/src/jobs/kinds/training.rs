@@ -1,17 +1,23 @@
 //! What the kinds that `palpate-train` works on share: what their requests refer to, and its arguments.
 
-use std::{ffi::OsString, fs, path::PathBuf};
+use std::{
+    ffi::OsString,
+    fs,
+    io::{self, Write as _},
+    path::PathBuf,
+};
 
 use palpate_jobs::JobFolder;
 use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
+use palpate_terminal::child::Listener;
 use palpate_wire::api::{ArtifactSort, ExpertRequest, JobSpec, JobState, Resources};
 use serde_json::Value;
 
 use super::{
     JobKind, JobWork, LONG, demonstrations::DEMONSTRATIONS, expert::EXPERT, gathering::GATHERING,
-    imitation::IMITATION, tune::TUNE,
+    imitation::IMITATION, pipeline::PIPELINE, tune::TUNE,
 };
-use crate::{Error, Store, assets, data::files, jobs::trainer::Listener};
+use crate::{Error, Store, assets, data::files};
 
 /// What a training learns.
 pub(crate) const POLICY_FILE: &str = "policy.safetensors";
@@ -29,6 +35,9 @@ pub(super) const TRIALS_DIR: &str = "trials";
 const TRAINING: Resources = LONG;
 /// Groups that a list of objects may name in place of objects.
 const GROUPS: [&str; 3] = ["seen", "unseen", "all"];
+
+/// Shipped policies that imitate an expert.
+const IMITATIONS: &str = "policies/imitation";
 
 /// The script where an object has none of its own.
 const USUAL_SCRIPT: &str = "xarm6_leap_cube";
@@ -106,20 +115,21 @@ impl JobWork<'_> {
         if !training.join("checkpoint.safetensors").exists() {
             self.forget_metrics()?;
         }
-        let config = match config {
-            Some(text) => {
-                let path = self.folder.file("config.toml");
-                files::write(&path, text.as_bytes())?;
-                Some(path)
-            }
-            None => None,
-        };
+        let config = self.configuration(config)?;
         Ok(Arguments::of(command)
             .maybe("preset", preset)
             .path("config", config)
             .with("seed", self.seed.to_string())
             .with("out", training)
             .flag("resume", true))
+    }
+
+    /// The text of a configuration as a file, if there is one.
+    pub(super) fn configuration(&self, text: Option<&str>) -> Result<Option<PathBuf>, Error> {
+        let Some(text) = text else { return Ok(None) };
+        let path = self.folder.file("config.toml");
+        files::write(&path, text.as_bytes())?;
+        Ok(Some(path))
     }
 
     /// Runs `palpate-train` beside the shipped assets, and leaves its report.
@@ -140,7 +150,13 @@ impl JobWork<'_> {
     /// Runs it where no report is wanted.
     pub(super) fn run_trainer(&self, arguments: Arguments) -> Result<Option<Value>, Error> {
         let workplace = Workplace::make(self.folder)?;
-        let listener = Listener { progress: self.progress, metrics: self.metrics, cancel: self.cancel };
+        let listener = Listener {
+            progress: self.progress,
+            metrics: &|point| (self.metrics)(&Value::Object(point.clone())),
+            // The log may be on a full disk; the work goes on.
+            log: &|line| drop(writeln!(io::stderr(), "{line}")),
+            cancel: self.cancel,
+        };
         self.trainer.run(&workplace.0, &arguments.0, &listener)
     }
 
@@ -158,7 +174,7 @@ impl JobWork<'_> {
     pub(super) fn forget_metrics(&self) -> Result<(), Error> {
         let path = self.folder.file("metrics.jsonl");
         match fs::remove_file(&path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
                 Err(Error::Io { action: "remove", path, source })
             }
             _ => Ok(()),
@@ -194,7 +210,7 @@ pub(super) enum PolicyOf {
     /// It was trained with one object, on top of a script or without one.
     Expert { file: Place, object: String, script: Option<Place> },
     /// It imitates an expert, whatever the object.
-    Imitation { file: PathBuf },
+    Imitation { file: Place },
 }
 
 /// Where something is.
@@ -224,24 +240,30 @@ impl Place {
 }
 
 impl PolicyOf {
-    /// The policy called `name`: a job of kind `expert` or `imitation`, or a shipped one.
+    /// The policy called `name`: a job of kind `expert`, `imitation` or `pipeline`, or a shipped one.
     pub(super) fn find(store: &Store, name: &str) -> Result<Self, Error> {
         files::check_id("policy", name)?;
         if let Some((folder, spec)) = job(store, name)? {
-            if spec.kind == IMITATION.name {
-                let file = outcome(&folder, &spec, name, &IMITATION, POLICY_FILE)?;
-                return Ok(Self::Imitation { file });
+            let many = [&IMITATION, &PIPELINE].into_iter().find(|kind| kind.name == spec.kind);
+            if let Some(kind) = many {
+                let file = outcome(&folder, &spec, name, kind, POLICY_FILE)?;
+                return Ok(Self::Imitation { file: Place::Own(file) });
             }
             let file = outcome(&folder, &spec, name, &EXPERT, POLICY_FILE)?;
             let request: ExpertRequest = super::parse(&EXPERT, &spec.request)?;
             let script = (!request.without_script).then(|| Place::Own(folder.file(SCRIPT_FILE)));
             return Ok(Self::Expert { file: Place::Own(file), object: request.object, script });
         }
+        let imitations = assets::names_in(IMITATIONS, ".safetensors");
+        if imitations.contains(&name) {
+            let file = Place::Shipped(format!("assets/{IMITATIONS}/{name}.safetensors"));
+            return Ok(Self::Imitation { file });
+        }
         let shipped = assets::names_in("policies", ".safetensors");
         if !shipped.contains(&name) {
             return Err(Error::Argument(format!(
-                "no policy {name:?}: there is no such job of kind \"expert\", and shipped are {}",
-                shipped.join(", ")
+                "no policy {name:?}: there is no such job of kind \"expert\", \"imitation\" or \"pipeline\", and shipped are {}",
+                [shipped, imitations].concat().join(", ")
             )));
         }
         Ok(Self::Expert {
@@ -258,7 +280,7 @@ impl PolicyOf {
                 let script = script.as_ref().and_then(Place::own);
                 file.own().into_iter().chain(script).chain(object_file(store, object)).collect()
             }
-            Self::Imitation { file } => vec![file.clone()],
+            Self::Imitation { file } => file.own().into_iter().collect(),
         }
     }
 
@@ -274,7 +296,7 @@ impl PolicyOf {
             }
             Self::Imitation { file } => {
                 let mut policy = OsString::from("clone:");
-                policy.push(file);
+                policy.push(file.argument());
                 arguments.with("policy", policy)
             }
         }

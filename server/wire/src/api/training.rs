@@ -52,7 +52,7 @@ pub struct ExpertRequest {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EvaluationRequest {
-    /// A job of kind `expert`, the name of a shipped policy, or, under a protocol, a job of kind `imitation`.
+    /// A job of kind `expert`, the name of a shipped policy, or, under a protocol, a job of kind `imitation` or `pipeline`.
     pub policy: String,
     /// Trials; absent means the protocol's, or 50.
     pub trials: Option<u64>,
@@ -128,6 +128,20 @@ pub struct GatheringRequest {
     /// Where objects start, and for how long the expert may search: a shipped protocol; absent means `wide`. The job's seed
     /// must not be the protocol's.
     pub protocol: Option<String>,
+    /// Saved sensor model that makes touch; absent means the station's nominal model.
+    pub model: Option<String>,
+}
+
+/// Request of a job of kind `pipeline`: from a sensor model to policies that are scored. An attempt that was cut off goes on
+/// with the stage that it was at. Seeds are part of the configuration.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PipelineRequest {
+    /// What to do: `small` or `paper`; absent means `small`.
+    pub preset: Option<String>,
+    /// The text of a configuration (`palpate-train pipeline --print-config`) in place of a preset.
+    pub config: Option<String>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
     pub model: Option<String>,
 }

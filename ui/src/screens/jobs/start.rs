@@ -69,7 +69,7 @@ const TRAININGS: &[Training] = &[
         words: "Evaluate a policy",
         explained: "Scores a policy in fresh trials in simulation. A policy that imitates needs a protocol.",
         fields: &[
-            Field::Policy(&["expert", "imitation"]),
+            Field::Policy(&["expert", "imitation", "pipeline"]),
             number("trials", "Trials", "50, or the protocol's"),
             Field::Choice {
                 key: "protocol",
@@ -122,7 +122,18 @@ const TRAININGS: &[Training] = &[
             Field::Choice { key: "head", label: "What predicts", choices: &["", "regression", "diffusion"] },
             number("updates", "Updates", "as the preset says"),
             SILENCE,
+            Field::Flag { key: "hide_tracking", label: "Tracking errors", words: "are not seen" },
             Field::Flag { key: "only_won", label: "Learns from", words: "trials that were won only" },
+        ],
+    },
+    Training {
+        kind: "pipeline",
+        words: "Do it all, from model to scored policies",
+        explained: "Lets the expert gather trials, learns policies from them, scores them and writes a report: hours on every \
+                    core. It goes on where it was when it is tried again.",
+        fields: &[
+            Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
+            Field::Model,
         ],
     },
     Training {
@@ -402,7 +413,7 @@ fn done<'a>(jobs: &'a [Job], kind: &str) -> Vec<&'a str> {
 mod tests {
     use palpate_wire::api::{
         DemonstrationsRequest, EvaluationRequest, ExpertRequest, GatheringRequest, ImitationRequest,
-        PretrainingRequest, TuneRequest,
+        PipelineRequest, PretrainingRequest, TuneRequest,
     };
     use serde::de::DeserializeOwned;
     use serde_json::json;
@@ -493,6 +504,7 @@ mod tests {
                 "pretraining" => reads::<PretrainingRequest>(request.request),
                 "gathering" => reads::<GatheringRequest>(request.request),
                 "imitation" => reads::<ImitationRequest>(request.request),
+                "pipeline" => reads::<PipelineRequest>(request.request),
                 "tune" => reads::<TuneRequest>(request.request),
                 other => panic!("{other} is no kind of training"),
             };

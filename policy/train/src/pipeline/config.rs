@@ -1,0 +1,184 @@
+//! What a pipeline does, as a file.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use palpate_cloning::{CloneConfig, Head};
+use serde::Deserialize;
+
+use crate::files::{self, Sources};
+use crate::{compare, gather};
+
+/// Presets by name.
+const PRESETS: [(&str, &str); 2] = [
+    ("small", include_str!("../../presets/pipeline_small.toml")),
+    ("paper", include_str!("../../presets/pipeline_paper.toml")),
+];
+
+/// Everything that a pipeline does, in the order in which it is done.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PipelineConfig {
+    /// What the searching expert learns from.
+    pub(super) closings: ClosingsConfig,
+    /// What policies learn from.
+    pub(super) trials: TrialsConfig,
+    /// What is learned; the first seed of the first is what everything else is compared with.
+    pub(super) policies: Vec<PolicyConfig>,
+    /// How policies are scored.
+    pub(super) evaluations: Vec<EvaluationConfig>,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ClosingsConfig {
+    /// "seen", "unseen", "all", or names with commas between.
+    pub(super) objects: String,
+    /// On each object, at least 1.
+    pub(super) count: u64,
+    pub(super) seed: u64,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TrialsConfig {
+    /// "seen", "unseen", "all", or names with commas between.
+    pub(super) objects: String,
+    /// On each object, at least 1.
+    pub(super) count: u64,
+    /// A file, or the name of a shipped protocol.
+    pub(super) protocol: String,
+    /// Not that of a protocol of `evaluations`.
+    pub(super) seed: u64,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PolicyConfig {
+    /// Letters, digits, "_" and "-".
+    pub(super) name: String,
+    /// A preset of `palpate-train clone`, or a file.
+    pub(super) preset: Option<String>,
+    pub(super) config: Option<PathBuf>,
+    /// "regression" or "diffusion"; absent means the configuration's.
+    pub(super) head: Option<Head>,
+    /// Absent means the configuration's.
+    pub(super) updates: Option<u64>,
+    #[serde(default)]
+    pub(super) silence_touch: bool,
+    #[serde(default)]
+    pub(super) hide_tracking: bool,
+    /// One training each.
+    pub(super) seeds: Vec<u64>,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EvaluationConfig {
+    /// A file, or the name of a shipped protocol.
+    pub(super) protocol: String,
+    /// "seen", "unseen", "all", or names with commas between.
+    pub(super) objects: String,
+    /// Beside script, blind repetition, oracle, and the first policy without its senses.
+    #[serde(default)]
+    pub(super) controls: bool,
+    /// Starts an object; absent means the protocol's.
+    pub(super) trials: Option<u64>,
+    /// Feel what this truth file says instead of what the sensor model says.
+    pub(super) truth: Option<PathBuf>,
+}
+
+impl PolicyConfig {
+    /// How it is learned, in full.
+    pub(super) fn clone_config(&self) -> anyhow::Result<CloneConfig> {
+        let mut config = match (&self.preset, &self.config) {
+            (Some(_), Some(_)) => {
+                bail!("policies: {:?} has a preset and a config; leave one out", self.name)
+            }
+            (_, Some(path)) => CloneConfig::from_toml(&files::shown(path), &files::text(path)?)?,
+            (preset, None) => CloneConfig::preset(preset.as_deref().unwrap_or("small"))?,
+        };
+        config.head = self.head.unwrap_or(config.head);
+        config.updates = self.updates.unwrap_or(config.updates);
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+impl EvaluationConfig {
+    /// The protocol's name, and the truth's if it is felt.
+    pub(super) fn name(&self) -> String {
+        let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let protocol = stem(Path::new(&self.protocol));
+        self.truth.as_ref().map_or_else(|| protocol.clone(), |truth| format!("{protocol}_{}", stem(truth)))
+    }
+}
+
+impl PipelineConfig {
+    /// The text of a preset.
+    pub(super) fn preset(name: &str) -> anyhow::Result<&'static str> {
+        let found = PRESETS.iter().find(|(preset, _)| *preset == name);
+        let names = PRESETS.map(|(preset, _)| preset).join(" or ");
+        Ok(found.with_context(|| format!("--preset is {name:?}, expected {names}"))?.1)
+    }
+
+    /// Reads `text`, which `file` names in errors, and whatever can be refused before anything starts.
+    pub(super) fn read(file: &str, text: &str) -> anyhow::Result<Self> {
+        let config: Self = palpate_training::parse(file, text)?;
+        config.check().with_context(|| format!("{file} cannot be run"))?;
+        Ok(config)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        let (closings, trials) = (&self.closings, &self.trials);
+        for (field, count) in [("closings.count", closings.count), ("trials.count", trials.count)] {
+            if count == 0 {
+                bail!("{field} is 0, expected at least 1");
+            }
+        }
+        for (field, objects) in [("closings", &closings.objects), ("trials", &trials.objects)] {
+            files::objects(objects).with_context(|| format!("{field}.objects is {objects:?}"))?;
+        }
+        let protocol = |given: &str| compare::protocol(given, &Sources::default());
+        protocol(&trials.protocol).context("trials.protocol")?;
+        if self.policies.is_empty() || self.evaluations.is_empty() {
+            bail!("policies and evaluations need at least one entry each");
+        }
+        let mut names = BTreeSet::new();
+        for policy in &self.policies {
+            let name = &policy.name;
+            let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            if name.is_empty() || !name.chars().all(is_plain) {
+                bail!("policies: the name is {name:?}, expected letters, digits, _ and -");
+            }
+            if !names.insert(name.clone()) {
+                bail!("policies: {name:?} is there twice");
+            }
+            let seeds: BTreeSet<u64> = policy.seeds.iter().copied().collect();
+            if seeds.is_empty() || seeds.len() != policy.seeds.len() {
+                bail!("policies: seeds of {name:?} are {:?}, expected one or more, each once", policy.seeds);
+            }
+            policy.clone_config().with_context(|| format!("policies: {name:?}"))?;
+        }
+        names.clear();
+        for evaluation in &self.evaluations {
+            let name = evaluation.name();
+            if !names.insert(name.clone()) {
+                bail!("evaluations: {name:?} is there twice");
+            }
+            if evaluation.trials == Some(0) {
+                bail!("evaluations: trials of {name:?} is 0, expected at least 1");
+            }
+            let (_, protocol) =
+                protocol(&evaluation.protocol).with_context(|| format!("evaluations: {name:?}"))?;
+            gather::check_seed(trials.seed, &name, &protocol).context("trials.seed")?;
+            files::objects(&evaluation.objects)
+                .with_context(|| format!("evaluations: objects of {name:?} is {:?}", evaluation.objects))?;
+            if let Some(truth) = evaluation.truth.as_ref().filter(|truth| !truth.is_file()) {
+                bail!("evaluations: truth of {name:?} is {truth:?}, and there is no such file");
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,216 @@
+//! The stages of a pipeline: each is a command of this program, what it reads of earlier ones, and what it leaves.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use palpate_cloning::{Head, POLICY_FILE};
+
+use super::PipelineArgs;
+use super::config::{EvaluationConfig, PipelineConfig, PolicyConfig};
+use crate::{compare, files};
+
+/// Seconds of one core that the parts of a stage take with the preset `small`, as measured for docs/learning.md; what
+/// takes longer on another machine takes longer by about the same factor.
+mod core_s {
+    pub(super) const CLOSING: f64 = 0.05;
+    pub(super) const TRIAL: f64 = 0.11;
+    /// A trial of an evaluation, for each second of the episode.
+    pub(super) const EVALUATED_S: f64 = 0.012;
+    pub(super) const REGRESSION_UPDATE: f64 = 0.04;
+    pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
+}
+
+/// One stage.
+#[derive(Debug)]
+pub(super) struct Stage {
+    pub(super) name: String,
+    /// Arguments of `palpate-train`.
+    pub(super) command: Vec<OsString>,
+    /// Names of earlier stages whose results it reads.
+    pub(super) needs: Vec<String>,
+    /// Files that it reads besides the assets and what earlier stages made.
+    pub(super) files: Vec<PathBuf>,
+    /// What it leaves for later stages and for people; a folder means every file in it.
+    pub(super) results: Vec<PathBuf>,
+    /// Everything that it writes.
+    pub(super) writes: Vec<PathBuf>,
+    /// Seconds of one core that it takes, roughly.
+    pub(super) core_s: f64,
+    /// Whether it uses more than one core.
+    pub(super) is_parallel: bool,
+}
+
+/// A command in the making.
+struct Command(Vec<OsString>);
+
+impl Command {
+    fn of(name: &str) -> Self {
+        Self(vec![name.into()])
+    }
+
+    fn with(mut self, flag: &str, value: impl Into<OsString>) -> Self {
+        self.0.extend([format!("--{flag}").into(), value.into()]);
+        self
+    }
+
+    fn maybe(self, flag: &str, value: Option<impl Into<OsString>>) -> Self {
+        match value {
+            Some(value) => self.with(flag, value),
+            None => self,
+        }
+    }
+
+    fn flag(mut self, flag: &str, is_wanted: bool) -> Self {
+        if is_wanted {
+            self.0.push(format!("--{flag}").into());
+        }
+        self
+    }
+}
+
+/// A training of a pipeline.
+pub(super) struct Training<'a> {
+    pub(super) policy: &'a PolicyConfig,
+    pub(super) seed: u64,
+    pub(super) folder: PathBuf,
+}
+
+impl Training<'_> {
+    pub(super) fn name(&self) -> String {
+        format!("{}_{}", self.policy.name, self.seed)
+    }
+
+    /// As `palpate-train evaluate` names it.
+    pub(super) fn as_policy(&self) -> OsString {
+        let mut text = OsString::from("clone:");
+        text.push(&self.folder);
+        text
+    }
+}
+
+/// Every training, in the order in which they are compared.
+pub(super) fn trainings<'a>(config: &'a PipelineConfig, out: &Path) -> Vec<Training<'a>> {
+    let of_policy = |policy: &'a PolicyConfig| {
+        policy.seeds.iter().map(move |&seed| {
+            let folder = out.join("policies").join(format!("{}_{seed}", policy.name));
+            Training { policy, seed, folder }
+        })
+    };
+    config.policies.iter().flat_map(of_policy).collect()
+}
+
+/// Where an evaluation is written.
+pub(super) fn comparison(out: &Path, evaluation: &EvaluationConfig) -> PathBuf {
+    out.join("evaluations").join(format!("{}.json", evaluation.name()))
+}
+
+/// What `config` asks for in the folder `out`, in the order in which it is done.
+pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -> anyhow::Result<Vec<Stage>> {
+    let count = |objects: &str| -> anyhow::Result<f64> { Ok(files::objects(objects)?.len() as f64) };
+    let model = args.model.as_ref();
+    let own = |path: Option<&PathBuf>| path.cloned().into_iter().collect::<Vec<_>>();
+    let closings_file = out.join("closings.safetensors");
+    let closings = &config.closings;
+    let mut stages = vec![Stage {
+        name: "closings".to_owned(),
+        command: Command::of("closings")
+            .with("objects", &closings.objects)
+            .with("count", closings.count.to_string())
+            .with("seed", closings.seed.to_string())
+            .maybe("model", model)
+            .with("out", &closings_file)
+            .0,
+        needs: Vec::new(),
+        files: own(model),
+        results: vec![closings_file.clone()],
+        writes: vec![closings_file.clone()],
+        core_s: core_s::CLOSING * count(&closings.objects)? * closings.count as f64,
+        is_parallel: true,
+    }];
+    let (trials, trials_dir) = (&config.trials, out.join("trials"));
+    stages.push(Stage {
+        name: "trials".to_owned(),
+        command: Command::of("gather")
+            .with("objects", &trials.objects)
+            .with("count", trials.count.to_string())
+            .with("protocol", &trials.protocol)
+            .with("seed", trials.seed.to_string())
+            .maybe("model", model)
+            .with("closings", &closings_file)
+            .with("out", &trials_dir)
+            .0,
+        needs: vec!["closings".to_owned()],
+        files: own(model),
+        results: vec![trials_dir.clone()],
+        writes: vec![trials_dir.clone()],
+        core_s: core_s::TRIAL * count(&trials.objects)? * trials.count as f64,
+        is_parallel: true,
+    });
+    let trainings = trainings(config, out);
+    for training in &trainings {
+        let how = training.policy.clone_config()?;
+        let (head, update_core_s) = match how.head {
+            Head::Regression => ("regression", core_s::REGRESSION_UPDATE),
+            Head::Diffusion => ("diffusion", core_s::DIFFUSION_UPDATE),
+        };
+        stages.push(Stage {
+            name: training.name(),
+            command: Command::of("clone")
+                .with("data", &trials_dir)
+                .maybe("preset", training.policy.preset.as_ref())
+                .maybe("config", training.policy.config.as_ref())
+                .with("head", head)
+                .with("updates", how.updates.to_string())
+                .with("seed", training.seed.to_string())
+                .flag("silence-touch", training.policy.silence_touch)
+                .flag("hide-tracking", training.policy.hide_tracking)
+                .with("device", &args.device)
+                .flag("resume", true)
+                .with("out", &training.folder)
+                .0,
+            needs: vec!["trials".to_owned()],
+            files: own(training.policy.config.as_ref()),
+            results: vec![training.folder.join(POLICY_FILE)],
+            writes: vec![training.folder.clone()],
+            core_s: update_core_s * how.updates as f64,
+            is_parallel: false,
+        });
+    }
+    for evaluation in &config.evaluations {
+        let (_, protocol) = compare::protocol(&evaluation.protocol, &files::Sources::default())?;
+        let path = comparison(out, evaluation);
+        let by_object = path.with_extension("");
+        let mut command = Command::of("evaluate")
+            .with("protocol", &evaluation.protocol)
+            .with("objects", &evaluation.objects)
+            .maybe("trials", evaluation.trials.map(|trials| trials.to_string()))
+            .flag("controls", evaluation.controls)
+            .with("closings", &closings_file);
+        command = match &evaluation.truth {
+            Some(truth) => command.with("truth", truth),
+            None => command.maybe("model", model),
+        };
+        for (idx, training) in trainings.iter().enumerate() {
+            command = command.with(if idx == 0 { "policy" } else { "beside" }, training.as_policy());
+        }
+        let arms = trainings.len() + if evaluation.controls { 6 } else { 0 };
+        let trials = evaluation.trials.unwrap_or(protocol.trials) as f64;
+        stages.push(Stage {
+            name: format!("evaluation {}", evaluation.name()),
+            command: command.with("by-object", &by_object).with("out", &path).0,
+            needs: std::iter::once("closings".to_owned())
+                .chain(trainings.iter().map(Training::name))
+                .collect(),
+            files: own(evaluation.truth.as_ref()).into_iter().chain(own(model)).collect(),
+            results: vec![path.clone()],
+            writes: vec![path, by_object],
+            core_s: core_s::EVALUATED_S
+                * protocol.episode_s
+                * trials
+                * count(&evaluation.objects)?
+                * arms as f64,
+            is_parallel: true,
+        });
+    }
+    Ok(stages)
+}
