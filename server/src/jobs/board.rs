@@ -7,14 +7,14 @@ use std::{
 
 use palpate_jobs::{Database, Observer, Scheduler, SchedulerConfig, Submission, Submitted, runners};
 use palpate_wire::{
-    api::{Job, JobChanges, JobKindDocument, JobRequest, JobSpec},
+    api::{ArtifactSort, Job, JobChanges, JobKindDocument, JobRequest, JobSpec, JobState},
     proto::JobUpdate,
 };
 
 use serde_json::{Map, Value, json};
 
 use super::{kinds, legacy, trainer::Trainer};
-use crate::{Error, Hub, Store};
+use crate::{Error, Hub, Store, hub::List};
 
 /// The database of a data folder.
 pub(crate) const DATABASE_FILE: &str = "palpate.sqlite";
@@ -84,6 +84,13 @@ fn config_of(
     })
 }
 
+/// Id of the session that `job` has just made, if it is of a kind that makes one.
+fn session_made_by(job: &Job) -> Option<&str> {
+    let makes = kinds::kind(&job.kind).ok()?.makes?;
+    let is_made = job.state == JobState::Done && makes == ArtifactSort::Session;
+    job.spec.request["session"].as_str().filter(|_| is_made)
+}
+
 impl Jobs {
     /// Opens the jobs of `store`'s folder; what waits is started.
     pub(crate) fn open(store: Arc<Store>, hub: Arc<Hub>, trainer: Trainer) -> Result<Self, Error> {
@@ -92,6 +99,9 @@ impl Jobs {
         let observer: Observer = Arc::new(move |job| {
             hub.publish_job(&update_of(job));
             hub.tell_watchers(job);
+            if let Some(session) = session_made_by(job) {
+                hub.publish_changed(List::Sessions, session);
+            }
         });
         legacy::find_again(&store, &database)?;
         legacy::take_over(&store, &database)?;

@@ -7,12 +7,16 @@ use std::{
 
 use futures_util::StreamExt as _;
 use palpate_server::{AppState, app};
-use palpate_wire::proto::{JobUpdate, LiveFrame, StreamMessage, stream_message::Message as Kind};
+use palpate_wire::{
+    api::SessionSummary,
+    proto::{JobUpdate, LiveFrame, StreamMessage, stream_message::Message as Kind},
+};
 use prost::Message as _;
+use serde_json::json;
 use tokio::{net::TcpListener, time::timeout};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async, tungstenite::Message};
 
-use crate::support::{Data, post};
+use crate::support::{Data, get, post};
 
 type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
 
@@ -173,4 +177,24 @@ async fn late_client_gets_the_newest_frame_and_a_close_at_the_end() {
         }
     };
     assert!(matches!(message, Some(Ok(Message::Close(_)))), "{message:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_that_a_job_made_is_told_of_once_it_can_be_listed() {
+    let data = Data::empty();
+    let state = data.state();
+    let mut socket = connect(&state).await;
+    state.hub().publish_live(large_frame(0));
+    next(&mut socket).await;
+    let app = app(state.clone());
+    let request = json!({ "kind": "emulate", "request": { "truth": "bench", "session": "made" } });
+    assert_eq!(post(&app, "/api/v1/jobs", &request).await.status, 202);
+    let told = loop {
+        if let Some(Kind::Changed(changed)) = next(&mut socket).await.message {
+            break changed;
+        }
+    };
+    assert_eq!((told.list.as_str(), told.id.as_str()), ("sessions", "made"));
+    let sessions: Vec<SessionSummary> = get(&app, "/api/v1/sessions").await.json();
+    assert_eq!(sessions.iter().map(|session| session.id.as_str()).collect::<Vec<_>>(), ["made"]);
 }
