@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use answers::{Answer, Answers, Asked, Secret};
 pub use score::{BlindReport, LeftOut, Pairs, Scores, StrengthScores};
-use second::{Kept, Second};
+use second::{Kept, Part, Second};
 
 /// Whose physics the sessions of touch have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,6 +33,25 @@ pub enum World {
     /// Another skin, other boards, geometry that is a little off, and a person's pace: for reports alone. It hides what
     /// it can of the catalogue, and its sessions are imported from CSV files.
     B,
+    /// Of what is off in world b its skin alone.
+    C,
+    /// Of what is off in world b its boards alone.
+    D,
+    /// Of what is off in world b its geometry and the person's pace alone.
+    E,
+}
+
+impl World {
+    /// What answers and tables call it, after the station's name.
+    fn suffix(self) -> &'static str {
+        match self {
+            Self::A => "",
+            Self::B => ", second world",
+            Self::C => ", skin of the second world",
+            Self::D => ", boards of the second world",
+            Self::E => ", geometry and operator of the second world",
+        }
+    }
 }
 
 /// What to run.
@@ -122,16 +141,16 @@ pub fn tactile(
     let world = match config.world {
         World::A => Physics::Emulated(stage),
         World::B => Physics::Second(Second::new(stage)),
+        World::C => Physics::Second(Second::with_only(stage, Part::Skin)),
+        World::D => Physics::Second(Second::with_only(stage, Part::Boards)),
+        World::E => Physics::Second(Second::with_only(stage, Part::GeometryAndOperator)),
     };
     let rounds = config.first_seed..config.first_seed + config.seeds;
     let mut all = Vec::new();
     for seed in rounds {
         all.extend(world.cases(config.nulls, seed)?);
     }
-    let name = match config.world {
-        World::A => station_name,
-        World::B => format!("{station_name}, second world"),
-    };
+    let name = station_name + config.world.suffix();
     let name = match &config.without_rules[..] {
         [] => name,
         rules => format!("{name}, without {}", rules.join(", ")),

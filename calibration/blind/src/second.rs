@@ -35,6 +35,7 @@ use crate::BlindError;
 use electronics::Board;
 use files::TakeFiles;
 use imperfections::Imperfections;
+pub(crate) use imperfections::Part;
 use operator::Pacing;
 use skin::Skin;
 
@@ -74,6 +75,8 @@ const EFFECTS: &[&str] = &[
 /// The second world around the motions of a truth file, whose own physics it does not use.
 pub(crate) struct Second {
     stage: Stage,
+    /// What alone is imperfect; everything if `None`.
+    part: Option<Part>,
 }
 
 /// What a recording keeps.
@@ -86,8 +89,22 @@ pub(crate) enum Kept {
 }
 
 impl Second {
+    /// Everything is a little off.
     pub(crate) fn new(stage: Stage) -> Self {
-        Self { stage }
+        Self { stage, part: None }
+    }
+
+    /// `part` alone is off.
+    pub(crate) fn with_only(stage: Stage, part: Part) -> Self {
+        Self { stage, part: Some(part) }
+    }
+
+    fn imperfections(&self, seed: u64) -> Imperfections {
+        let all = Imperfections::draw(self.stage.station(), &mut ChaCha8Rng::seed_from_u64(seed));
+        match self.part {
+            None => all,
+            Some(part) => all.only(part),
+        }
     }
 
     /// The cases of [`cases`] whose effects this world can hide.
@@ -101,7 +118,7 @@ impl Second {
     /// Records the session with `hidden` in it. Same seed, same takes, for any number of threads.
     pub(crate) fn record(&self, hidden: &[Hidden], seed: u64, kept: Kept) -> Result<Vec<Take>, BlindError> {
         let station = self.stage.station();
-        let imperfections = Imperfections::draw(station, &mut ChaCha8Rng::seed_from_u64(seed));
+        let imperfections = self.imperfections(seed);
         let takes: Vec<TakeFiles> = (0..self.stage.motions().len())
             .into_par_iter()
             .map(|take| {

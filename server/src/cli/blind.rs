@@ -26,11 +26,11 @@ pub(crate) struct BlindArgs {
     #[arg(long, value_name = "N", default_value_t = 20)]
     nulls: usize,
     /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported
-    /// from CSV
+    /// from CSV; c, d, e, of b its skin alone, its boards alone, its geometry and pace alone
     #[arg(long, value_enum, default_value = "a")]
     world: Physics,
     /// Station and motions of the touch sessions, and what world a is like [default: assets/truth/blind_report.toml, of
-    /// world b assets/truth/blind_b.toml]
+    /// the others assets/truth/blind_b.toml]
     #[arg(long, value_name = "TRUTH.toml")]
     truth: Option<PathBuf>,
     /// Leave out the second diagnosis of each session without its raw readings
@@ -64,6 +64,9 @@ enum Domain {
 enum Physics {
     A,
     B,
+    C,
+    D,
+    E,
 }
 
 pub(super) fn run(args: &BlindArgs) -> Outcome {
@@ -71,6 +74,9 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         world: match args.world {
             Physics::A => World::A,
             Physics::B => World::B,
+            Physics::C => World::C,
+            Physics::D => World::D,
+            Physics::E => World::E,
         },
         seeds: args.seeds,
         first_seed: args.first_seed,
@@ -83,7 +89,7 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
     };
     let default = match args.world {
         Physics::A => "assets/truth/blind_report.toml",
-        Physics::B => "assets/truth/blind_b.toml",
+        _ => "assets/truth/blind_b.toml",
     };
     let truth = args.truth.as_deref().unwrap_or_else(|| Path::new(default));
     let report = {

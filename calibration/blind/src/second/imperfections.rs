@@ -1,4 +1,6 @@
 //! What is not quite as the files say, in every session otherwise.
+//!
+//! Further worlds have one part of it alone ([`Part`]), so that a report can say which part a diagnosis does not bear.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::{JointKind, Station};
@@ -6,6 +8,17 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::{normal, within};
+
+/// The parts of which a world has one or all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// Stiffening, spread, creep and hysteresis of skin.
+    Skin,
+    /// Filters, wander, noise and clocks of boards, and gains of channels.
+    Boards,
+    /// Zeros of encoders, where patches and objects are, and how people move and mark.
+    GeometryAndOperator,
+}
 
 /// What is mild and usual about a station on one day.
 #[derive(Clone, Debug)]
@@ -40,10 +53,18 @@ pub(super) struct SkinConfig {
     pub(super) stiffening: f64,
     /// Standard deviation of the spread from a spot of the surface to a taxel, m.
     pub(super) spread_m: f64,
+    pub(super) spread: Spread,
     /// Shares of a load that come late, and their times, s.
     pub(super) creep: [(f64, f64); 2],
     /// Share of a load by which unloading lags behind loading, at any speed.
     pub(super) hysteresis: f64,
+}
+
+/// How pressure spreads with the distance from a spot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Spread {
+    Gaussian,
+    Exponential,
 }
 
 /// A board of one stream. Raw units are multiples of the stream's threshold.
@@ -108,15 +129,44 @@ impl Imperfections {
             operator: OperatorConfig::draw(rng),
         }
     }
+
+    /// This with `part` alone, and all else as in the files, or as good as things are.
+    pub(super) fn only(mut self, part: Part) -> Self {
+        if part != Part::Skin {
+            self.skins.iter_mut().for_each(SkinConfig::make_plain);
+        }
+        if part != Part::Boards {
+            self.gains.fill(1.0);
+            self.boards.iter_mut().for_each(BoardConfig::make_plain);
+        }
+        if part != Part::GeometryAndOperator {
+            self.encoder_zeros.fill(0.0);
+            self.mounts.fill(Vector3::zeros());
+            self.object_offset = Isometry3::identity();
+            self.object_scale = 1.0;
+            self.operator = OperatorConfig::EXACT;
+        }
+        self
+    }
 }
 
 impl SkinConfig {
+    /// Proportional, without memory, and spread as the simulator has it.
+    fn make_plain(&mut self) {
+        self.exponent = 1.0;
+        self.stiffening = 0.0;
+        self.spread = Spread::Exponential;
+        self.creep = self.creep.map(|(_, time_s)| (0.0, time_s));
+        self.hysteresis = 0.0;
+    }
+
     fn draw(rng: &mut ChaCha8Rng) -> Self {
         Self {
             thickness_m: within(rng, [0.003, 0.005]),
             exponent: within(rng, [1.1, 1.4]),
             stiffening: within(rng, [1.0, 3.0]),
             spread_m: within(rng, [0.0016, 0.0026]),
+            spread: Spread::Gaussian,
             creep: [
                 (within(rng, [0.02, 0.06]), within(rng, [0.2, 0.6])),
                 (within(rng, [0.02, 0.06]), within(rng, [5.0, 15.0])),
@@ -127,6 +177,20 @@ impl SkinConfig {
 }
 
 impl BoardConfig {
+    /// A fast filter, a little noise, and nothing else.
+    fn make_plain(&mut self) {
+        *self = Self {
+            rc_s: 0.004,
+            latency_s: 0.001,
+            jitter_s: 0.0,
+            lost: 0.0,
+            skew: 0.0,
+            noise: 0.01,
+            hum: 0.0,
+            wander: [0.0; 2],
+        };
+    }
+
     fn draw(rng: &mut ChaCha8Rng) -> Self {
         Self {
             rc_s: within(rng, [0.004, 0.010]),
@@ -142,6 +206,9 @@ impl BoardConfig {
 }
 
 impl OperatorConfig {
+    /// One pace, no pause, and marks on the spot.
+    const EXACT: Self = Self { pace: 0.0, longest_pause_s: 0.0, mark_s: 0.0, marks: Marks::Labelled };
+
     fn draw(rng: &mut ChaCha8Rng) -> Self {
         let marks = match rng.random::<f64>() {
             0.0..0.6 => Marks::Labelled,

@@ -7,7 +7,7 @@ use palpate_emulator::Hidden;
 use palpate_robot_model::{Patch, SensorKind, Station};
 use palpate_sim::geometry::SignedDistance;
 
-use super::imperfections::{Imperfections, SkinConfig};
+use super::imperfections::{Imperfections, SkinConfig, Spread};
 use super::{motion_of, value};
 
 /// All skin of the hand.
@@ -108,7 +108,13 @@ impl Pad {
         let nodes: Vec<Point3<f64>> = patch.nodes.iter().map(|node| node.pos_in_link).collect();
         let spread_m = skin.spread_m.hypot(added_m);
         let share = |taxel: &Point3<f64>, node: &Point3<f64>| match kind {
-            SensorKind::Pressure => (-0.5 * ((taxel - node).norm() / spread_m).powi(2)).exp(),
+            SensorKind::Pressure => {
+                let distance = (taxel - node).norm() / spread_m;
+                match skin.spread {
+                    Spread::Gaussian => (-0.5 * distance * distance).exp(),
+                    Spread::Exponential => (-distance).exp(),
+                }
+            }
             // A pad is one electrode.
             SensorKind::Proximity => 1.0,
         };

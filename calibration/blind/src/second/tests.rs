@@ -40,10 +40,26 @@ fn the_same_seed_has_the_same_bits_and_every_session_its_own_imperfections() {
     };
     let one = bits(1, 1);
     assert!(!one.is_empty() && one == bits(1, 3));
-    let station = second.stage.station();
-    let drawn = |seed: u64| Imperfections::draw(station, &mut ChaCha8Rng::seed_from_u64(seed));
-    let (a, b) = (drawn(1), drawn(2));
+    let (a, b) = (second.imperfections(1), second.imperfections(2));
     assert!(a.encoder_zeros != b.encoder_zeros && a.gains != b.gains && a.mounts != b.mounts);
+}
+
+#[test]
+fn a_world_with_one_part_has_it_as_in_the_whole_and_nothing_else() {
+    let Second { stage, .. } = second();
+    let whole = Second::new(stage.clone()).imperfections(1);
+    let is_off = |of: &Imperfections| {
+        [
+            of.skins.iter().any(|skin| skin.exponent != 1.0 && skin.creep[0].0 > 0.0),
+            of.boards.iter().any(|board| board.wander[0] > 0.0) && of.gains.iter().any(|gain| *gain != 1.0),
+            of.encoder_zeros.iter().any(|zero| *zero != 0.0) && of.operator.pace > 0.0,
+        ]
+    };
+    assert_eq!(is_off(&whole), [true; 3]);
+    for (idx, part) in [Part::Skin, Part::Boards, Part::GeometryAndOperator].into_iter().enumerate() {
+        let alone = Second::with_only(stage.clone(), part).imperfections(1);
+        assert_eq!(is_off(&alone), std::array::from_fn(|other| other == idx), "{part:?}");
+    }
 }
 
 /// When each channel that is touched is first on, s, of the first take.
