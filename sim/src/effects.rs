@@ -13,6 +13,7 @@ mod dead_channel;
 mod debounce;
 mod elastic_crosstalk;
 mod electrical_crosstalk;
+mod frame;
 mod integer_wrap;
 mod joint_backlash;
 mod joint_offset;
@@ -35,12 +36,13 @@ mod viscoelastic_release;
 
 use std::collections::BTreeMap;
 
-pub(crate) use chain::moved;
 pub use chain::{
     Arrived, Chain, Contact, Geometry, Hold, Kinematics, Load, PatchGeometry, Sensed, Switching, TakeScene,
     Transport,
 };
-use palpate_robot_model::{Place, Station};
+pub(crate) use chain::{FrameChain, FrameMemory, FrameScene, moved};
+pub use frame::{Frame, FrameEffect};
+use palpate_robot_model::{Place, Station, TactileLayout};
 pub use self_contact::FingerTouches;
 use serde::{Deserialize, Serialize};
 
@@ -104,6 +106,34 @@ impl Effect {
     /// If the effect has none: files are checked when they are read, so this is a caller's bug.
     pub fn parameter(&self, name: &str) -> f64 {
         self.parameters[name]
+    }
+
+    /// Indices of the streams that its place names.
+    pub fn streams(&self, layout: &TactileLayout) -> Vec<usize> {
+        places::streams_of(&self.place, layout).collect()
+    }
+
+    /// Indices of the patches that its place names, or that belong to the stream or group that it names.
+    pub fn patches(&self, layout: &TactileLayout) -> Vec<usize> {
+        places::patches_of(&self.place, layout)
+    }
+
+    /// Indices of the channels that its place names, in its order, or that belong to the patches that it names.
+    pub fn channels(&self, layout: &TactileLayout) -> Vec<usize> {
+        places::channels_of(&self.place, layout)
+    }
+
+    /// Channels of its place, each with each of its neighbours on the cable.
+    pub fn wiring_neighbours(&self, layout: &TactileLayout) -> Vec<[usize; 2]> {
+        let with_neighbours = |channel: usize| {
+            places::wiring_neighbours(channel, layout).into_iter().map(move |other| [channel, other])
+        };
+        self.channels(layout).into_iter().flat_map(with_neighbours).collect()
+    }
+
+    /// The degree of freedom that its place names.
+    pub fn dof(&self, station: &Station) -> Option<usize> {
+        places::dof_of(&self.place, station)
     }
 }
 
@@ -201,14 +231,35 @@ pub trait EffectKind: Sync {
         false
     }
 
+    /// Whether what it does to a frame depends on the frame after it. While a take goes on, the change since the frame before
+    /// takes its place.
+    fn looks_ahead(&self) -> bool {
+        false
+    }
+
     /// Changes true joint positions, the object or the mounting of patches.
     fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics<'_>) {}
+
+    /// What [`Self::kinematics`] does to joint positions, frame by frame; `None` if that is nothing.
+    fn joints_by_frame(&self, _effect: &Effect, _station: &Station) -> Option<Box<dyn FrameEffect>> {
+        None
+    }
 
     /// Changes what the skin feels.
     fn contact(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Contact<'_>) {}
 
     /// Changes how the load of channels develops.
     fn load(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Load) {}
+
+    /// What [`Self::load`] does, frame by frame; `None` if that is nothing. `on_loads` as [`Load::on_loads`].
+    fn load_by_frame(
+        &self,
+        _effect: &Effect,
+        _station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        None
+    }
 
     /// Changes how a load becomes an event.
     fn switching(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Switching) {}

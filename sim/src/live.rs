@@ -1,18 +1,16 @@
 //! Touch frame by frame, while robot and object move: what [`crate::replay`] and [`SensorModel::readings`] give for a
 //! whole take, told as it unfolds.
 //!
-//! [`LiveScene`] is what many episodes share, prepared once; [`LiveTouch`] is one of them. Geometry is computed for the
-//! newest frame only. A model without effects then needs nothing else; with effects the rest of the chain runs over all
-//! frames since the start, because effects remember (drift, backlash, slow releases), so a frame then costs in proportion
-//! to their number.
+//! [`LiveScene`] is what many episodes share, prepared once; [`LiveTouch`] is one of them. A frame costs the same however
+//! many were before it: effects that remember (drift, backlash, slow releases, delays) keep what they need.
 
 use std::sync::Arc;
 
-use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, ObjectShape, Station};
+use nalgebra::{Isometry3, Point3};
+use palpate_robot_model::{ObjectModel, ObjectShape, Station, TactileLayout};
 
 use crate::SensorModel;
-use crate::effects::{Geometry, TakeScene, moved};
+use crate::effects::{Frame, FrameChain, FrameMemory, FrameScene, Switching, TakeScene, moved};
 use crate::geometry::SignedDistance;
 use crate::replay::{self, ContactTrace, PatchTrace, Probe, ReplayError};
 use crate::tactile::{self, Propagation, Readings};
@@ -23,14 +21,25 @@ pub struct LiveScene {
     station: Arc<Station>,
     object: ObjectModel,
     model: SensorModel,
+    /// As effects have its size.
+    object_shape: ObjectShape,
     object_distance: SignedDistance,
+    /// Whether an effect moves the object.
+    moves_object: bool,
     /// Things that stand still, with their poses in the base.
     fixed: Vec<(SignedDistance, Isometry3<f64>)>,
     /// Nodes and taxels with mounting errors.
-    layout: palpate_robot_model::TactileLayout,
+    layout: TactileLayout,
     probes: Vec<Probe>,
-    /// Weights and thresholds of a model that theta alone decides.
-    plain: Option<(Vec<Propagation>, Vec<f64>)>,
+    sensing: Sensing,
+}
+
+/// How contact becomes readings.
+#[derive(Debug)]
+enum Sensing {
+    /// Theta alone decides, by these weights and thresholds.
+    Plain(Vec<Propagation>, Vec<f64>),
+    Chain(FrameChain),
 }
 
 impl LiveScene {
@@ -56,24 +65,30 @@ impl LiveScene {
             arrival_times_s: &[],
             frozen_for_s: &[],
         });
+        let moves_object = kinematics.base_from_object != origin;
         let prepare = |shape: &ObjectShape| SignedDistance::new(shape).map_err(ReplayError::Object);
-        let object_distance = prepare(&object.shape.scaled(kinematics.object_scale))?;
+        let object_shape = object.shape.scaled(kinematics.object_scale);
+        let object_distance = prepare(&object_shape)?;
         let fixed =
             fixed.iter().map(|(pose, shape)| Ok((prepare(shape)?, *pose))).collect::<Result<_, _>>()?;
         let layout =
             moved(&station.layout, &kinematics.patch_offsets).unwrap_or_else(|| station.layout.clone());
-        let plain = model.is_plain().then(|| {
+        let sensing = if model.is_plain() {
             let propagation = tactile::propagation(&layout, model.theta.alpha_per_m);
-            (propagation, tactile::thresholds(&layout, &model.theta))
-        });
+            Sensing::Plain(propagation, tactile::thresholds(&layout, &model.theta))
+        } else {
+            Sensing::Chain(FrameChain::new(&model.chain(), &station, object, &layout))
+        };
         Ok(Self {
             object: object.clone(),
-            model: model.clone(),
+            object_shape,
             object_distance,
+            moves_object,
             fixed,
             probes: replay::probes(&layout, model.chain().gaps_below_m(&layout)),
             layout,
-            plain,
+            sensing,
+            model: model.clone(),
             station,
         })
     }
@@ -81,6 +96,55 @@ impl LiveScene {
     /// Its station.
     pub fn station(&self) -> &Arc<Station> {
         &self.station
+    }
+
+    /// Nodes and taxels, with the mounting errors that the model has.
+    pub fn layout(&self) -> &TactileLayout {
+        &self.layout
+    }
+
+    /// The object's shape, in the size that the model gives it.
+    pub fn object_shape(&self) -> &ObjectShape {
+        &self.object_shape
+    }
+
+    /// Per patch, centre (in its link) and radius, m, of a ball that holds its nodes. Farther away than that, a patch reads a
+    /// bound on its distance ([`crate::replay::PatchTrace::Proximity`]).
+    pub fn patch_balls(&self) -> impl Iterator<Item = (Point3<f64>, f64)> {
+        self.probes.iter().map(|probe| (probe.center_in_link, probe.radius_m))
+    }
+
+    /// Weights of every patch, with the decay that effects leave it.
+    pub fn propagation(&self) -> &[Propagation] {
+        match &self.sensing {
+            Sensing::Plain(propagation, _) => propagation,
+            Sensing::Chain(chain) => chain.propagation(),
+        }
+    }
+
+    /// How loads become events; `None` for a model that theta alone decides.
+    pub fn switching(&self) -> Option<&Switching> {
+        match &self.sensing {
+            Sensing::Plain(..) => None,
+            Sensing::Chain(chain) => Some(chain.switching()),
+        }
+    }
+
+    /// Where the object is that is said to be at `base_from_object`.
+    fn true_pose(&self, positions: &[f64], base_from_object: &Isometry3<f64>) -> Isometry3<f64> {
+        if !self.moves_object {
+            return *base_from_object;
+        }
+        let take = TakeScene {
+            station: &self.station,
+            object: &self.object,
+            base_from_object,
+            frame_times_s: &[0.0],
+            positions,
+            arrival_times_s: &[],
+            frozen_for_s: &[],
+        };
+        self.model.chain().kinematics(&take).base_from_object
     }
 }
 
@@ -107,84 +171,119 @@ impl LiveScene {
 #[derive(Clone, Debug)]
 pub struct LiveTouch {
     scene: Arc<LiveScene>,
-    /// Of the frames felt so far; a plain model keeps the last one only.
-    times_s: Vec<f64>,
-    positions: Vec<f64>,
-    geometry: Geometry,
+    /// Times of the first frame and of the last, s; `None` before there is one.
+    span_s: Option<(f64, f64)>,
+    /// Measured in the last frame.
+    positions_before: Vec<f64>,
+    memory: Option<FrameMemory>,
 }
 
 impl LiveTouch {
     /// An episode in which nothing has happened yet.
     pub fn new(scene: Arc<LiveScene>) -> Self {
-        let geometry = Geometry {
-            trace: ContactTrace::empty(&scene.layout, 0),
-            moved: Some(scene.layout.clone()),
-            joints: Some(Vec::new()),
-            made: None,
+        let memory = match &scene.sensing {
+            Sensing::Plain(..) => None,
+            Sensing::Chain(chain) => Some(chain.memory()),
         };
-        Self { scene, times_s: Vec::new(), positions: Vec::new(), geometry }
+        Self { scene, span_s: None, positions_before: Vec::new(), memory }
     }
 
     /// Forgets everything: a new episode begins.
     pub fn restart(&mut self) {
-        self.times_s.clear();
-        self.positions.clear();
-        self.geometry.joints = Some(Vec::new());
-        self.geometry.trace = ContactTrace::empty(&self.scene.layout, 0);
+        *self = Self::new(Arc::clone(&self.scene));
     }
 
     /// Readings of the frame at `time_s`, one frame of `num_channels`, with the robot at `positions` (one per degree of
     /// freedom, rad or m) and the object at `base_from_object`.
     ///
-    /// While the object stands still they are, to the bit, those of the last frame of a replay of all frames so far.
-    /// Two effects look at a frame's successor in a longer replay, which nobody knows yet here: `rate_dependence` and
-    /// `motion_artifact` take the change since the frame before instead. Refuses a time that is not after the last one,
-    /// a wrong number of positions, and anything NaN or infinite.
+    /// While the object stands still they are, to the bit, those of the same frame of a replay of the whole take, unless an
+    /// effect of the model depends on frames that are still to come. Of `rate_dependence` and `motion_artifact` the change
+    /// since the frame before counts instead; a stream that `clock_skew` puts ahead of the present shows the present.
+    ///
+    /// Refuses a time that is not after the last one, a wrong number of positions, and anything NaN or infinite; a frame
+    /// that is refused leaves no trace.
     pub fn feel(
         &mut self,
         time_s: f64,
         positions: &[f64],
         base_from_object: &Isometry3<f64>,
     ) -> Result<Readings, ReplayError> {
-        let scene = Arc::clone(&self.scene);
-        let robot = &scene.station.robot;
+        let num_channels = self.scene.layout.num_channels();
+        let (mut raw, mut active) = (vec![0.0; num_channels], vec![false; num_channels]);
+        self.check(time_s, positions, base_from_object)?;
+        self.feel_checked(time_s, positions, base_from_object, &mut raw, &mut active);
+        Ok(Readings { num_frames: 1, num_channels, raw, active })
+    }
+
+    /// Whether [`Self::feel`] would refuse this.
+    pub fn check(
+        &self,
+        time_s: f64,
+        positions: &[f64],
+        base_from_object: &Isometry3<f64>,
+    ) -> Result<(), ReplayError> {
+        let robot = &self.scene.station.robot;
         if replay::check(robot, base_from_object, positions)? != 1 {
             let (num_values, num_dofs) = (positions.len(), robot.num_dofs());
             return Err(ReplayError::RaggedPath { num_values, num_dofs });
         }
-        let before_s = self.times_s.last().copied().unwrap_or(f64::NEG_INFINITY);
-        if !(time_s > before_s && time_s.is_finite()) {
-            return Err(ReplayError::TimeNotIncreasing { time_s, before_s });
+        let before_s = self.span_s.map_or(f64::NEG_INFINITY, |(_, last_s)| last_s);
+        if time_s > before_s && time_s.is_finite() {
+            Ok(())
+        } else {
+            Err(ReplayError::TimeNotIncreasing { time_s, before_s })
         }
-        if scene.plain.is_some() {
-            self.restart();
+    }
+
+    /// [`Self::feel`] into `raw` and `active`, one each per channel, of a frame that passed [`Self::check`].
+    pub fn feel_checked(
+        &mut self,
+        time_s: f64,
+        positions: &[f64],
+        base_from_object: &Isometry3<f64>,
+        raw: &mut [f64],
+        active: &mut [bool],
+    ) {
+        let scene = &self.scene;
+        let (start_s, before_s) = self.span_s.unwrap_or((time_s, time_s));
+        let is_first = self.span_s.replace((start_s, time_s)).is_none();
+        if is_first {
+            self.positions_before = positions.to_vec();
         }
-        self.times_s.push(time_s);
-        self.positions.extend_from_slice(positions);
-        let take = TakeScene {
-            station: &scene.station,
-            object: &scene.object,
-            base_from_object,
-            frame_times_s: &self.times_s,
-            positions: &self.positions,
-            arrival_times_s: &[],
-            frozen_for_s: &[],
+        let frame = Frame {
+            is_first,
+            start_s,
+            before_s,
+            time_s,
+            positions,
+            positions_before: &self.positions_before,
         };
-        let chain = scene.model.chain();
-        let kinematics = chain.kinematics(&take);
-        let newest = &kinematics.positions[kinematics.positions.len() - robot.num_dofs()..];
-        let object = (&scene.object_distance, kinematics.base_from_object);
-        let bodies = std::iter::once(object).chain(scene.fixed.iter().map(|(shape, pose)| (shape, *pose)));
-        replay::feel_frame(robot, &scene.probes, bodies, newest, &mut self.geometry.trace);
-        self.geometry.joints.get_or_insert_default().extend_from_slice(newest);
-        if let Some((propagation, thresholds)) = &scene.plain {
-            return Ok(scene.plain_readings(&self.geometry.trace, propagation, thresholds));
+        let mut true_positions = positions.to_vec();
+        if let (Sensing::Chain(chain), Some(memory)) = (&scene.sensing, &mut self.memory) {
+            chain.move_joints(&frame, memory, &mut true_positions);
         }
-        let sensed = chain.sense_contact(&take, &self.geometry);
-        let from = sensed.load.len() - sensed.num_channels;
-        let loads = sensed.load[from..].to_vec();
-        let activation = &sensed.activation[from..];
-        Ok(scene.model.readings_of(&scene.layout, sensed.num_channels, loads, activation))
+        let object = (&scene.object_distance, scene.true_pose(positions, base_from_object));
+        let bodies = std::iter::once(object).chain(scene.fixed.iter().map(|(shape, pose)| (shape, *pose)));
+        let mut trace = ContactTrace::empty(&scene.layout, 0);
+        replay::feel_frame(&scene.station.robot, &scene.probes, bodies, &true_positions, &mut trace);
+        match (&scene.sensing, &mut self.memory) {
+            (Sensing::Chain(chain), Some(memory)) => {
+                let frame_scene = FrameScene {
+                    station: &scene.station,
+                    object: &scene.object,
+                    base_from_object,
+                    layout: &scene.layout,
+                    frame,
+                };
+                chain.sense(&frame_scene, &trace, &true_positions, memory, raw, active);
+                scene.model.loads_as_readings(&scene.layout, raw);
+            }
+            (Sensing::Plain(propagation, thresholds), _) => {
+                scene.plain_readings(&trace, propagation, thresholds, raw, active);
+            }
+            (Sensing::Chain(_), None) => unreachable!("a chain has a memory"),
+        }
+        self.positions_before.copy_from_slice(positions);
     }
 }
 
@@ -195,24 +294,22 @@ impl LiveScene {
         trace: &ContactTrace,
         propagation: &[Propagation],
         thresholds: &[f64],
-    ) -> Readings {
-        let num_channels = self.layout.num_channels();
-        let mut raw = vec![0.0; num_channels];
+        raw: &mut [f64],
+        active: &mut [bool],
+    ) {
         for ((patch, trace), propagation) in self.layout.patches.iter().zip(&trace.patches).zip(propagation) {
             let taxels = &mut raw[patch.channels.clone()];
             match &**trace {
                 PatchTrace::Proximity { min_distance_m, .. } => taxels.fill(min_distance_m[0]),
                 PatchTrace::Pressure { entries, .. } => {
+                    taxels.fill(0.0);
                     tactile::propagate(&propagation.weights, entries, taxels);
                 }
             }
         }
-        let channels = self.layout.channels.iter().zip(&raw).zip(thresholds);
-        let active = channels
-            .map(|((channel, &raw), &threshold)| {
-                tactile::is_active(self.layout.streams[channel.stream].kind, raw, threshold)
-            })
-            .collect();
-        Readings { num_frames: 1, num_channels, raw, active }
+        let channels = self.layout.channels.iter().zip(raw).zip(thresholds);
+        for (active, ((channel, raw), &threshold)) in active.iter_mut().zip(channels) {
+            *active = tactile::is_active(self.layout.streams[channel.stream].kind, *raw, threshold);
+        }
     }
 }

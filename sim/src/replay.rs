@@ -439,6 +439,32 @@ impl ContactTrace {
         Self { num_frames, patches: layout.patches.iter().map(|patch| Arc::new(empty(patch))).collect() }
     }
 
+    /// Its frames, and those of `next` behind them; both of the same layout.
+    pub(crate) fn followed_by(mut self, next: &Self) -> Self {
+        self.num_frames += next.num_frames;
+        for (patch, next) in self.patches.iter_mut().zip(&next.patches) {
+            match (Arc::make_mut(patch), &**next) {
+                (
+                    PatchTrace::Proximity { min_distance_m, gaps },
+                    PatchTrace::Proximity { min_distance_m: next_m, gaps: next_gaps },
+                ) => {
+                    min_distance_m.extend_from_slice(next_m);
+                    gaps.append(next_gaps);
+                }
+                (
+                    PatchTrace::Pressure { offsets, entries },
+                    PatchTrace::Pressure { offsets: next_offsets, entries: next_entries },
+                ) => {
+                    let first = entries.len() as u32;
+                    offsets.extend(next_offsets.iter().skip(1).map(|offset| first + offset));
+                    entries.extend_from_slice(next_entries);
+                }
+                _ => unreachable!("a patch has one kind"),
+            }
+        }
+        self
+    }
+
     /// Puts the frames of a chunk, by patch, behind those that are there.
     fn append(&mut self, chunk: impl Iterator<Item = (usize, ChunkTrace)>) {
         for (patch, felt) in chunk {

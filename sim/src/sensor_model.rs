@@ -209,16 +209,21 @@ impl SensorModel {
         activation: &[f64],
     ) -> Readings {
         let mut raw = loads;
+        self.loads_as_readings(layout, &mut raw);
+        let active = activation.iter().map(|&activation| activation > 0.5).collect();
+        Readings { num_frames: raw.len() / num_channels.max(1), num_channels, raw, active }
+    }
+
+    /// Turns loads (frame-major) into raw readings.
+    pub(crate) fn loads_as_readings(&self, layout: &TactileLayout, values: &mut [f64]) {
         let reach_m = self.response.reach_m(&self.theta);
-        for frame in raw.chunks_exact_mut(num_channels.max(1)) {
-            for (channel, raw) in layout.channels.iter().zip(frame) {
+        for frame in values.chunks_exact_mut(layout.num_channels().max(1)) {
+            for (channel, value) in layout.channels.iter().zip(frame) {
                 if layout.streams[channel.stream].kind == SensorKind::Proximity {
-                    *raw = reach_m - *raw;
+                    *value = reach_m - *value;
                 }
             }
         }
-        let active = activation.iter().map(|&activation| activation > 0.5).collect();
-        Readings { num_frames: raw.len() / num_channels.max(1), num_channels, raw, active }
     }
 
     /// Its sensing chain, switching hard.

@@ -35,7 +35,8 @@ pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation>
     layout.patches.iter().map(|patch| patch_propagation(layout, patch, alpha_per_m)).collect()
 }
 
-fn patch_propagation(layout: &TactileLayout, patch: &Patch, alpha_per_m: f64) -> Propagation {
+/// [`propagation`] of one patch.
+pub(crate) fn patch_propagation(layout: &TactileLayout, patch: &Patch, alpha_per_m: f64) -> Propagation {
     let weights = match layout.streams[patch.stream].kind {
         SensorKind::Proximity => Vec::new(),
         SensorKind::Pressure => patch

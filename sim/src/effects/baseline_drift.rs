@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// The reading gains `rate_per_s` of the load that switches the channel on, every second since the take started, when
 /// the firmware took its reference.
@@ -52,6 +52,30 @@ impl EffectKind for BaselineDrift {
             let load_per_s = rate_per_s * state.on_loads[channel];
             let loads = state.of_channel_mut(channel).iter_mut().zip(&elapsed_s);
             loads.for_each(|(load, elapsed_s)| *load += load_per_s * elapsed_s);
+        }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let rate_per_s = effect.parameter("rate_per_s");
+        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
+        let drift = |channel: usize| (channel, rate_per_s * on_loads[channel]);
+        (rate_per_s != 0.0).then(|| Box::new(Drift(channels.map(drift).collect())) as Box<dyn FrameEffect>)
+    }
+}
+
+/// Load a second, by channel.
+#[derive(Debug)]
+struct Drift(Vec<(usize, f64)>);
+
+impl FrameEffect for Drift {
+    fn step(&self, frame: &Frame<'_>, _memory: &mut [f64], loads: &mut [f64]) {
+        for &(channel, load_per_s) in &self.0 {
+            loads[channel] += load_per_s * (frame.time_s - frame.start_s);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Runs a take through the sensing chain, with any set of effects.
 
+mod by_frame;
 mod load;
 mod made;
 mod moments;
@@ -16,6 +17,7 @@ use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
 use crate::replay::{ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
 use crate::{Response, Theta};
+pub(crate) use by_frame::{FrameChain, FrameMemory, FrameScene};
 pub use load::Load;
 use made::Made;
 use moments::Moments;

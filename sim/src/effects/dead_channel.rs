@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, places};
+use super::{
+    Effect, EffectKind, FrameEffect, Load, Parameter, Stage, Switching, TakeScene, frame::Factors, places,
+};
 
 /// The channel reads nothing, whatever touches it.
 pub(super) struct DeadChannel;
@@ -47,5 +49,16 @@ impl EffectKind for DeadChannel {
         for channel in places::channels_of(&effect.place, &scene.station.layout) {
             state.passed_shares[channel] *= 1.0 - effect.parameter("presence");
         }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let left = 1.0 - effect.parameter("presence");
+        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
+        Some(Box::new(Factors(channels.map(|channel| (channel, left)).collect())))
     }
 }

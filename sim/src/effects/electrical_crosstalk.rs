@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// Every channel reads `leak` of each neighbour's load besides its own.
 pub(super) struct ElectricalCrosstalk;
@@ -46,17 +46,45 @@ impl EffectKind for ElectricalCrosstalk {
             return;
         }
         let layout = &scene.station.layout;
-        let pairs: Vec<(usize, usize)> = places::channels_of(&effect.place, layout)
-            .into_iter()
-            .flat_map(|channel| {
-                places::wiring_neighbours(channel, layout).into_iter().map(move |other| (channel, other))
-            })
-            .collect();
+        let pairs = effect.wiring_neighbours(layout);
         let own = state.values.clone();
         let silent: Vec<bool> = (0..own.len()).map(|channel| state.is_silent(channel)).collect();
-        for (channel, other) in pairs.into_iter().filter(|(_, other)| !silent[*other]) {
+        for [channel, other] in pairs.into_iter().filter(|[_, other]| !silent[*other]) {
             let loads = state.of_channel_mut(channel).iter_mut().zip(own[other].iter());
             loads.for_each(|(load, other)| *load += leak * other);
+        }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let leak = effect.parameter("leak");
+        let pairs = effect.wiring_neighbours(&station.layout);
+        let num_channels = on_loads.len();
+        (leak != 0.0).then(|| Box::new(Leaks { leak, pairs, num_channels }) as Box<dyn FrameEffect>)
+    }
+}
+
+/// Its memory is where the loads are kept that all had before any leaked.
+#[derive(Debug)]
+struct Leaks {
+    leak: f64,
+    pairs: Vec<[usize; 2]>,
+    num_channels: usize,
+}
+
+impl FrameEffect for Leaks {
+    fn memory_len(&self) -> usize {
+        self.num_channels
+    }
+
+    fn step(&self, _frame: &Frame<'_>, memory: &mut [f64], loads: &mut [f64]) {
+        memory.copy_from_slice(loads);
+        for &[channel, other] in &self.pairs {
+            loads[channel] += self.leak * memory[other];
         }
     }
 }

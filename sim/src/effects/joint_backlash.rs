@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places};
 
 /// The link stays where it is until the encoder has crossed the play: the play operator on the measured path, which
 /// stays within `width_rad / 2` of it (Visintin, "Differential Models of Hysteresis", 1994, section III). It has no
@@ -50,5 +50,33 @@ impl EffectKind for JointBacklash {
             link_rad = link_rad.clamp(frame[dof] - half_width_rad, frame[dof] + half_width_rad);
             frame[dof] = link_rad;
         }
+    }
+
+    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<Box<dyn FrameEffect>> {
+        let dof = places::dof_of(&effect.place, station)?;
+        let half_width_rad = 0.5 * effect.parameter("width_rad");
+        (half_width_rad > 0.0).then(|| Box::new(Play { dof, half_width_rad }) as Box<dyn FrameEffect>)
+    }
+}
+
+/// Remembers where the link is.
+#[derive(Debug)]
+struct Play {
+    dof: usize,
+    half_width_rad: f64,
+}
+
+impl FrameEffect for Play {
+    fn memory_len(&self) -> usize {
+        1
+    }
+
+    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], positions: &mut [f64]) {
+        let (link_rad, position) = (&mut memory[0], &mut positions[self.dof]);
+        if frame.is_first {
+            *link_rad = *position;
+        }
+        *link_rad = link_rad.clamp(*position - self.half_width_rad, *position + self.half_width_rad);
+        *position = *link_rad;
     }
 }

@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Kinematics, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places};
 
 /// The joint stands `offset_rad` further than it reports.
 pub(super) struct JointOffset;
@@ -42,5 +42,22 @@ impl EffectKind for JointOffset {
         for frame in state.positions.to_mut().chunks_exact_mut(num_dofs) {
             frame[dof] += offset_rad;
         }
+    }
+
+    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<Box<dyn FrameEffect>> {
+        let dof = places::dof_of(&effect.place, station)?;
+        Some(Box::new(Shift { dof, offset_rad: effect.parameter("offset_rad") }))
+    }
+}
+
+#[derive(Debug)]
+struct Shift {
+    dof: usize,
+    offset_rad: f64,
+}
+
+impl FrameEffect for Shift {
+    fn step(&self, _frame: &Frame<'_>, _memory: &mut [f64], positions: &mut [f64]) {
+        positions[self.dof] += self.offset_rad;
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// Every reading of a stream follows its load with `time_constant_s`.
 pub(super) struct LowPass;
@@ -48,6 +48,18 @@ impl EffectKind for LowPass {
             state.values[channel] = lag.of(state.of_channel(channel));
         }
     }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let time_constant_s = effect.parameter("time_constant_s");
+        let channels = places::channels_of(&effect.place, &station.layout);
+        (time_constant_s > 0.0)
+            .then(|| Box::new(FrameLag { channels, time_constant_s }) as Box<dyn FrameEffect>)
+    }
 }
 
 /// What follows its input with a time constant.
@@ -74,17 +86,76 @@ impl Lag {
     /// What follows `input`, frame by frame.
     pub(super) fn of(&self, input: &[f64]) -> Arc<[f64]> {
         let Some(&first) = input.first() else { return Arc::new([]) };
-        let (mut from_x, mut y) = (first, first);
-        let follow = |(&(gap_s, decay), &x): (&(f64, f64), &f64)| {
-            // Sensors rest most of the time.
-            let rests = from_x == x && y == x;
-            if gap_s > 0.0 && !rests {
-                let behind = (x - from_x) / gap_s * self.time_constant_s;
-                y = x - behind + (y - from_x + behind) * decay;
-            }
-            from_x = x;
-            y
-        };
+        let mut follower = Follower { from_x: first, y: first };
+        let follow =
+            |(&(gap_s, decay), &x): (&(f64, f64), &f64)| follower.step(x, gap_s, decay, self.time_constant_s);
         self.steps.iter().zip(input).map(follow).collect()
+    }
+}
+
+/// Where something that lags is.
+struct Follower {
+    from_x: f64,
+    y: f64,
+}
+
+impl Follower {
+    /// Where it is once its input has come to `x` in `gap_s`, and `decay` of the distance to it is left.
+    fn step(&mut self, x: f64, gap_s: f64, decay: f64, time_constant_s: f64) -> f64 {
+        // Sensors rest most of the time.
+        let rests = self.from_x == x && self.y == x;
+        if gap_s > 0.0 && !rests {
+            let behind = (x - self.from_x) / gap_s * time_constant_s;
+            self.y = x - behind + (self.y - self.from_x + behind) * decay;
+        }
+        self.from_x = x;
+        self.y
+    }
+}
+
+/// [`Lag`] of the loads of some channels, frame by frame.
+#[derive(Debug)]
+pub(super) struct FrameLag {
+    pub(super) channels: Vec<usize>,
+    pub(super) time_constant_s: f64,
+}
+
+impl FrameLag {
+    /// As [`FrameEffect::memory_len`].
+    pub(super) fn memory_len(&self) -> usize {
+        2 * self.channels.len()
+    }
+
+    /// Calls `set` with the load of each channel and what follows it.
+    pub(super) fn step(
+        &self,
+        frame: &Frame<'_>,
+        memory: &mut [f64],
+        loads: &mut [f64],
+        set: impl Fn(&mut f64, f64),
+    ) {
+        let gap_s = frame.time_s - frame.before_s;
+        let decay = (-gap_s / self.time_constant_s).exp();
+        for (&channel, memory) in self.channels.iter().zip(memory.chunks_exact_mut(2)) {
+            let load = &mut loads[channel];
+            let mut follower = if frame.is_first {
+                Follower { from_x: *load, y: *load }
+            } else {
+                Follower { from_x: memory[0], y: memory[1] }
+            };
+            let follows = follower.step(*load, gap_s, decay, self.time_constant_s);
+            memory.copy_from_slice(&[follower.from_x, follower.y]);
+            set(load, follows);
+        }
+    }
+}
+
+impl FrameEffect for FrameLag {
+    fn memory_len(&self) -> usize {
+        self.memory_len()
+    }
+
+    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], loads: &mut [f64]) {
+        self.step(frame, memory, loads, |load, follows| *load = follows);
     }
 }

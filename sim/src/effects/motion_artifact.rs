@@ -1,8 +1,10 @@
 //! A sensor that answers to the motion of the hand.
 
+use std::collections::BTreeMap;
+
 use palpate_robot_model::{JointKind, Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// The reading gains `load_s_per_rad` of the load that switches the channel on, for every rad/s of the fastest joint that
 /// moves the channel's link: cables that pull, skin that inertia or a neighbouring link bends.
@@ -60,6 +62,59 @@ impl EffectKind for MotionArtifact {
                 let per_speed = load_s_per_rad * state.on_loads[channel];
                 let loads = state.of_channel_mut(channel).iter_mut().zip(speeds.iter());
                 loads.for_each(|(load, speed)| *load += per_speed * speed);
+            }
+        }
+    }
+
+    fn looks_ahead(&self) -> bool {
+        true
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let load_s_per_rad = effect.parameter("load_s_per_rad");
+        if load_s_per_rad == 0.0 {
+            return None;
+        }
+        let mut by_link: BTreeMap<usize, MovedLink> = BTreeMap::new();
+        for patch in places::patches_of(&effect.place, &station.layout) {
+            let patch = &station.layout.patches[patch];
+            let moved = by_link.entry(patch.link).or_insert_with(|| MovedLink {
+                dofs: turning_dofs(patch.link, station),
+                channels: Vec::new(),
+            });
+            let per_speed = |channel: usize| (channel, load_s_per_rad * on_loads[channel]);
+            moved.channels.extend(patch.channels.clone().map(per_speed));
+        }
+        Some(Box::new(Pull(by_link.into_values().collect())))
+    }
+}
+
+/// A link that carries patches.
+#[derive(Debug)]
+struct MovedLink {
+    /// That move it.
+    dofs: Vec<usize>,
+    /// On it, and what each reads more for every rad/s.
+    channels: Vec<(usize, f64)>,
+}
+
+#[derive(Debug)]
+struct Pull(Vec<MovedLink>);
+
+impl FrameEffect for Pull {
+    fn step(&self, frame: &Frame<'_>, _memory: &mut [f64], loads: &mut [f64]) {
+        let gap_s = frame.time_s - frame.before_s;
+        let travel = |dof: usize| frame.positions[dof] - frame.positions_before[dof];
+        for link in &self.0 {
+            let furthest = link.dofs.iter().map(|&dof| travel(dof).abs()).fold(0.0, f64::max);
+            let speed = if gap_s > 0.0 { furthest / gap_s } else { 0.0 };
+            for &(channel, per_speed) in &link.channels {
+                loads[channel] += per_speed * speed;
             }
         }
     }

@@ -54,6 +54,10 @@ impl EffectKind for RateDependence {
             }
         }
     }
+
+    fn looks_ahead(&self) -> bool {
+        true
+    }
 }
 
 /// The frames around `frame` from which its rate is taken, those within the take that `counts` accepts.

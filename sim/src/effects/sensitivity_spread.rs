@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, FrameEffect, Load, Parameter, Stage, TakeScene, frame::Factors, places};
 
 /// The load of each channel counts `gain` times.
 pub(super) struct SensitivitySpread;
@@ -49,14 +49,30 @@ impl EffectKind for SensitivitySpread {
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
         let layout = &scene.station.layout;
         for channel in state.pressed_at(&effect.place, layout) {
-            let gain = match &effect.place {
-                Place::Channel(_) => effect.parameter(GAIN),
-                _ => effect.parameter(&gain_of(&layout.channels[channel].id)),
-            };
+            let gain = gain_at(effect, &layout.channels[channel].id);
             if gain != 1.0 {
                 state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= gain);
             }
         }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
+        let gain = |channel: usize| (channel, gain_at(effect, &station.layout.channels[channel].id));
+        Some(Box::new(Factors(channels.map(gain).collect())))
+    }
+}
+
+/// Of the channel called `channel`, at its place.
+fn gain_at(effect: &Effect, channel: &str) -> f64 {
+    match &effect.place {
+        Place::Channel(_) => effect.parameter(GAIN),
+        _ => effect.parameter(&gain_of(channel)),
     }
 }
 

@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, places};
+use super::{
+    Effect, EffectKind, FrameEffect, Load, Parameter, Stage, Switching, TakeScene, frame::Factors, places,
+};
 
 /// The channel is active all the time. Its reading stands still, and the reference that a recording takes at rest with it:
 /// above the reference there is nothing.
@@ -49,5 +51,16 @@ impl EffectKind for StuckChannel {
             let idle = &mut state.idle_activation[channel];
             *idle = idle.max(effect.parameter("presence"));
         }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let left = 1.0 - effect.parameter("presence");
+        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
+        Some(Box::new(Factors(channels.map(|channel| (channel, left)).collect())))
     }
 }

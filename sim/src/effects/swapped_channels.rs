@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Place, Station, TactileLayout};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, places};
+use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// Each of two channels reads what the other should.
 pub(super) struct SwappedChannels;
@@ -52,12 +52,42 @@ impl EffectKind for SwappedChannels {
             return;
         }
         let (ones, others) = (Arc::clone(state.of_channel(first)), Arc::clone(state.of_channel(second)));
-        let share = |own: f64, other: f64| (1.0 - presence) * own + presence * other;
         let swapped = |own: &[f64], other: &[f64]| -> Arc<[f64]> {
-            own.iter().zip(other).map(|(&own, &other)| share(own, other)).collect()
+            own.iter().zip(other).map(|(&own, &other)| mix(presence, own, other)).collect()
         };
         state.values[first] = swapped(&ones, &others);
         state.values[second] = swapped(&others, &ones);
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let presence = effect.parameter("presence");
+        let channels = places::channels_of(&effect.place, &station.layout);
+        let &[first, second] = &channels[..] else { return None };
+        (presence != 0.0).then(|| Box::new(Swap { presence, first, second }) as Box<dyn FrameEffect>)
+    }
+}
+
+fn mix(presence: f64, own: f64, other: f64) -> f64 {
+    (1.0 - presence) * own + presence * other
+}
+
+#[derive(Debug)]
+struct Swap {
+    presence: f64,
+    first: usize,
+    second: usize,
+}
+
+impl FrameEffect for Swap {
+    fn step(&self, _frame: &Frame<'_>, _memory: &mut [f64], loads: &mut [f64]) {
+        let (one, other) = (loads[self.first], loads[self.second]);
+        loads[self.first] = mix(self.presence, one, other);
+        loads[self.second] = mix(self.presence, other, one);
     }
 }
 

@@ -2,7 +2,11 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Load, Parameter, Stage, TakeScene, low_pass::Lag, places};
+use super::{
+    Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene,
+    low_pass::{FrameLag, Lag},
+    places,
+};
 
 /// The standard linear solid in its creep form (a spring in series with a Kelvin-Voigt element; Findley, Lai, Onaran,
 /// "Creep and Relaxation of Nonlinear Viscoelastic Materials", 1976, section 5.4) under one-sided contact: while it is
@@ -57,5 +61,35 @@ impl EffectKind for ViscoelasticRelease {
             let loads = state.of_channel_mut(channel).iter_mut().zip(strain.iter());
             loads.for_each(|(load, z)| *load = load.max(fraction * z));
         }
+    }
+
+    fn load_by_frame(
+        &self,
+        effect: &Effect,
+        station: &Station,
+        _on_loads: &[f64],
+    ) -> Option<Box<dyn FrameEffect>> {
+        let (fraction, time_constant_s) = (effect.parameter("fraction"), effect.parameter("time_constant_s"));
+        let channels = places::channels_of(&effect.place, &station.layout);
+        (fraction > 0.0 && time_constant_s > 0.0).then(|| {
+            let strain = FrameLag { channels, time_constant_s };
+            Box::new(Creep { fraction, strain }) as Box<dyn FrameEffect>
+        })
+    }
+}
+
+#[derive(Debug)]
+struct Creep {
+    fraction: f64,
+    strain: FrameLag,
+}
+
+impl FrameEffect for Creep {
+    fn memory_len(&self) -> usize {
+        self.strain.memory_len()
+    }
+
+    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], loads: &mut [f64]) {
+        self.strain.step(frame, memory, loads, |load, z| *load = load.max(self.fraction * z));
     }
 }

@@ -5,12 +5,13 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, Vector3};
 use palpate_robot_model::{ObjectShape, SensorKind, Station};
-use palpate_sim::effects::{Effect, TACTILE};
+use palpate_sim::effects::{self, Effect, TACTILE};
 use palpate_sim::geometry::SignedDistance;
 use palpate_sim::live::{LiveScene, LiveTouch};
 use palpate_sim::replay::{ReplayError, contact_trace};
 use palpate_sim::tactile::{self, Readings};
-use palpate_sim::{SensorModel, Theta};
+use palpate_sim::{Response, SensorModel, Theta};
+use proptest::prelude::*;
 
 use crate::effects::scene::{INDEX, PALM, THETA, Take, station, take};
 
@@ -58,7 +59,6 @@ fn every_effect_acts_as_in_a_replay_to_the_bit() {
     let station = station("xarm6_leap.toml");
     let take = take(&station, &INDEX, 1, 7);
     let last = take.times_s.len();
-    let looks_ahead = ["rate_dependence", "motion_artifact"];
     for kind in TACTILE {
         let place = kind.places(&station).into_iter().next().expect("a place");
         let parameters = kind.parameters(&place, &station);
@@ -76,11 +76,55 @@ fn every_effect_acts_as_in_a_replay_to_the_bit() {
             let so_far = replayed(&station, &take, &model, num_frames);
             assert_same(&live[num_frames - 1], &so_far, num_frames - 1, kind.id());
         }
-        if !looks_ahead.contains(&kind.id()) {
+        if !kind.looks_ahead() {
             let all = replayed(&station, &take, &model, last);
             for (frame, live) in live.iter().enumerate() {
                 assert_same(live, &all, frame, kind.id());
             }
+        }
+    }
+}
+
+/// An effect of the kind `kind`, somewhere, with its parameters `sizes` doses from neutral, within their bounds.
+fn some_effect(station: &Station, kind: usize, place: usize, sizes: [f64; 3]) -> Effect {
+    let kind = TACTILE[kind];
+    let places = kind.places(station);
+    let place = places[place % places.len()].clone();
+    let parameters = kind.parameters(&place, station).into_iter().zip(sizes.into_iter().cycle());
+    let sized = parameters.map(|(parameter, size)| {
+        let value = parameter.neutral + size * parameter.dose;
+        (parameter.name, value.clamp(parameter.lower, parameter.upper))
+    });
+    let (id, parameters) = (kind.id().to_owned(), sized.collect());
+    Effect { id, place, parameters, interval: BTreeMap::new(), takes: Vec::new() }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+    #[test]
+    fn effects_together_act_as_in_a_replay_to_the_bit(
+        chosen in prop::collection::vec((0..TACTILE.len(), 0_usize..1000, prop::array::uniform3(0.0..3.0_f64)), 0..7),
+        off_fraction in 0.3..=1.0_f64,
+        pad_softness_m in prop_oneof![Just(0.0), 1e-4..1e-3_f64],
+        on_palm in any::<bool>(),
+    ) {
+        let station = station("xarm6_leap.toml");
+        let take = take(&station, if on_palm { &PALM } else { &INDEX }, 1, 7);
+        let looks_ahead = |effect: &Effect| effects::tactile(&effect.id).is_some_and(|kind| kind.looks_ahead());
+        let mut chosen: Vec<Effect> = chosen
+            .into_iter()
+            .map(|(kind, place, sizes)| some_effect(&station, kind, place, sizes))
+            .filter(|effect| !looks_ahead(effect))
+            .collect();
+        // What every replay has, so that what is remembered is felt.
+        chosen.push(some_effect(&station, 0, 9, [1.0; 3]));
+        let off_fractions = station.layout.streams.iter().map(|stream| (stream.id.clone(), off_fraction));
+        let response = Response { off_fractions: off_fractions.collect(), pad_softness_m, ..Response::default() };
+        let model = SensorModel { effects: chosen, response, ..SensorModel::plain("several", THETA) };
+        let all = replayed(&station, &take, &model, take.times_s.len());
+        for (frame, live) in live_readings(&station, &take, &model).iter().enumerate() {
+            assert_same(live, &all, frame, &model.to_toml());
         }
     }
 }

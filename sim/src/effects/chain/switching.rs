@@ -36,6 +36,19 @@ impl Switching {
         ]
     }
 
+    /// Whether `channel`, which switches hard, is on under `load` after it was or was not in the frame before.
+    pub(super) fn latches(&self, channel: usize, load: f64, was_on: bool) -> bool {
+        let on_load = self.on_loads[channel];
+        load > on_load || (was_on && load > on_load * self.off_fractions[channel])
+    }
+
+    /// Activation of `channel`, which switches hard, in frame number `frame`, before it must have lasted.
+    pub(super) fn reported(&self, frame: usize, channel: usize, is_on: bool) -> f64 {
+        let idle = self.idle_activation[channel];
+        let idle = if self.flickers(channel) { drawn(frame, channel, idle) } else { idle };
+        self.passed_shares[channel] * f64::from(u8::from(is_on)).max(idle)
+    }
+
     /// Activation of `channel` at the `frames` of those at `times_s` (`None`: at all of them), given what `arrived` of its load.
     pub fn activation(
         &self,
