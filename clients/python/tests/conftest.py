@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from takes import MODELS, RecordedTake, record_demo, replayed
 
 from palpate import Control, Palpate, PalpateError
 from palpate.documents import LiveDocument
@@ -70,6 +71,22 @@ def recorded(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "small"
     subprocess.run([binary, "emulate", "--truth", TRUTH, "--out", folder], check=True, stdout=subprocess.DEVNULL)
     return folder
+
+
+@pytest.fixture(scope="session")
+def touch_library() -> Path:
+    return tool("PALPATE_TOUCH_LIBRARY", "the library of `palpate.touch`")
+
+
+@pytest.fixture(scope="session")
+def demo_replays(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[RecordedTake]]:
+    """What `palpate replay` makes of each take of the demonstration, by model."""
+    folder = tmp_path_factory.mktemp("demo")
+    takes = record_demo(binary, folder / "session")
+    return {
+        name: [replayed(binary, take, model, folder / f"{name}-{take.name}") for take in takes]
+        for name, model in MODELS.items()
+    }
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ mod demos;
 mod encode;
 mod evaluate;
 mod export;
+mod export_mujoco;
 mod files;
 mod gather;
 mod learning;
@@ -65,6 +66,8 @@ enum Command {
     Encode(encode::EncodeArgs),
     /// Make a small file of a policy, for `evaluate` and `demos`, or of an encoder
     Export(export::ExportArgs),
+    /// Write the grasp world's scene for other programs that run MuJoCo, with what `palpate.touch` needs beside it
+    ExportMujoco(export_mujoco::ExportMujocoArgs),
     /// Draw how policies learned
     Curves(curves::CurvesArgs),
     /// Measure the grasp world beside MuJoCo's own `rollout`
@@ -134,6 +137,7 @@ fn main() -> ExitCode {
         Command::Pipeline(args) => pipeline::run(&args),
         Command::Encode(args) => encode::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::ExportMujoco(args) => export_mujoco::run(&args),
         Command::Curves(args) => curves::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::BenchPolicy(args) => bench_policy::run(&args),

@@ -54,6 +54,32 @@ pub fn mjcf_driven(
     text(robot, config, object, mass, randomisation, Some(timestep_s))
 }
 
+/// `mjcf` with a key frame called `start`, to which other programs can reset: the robot at `positions` (one per degree of
+/// freedom) with its targets there, the object at `base_from_object`.
+pub fn with_start(mjcf: &str, robot: &Robot, positions: &[f64], base_from_object: &Isometry3<f64>) -> String {
+    let (t, q) = (base_from_object.translation.vector, base_from_object.rotation);
+    let mut in_tree = Vec::new();
+    dofs_below(robot, 0, &mut in_tree);
+    let qpos = in_tree.iter().map(|&dof| positions[dof]).chain([t.x, t.y, t.z, q.w, q.i, q.j, q.k]);
+    let text = |values: &mut dyn Iterator<Item = f64>| {
+        values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
+    };
+    let key = format!(
+        r#"<keyframe><key name="start" qpos="{}" ctrl="{}"/></keyframe>"#,
+        text(&mut qpos.into_iter()),
+        text(&mut positions.iter().copied())
+    );
+    mjcf.replace("</mujoco>", &format!("{key}\n</mujoco>"))
+}
+
+/// Degrees of freedom between `link` and the leaves, in the order of the text: MuJoCo numbers positions by it.
+fn dofs_below(robot: &Robot, link: usize, dofs: &mut Vec<usize>) {
+    for joint in robot.joints.iter().filter(|joint| joint.parent_link == link) {
+        dofs.extend(joint.dof);
+        dofs_below(robot, joint.child_link, dofs);
+    }
+}
+
 fn text(
     robot: &Robot,
     config: &GraspConfig,

@@ -1,5 +1,6 @@
 //! Laws of mechanics.
 
+use mujoco_rs::prelude::{MjModel, MjtObjBase};
 use nalgebra::{Isometry3, Vector3};
 use palpate_grasp::{GraspConfig, PhysicsConfig, Randomisation, ServoConfig, World, scene};
 use palpate_robot_model::Robot;
@@ -140,4 +141,29 @@ fn a_block_slides_where_the_slope_is_steeper_than_its_friction() {
         let slid_m = slid_m(angle);
         assert!((slid_m / expected_m - 1.0).abs() < 0.05, "{slid_m} m of {expected_m} m");
     }
+}
+
+#[test]
+fn a_scene_begins_where_its_key_frame_says() {
+    let station = station();
+    let config = config(&station);
+    let cube = object("cube");
+    let mass = MassProperties::of(&cube).expect("a density");
+    let text = scene::mjcf(&station.robot, &config, &cube, &mass, &Randomisation::none()).expect("a scene");
+    // Every joint stands elsewhere.
+    let positions: Vec<f64> = (0..station.robot.num_dofs()).map(|dof| 0.01 * (dof as f64 + 1.0)).collect();
+    let pose = aside(0.3);
+    let model = MjModel::from_xml_string(&scene::with_start(&text, &station.robot, &positions, &pose))
+        .expect("MuJoCo loads it");
+    assert_eq!((model.nkey(), model.name_to_id(MjtObjBase::mjOBJ_KEY, "start")), (1, Some(0)));
+    let qpos = model.key_qpos();
+    let address = |name: &str| {
+        let joint = model.name_to_id(MjtObjBase::mjOBJ_JOINT, name).expect("a joint");
+        model.jnt_qposadr()[joint] as usize
+    };
+    for (joint, position) in station.robot.dofs().zip(&positions) {
+        assert_eq!(qpos[address(&joint.name)], *position, "{}", joint.name);
+    }
+    let at = address(scene::OBJECT);
+    assert_eq!(qpos[at..at + 7], [0.5, 0.45, 0.3, 1.0, 0.0, 0.0, 0.0]);
 }
