@@ -39,7 +39,7 @@ pub struct LiveScene {
 enum Sensing {
     /// Theta alone decides, by these weights and thresholds.
     Plain(Vec<Propagation>, Vec<f64>),
-    Chain(FrameChain),
+    Chain(Box<FrameChain>),
 }
 
 impl LiveScene {
@@ -77,7 +77,7 @@ impl LiveScene {
             let propagation = tactile::propagation(&layout, model.theta.alpha_per_m);
             Sensing::Plain(propagation, tactile::thresholds(&layout, &model.theta))
         } else {
-            Sensing::Chain(FrameChain::new(&model.chain(), &station, object, &layout))
+            Sensing::Chain(Box::new(FrameChain::new(&model.chain(), &station, object, &layout)))
         };
         Ok(Self {
             object: object.clone(),
