@@ -18,6 +18,9 @@ const README: &str = include_str!("export_mujoco/README.md");
 /// A program that runs the scene and feels.
 const FEEL: &str = include_str!("export_mujoco/feel.py");
 
+/// Files to write: paths in the folder, and bytes.
+type Files = Vec<(PathBuf, Vec<u8>)>;
+
 #[derive(clap::Args)]
 pub(crate) struct ExportMujocoArgs {
     /// Folder to make
@@ -75,7 +78,7 @@ struct Export {
     object: String,
     model: String,
     /// By path in the folder.
-    files: Vec<(PathBuf, Vec<u8>)>,
+    files: Files,
 }
 
 impl Export {
@@ -132,7 +135,7 @@ impl Export {
 }
 
 /// The object and its files, the first of them as `object.toml`.
-fn object(name: &str) -> anyhow::Result<(ObjectModel, Vec<(PathBuf, Vec<u8>)>)> {
+fn object(name: &str) -> anyhow::Result<(ObjectModel, Files)> {
     let sources = Sources::default();
     let object = files::object(name, &sources)?;
     let path = sources.list().first().map(|source| PathBuf::from(&source.path));
@@ -157,11 +160,7 @@ fn object(name: &str) -> anyhow::Result<(ObjectModel, Vec<(PathBuf, Vec<u8>)>)> 
 }
 
 /// The station's files below `station`, each where the station's file finds it, and the path of that one.
-fn station_files(
-    station: &Station,
-    path: &Path,
-    name: &str,
-) -> anyhow::Result<(PathBuf, Vec<(PathBuf, Vec<u8>)>)> {
+fn station_files(station: &Station, path: &Path, name: &str) -> anyhow::Result<(PathBuf, Files)> {
     let up =
         |file: &str| Path::new(file).components().take_while(|part| *part == Component::ParentDir).count();
     let depth = station.files.files.keys().map(|file| up(file)).max().unwrap_or(0);
