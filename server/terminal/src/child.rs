@@ -70,6 +70,8 @@ pub fn command(program: &Path) -> Command {
 /// # Errors
 /// It cannot be started, or what it prints cannot be read.
 pub fn run(command: &mut Command, listener: &Listener<'_>) -> io::Result<Ended> {
+    let program = Path::new(command.get_program()).file_name().unwrap_or_default();
+    let says = format!("{}: ", program.to_string_lossy());
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
     // Held until it has ended.
     let _stdin = child.stdin.take();
@@ -94,7 +96,8 @@ pub fn run(command: &mut Command, listener: &Listener<'_>) -> io::Result<Ended> 
                 thread::park_timeout(LOOK_PERIOD);
             }
         });
-        let complaint = scope.spawn(|| stderr.map(|stderr| copy_complaints(stderr, log)).unwrap_or_default());
+        let complaint =
+            scope.spawn(|| stderr.map(|stderr| copy_complaints(stderr, &says, log)).unwrap_or_default());
         let report = stdout.map(|stdout| read_events(stdout, listener)).transpose();
         let complaint = complaint.join().unwrap_or_default();
         has_ended.store(true, Ordering::Relaxed);
@@ -130,14 +133,15 @@ fn read_events(stdout: impl Read, listener: &Listener<'_>) -> io::Result<Option<
     Ok(report)
 }
 
-/// Copies what is meant for people to the log; gives the last line in which the program says why it cannot go on.
-fn copy_complaints(stderr: impl Read, log: &dyn Fn(&str)) -> String {
+/// Copies what is meant for people to the log; gives the last line in which the program says why it cannot go on: one that
+/// begins with `says`, its name, or with "error".
+fn copy_complaints(stderr: impl Read, says: &str, log: &dyn Fn(&str)) -> String {
     let mut complaint = String::new();
     let copied = for_each_line(stderr, MAX_LINE_BYTES, |line| {
         let Line::Whole(line) = line else { return };
         let text = String::from_utf8_lossy(line);
         log(&text);
-        let said = text.strip_prefix("palpate-train: ").or_else(|| text.strip_prefix("error: "));
+        let said = text.strip_prefix(says).or_else(|| text.strip_prefix("error: "));
         if let Some(said) = said {
             complaint = said.chars().take(MAX_LOGGED_CHARS).collect();
         } else if text.contains("' panicked at ") {
