@@ -210,7 +210,8 @@ class Jobs:
     ) -> Job:
         """Scores a policy in fresh trials, or under a protocol.
 
-        `policy` is a job of `expert`, the name of a shipped policy, or, under a protocol, a job of `imitation` or `pipeline`.
+        `policy` is a job of `expert`, the name of a shipped policy, or, under a protocol, a job of `imitation` or
+        `pipeline`.
         `objects` are ids, or one of `seen`, `unseen` and `all`; None means the policy's own.
         """
         return self._train(
