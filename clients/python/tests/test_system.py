@@ -291,7 +291,7 @@ def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
         lambda: p.jobs.pretraining(["no such job"]),
         lambda: p.jobs.gathering(["no such object"]),
         lambda: p.jobs.imitation(["no such job"]),
-        lambda: p.jobs.pipeline(model="no such model"),
+        lambda: p.jobs.pipeline(preset="no such preset"),
     ]
     for ask in asks:
         with pytest.raises(PalpateError) as caught:
