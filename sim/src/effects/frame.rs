@@ -2,6 +2,10 @@
 
 use std::fmt::Debug;
 
+use palpate_robot_model::TactileLayout;
+
+use super::Effect;
+
 /// A frame of a take that goes on, with what effects need to know of the ones before it.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
@@ -36,6 +40,14 @@ pub trait FrameEffect: Debug + Send + Sync {
 /// Values that are each multiplied by a factor.
 #[derive(Clone, Debug)]
 pub(super) struct Factors(pub(super) Vec<(usize, f64)>);
+
+impl Factors {
+    /// What the `presence` of `effect` leaves of the channels of its place.
+    pub(super) fn left_by_presence(effect: &Effect, layout: &TactileLayout) -> Self {
+        let left = 1.0 - effect.parameter("presence");
+        Self(effect.channels(layout).into_iter().map(|channel| (channel, left)).collect())
+    }
+}
 
 impl FrameEffect for Factors {
     fn step(&self, _frame: &Frame<'_>, _memory: &mut [f64], values: &mut [f64]) {

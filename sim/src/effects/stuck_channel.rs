@@ -59,8 +59,6 @@ impl EffectKind for StuckChannel {
         station: &Station,
         _on_loads: &[f64],
     ) -> Option<Box<dyn FrameEffect>> {
-        let left = 1.0 - effect.parameter("presence");
-        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
-        Some(Box::new(Factors(channels.map(|channel| (channel, left)).collect())))
+        Some(Box::new(Factors::left_by_presence(effect, &station.layout)))
     }
 }
