@@ -7,6 +7,7 @@ mod legacy;
 pub(crate) mod lineage;
 pub(crate) mod runs;
 pub(crate) mod trainer;
+pub(crate) mod way_in;
 mod work;
 
 use std::{path::Path, sync::Arc, time::Instant};

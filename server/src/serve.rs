@@ -1,7 +1,7 @@
 //! Serving, from the first connection to an end that always ends.
 
 use std::{
-    net::SocketAddr,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
     path::{Path, PathBuf},
     sync::Arc,
     time::{Duration, Instant},
@@ -147,6 +147,8 @@ pub async fn serve(
         }
     };
     let listener = TcpListener::bind(listen).await.map_err(failed_to("listen on"))?;
+    let address = listener.local_addr().map_err(failed_to("listen on"))?;
+    let own = OwnDoor::open(address, has_tls).await?;
     let names = tls::names(listen, &hosts);
     let access = Access {
         hosts,
@@ -154,6 +156,7 @@ pub async fn serve(
         insecure: is_open,
         login: needs_login,
         behind_proxy,
+        own_url: Some(own.url()),
         program: None,
         train,
     };
@@ -182,7 +185,6 @@ pub async fn serve(
         }
         None => (None, None, None),
     };
-    let address = listener.local_addr().map_err(failed_to("listen on"))?;
     ready(Ready { address, fingerprint, own_cert });
     let (tell, told) = oneshot::channel();
     let ending = state.clone();
@@ -194,13 +196,58 @@ pub async fn serve(
         // Whoever asked for the end waits for this.
         let _ = tell.send(ended);
     };
-    listener::listen(listener, tls, app(state), stop).await;
+    let app = app(state.clone());
+    let own_listener = own.listener.map(|listener| {
+        let mut shutdown = state.shutdown();
+        let ends = async move {
+            // Without a sender the server is gone already.
+            let _ = shutdown.wait_for(|&ends| ends).await;
+        };
+        tokio::spawn(listener::listen(listener, None, app.clone(), ends))
+    });
+    drop(state);
+    listener::listen(listener, tls, app, stop).await;
+    if let Some(own_listener) = own_listener {
+        // It ends with the other.
+        let _ = own_listener.await;
+    }
     let Ok(Some((motion, station))) = told.await else {
         return Ok(Served { motion: None, is_written: true });
     };
     let finish = move || station.finish(FINISH_PATIENCE);
     let is_written = on_own_thread("finish", finish).await.unwrap_or(false);
     Ok(Served { motion: Some(motion), is_written })
+}
+
+/// Where jobs of this computer reach the studio without TLS: a certificate of the lab is for the name of the studio, and
+/// they would have to be told which to trust. It lets in whom the other address lets in.
+struct OwnDoor {
+    address: SocketAddr,
+    /// Where the address that everybody uses speaks TLS.
+    listener: Option<TcpListener>,
+}
+
+impl OwnDoor {
+    /// A door beside that at `address`, if that `has_tls`.
+    async fn open(address: SocketAddr, has_tls: bool) -> Result<Self, Error> {
+        let loopback = match address.ip() {
+            IpAddr::V4(_) => IpAddr::from(Ipv4Addr::LOCALHOST),
+            IpAddr::V6(_) => IpAddr::from(Ipv6Addr::LOCALHOST),
+        };
+        if !has_tls {
+            let ip = if address.ip().is_unspecified() { loopback } else { address.ip() };
+            return Ok(Self { address: SocketAddr::new(ip, address.port()), listener: None });
+        }
+        let failed = |err: std::io::Error| {
+            Error::Argument(format!("failed to listen on {loopback} for jobs of this computer: {err}"))
+        };
+        let listener = TcpListener::bind((loopback, 0)).await.map_err(failed)?;
+        Ok(Self { address: listener.local_addr().map_err(failed)?, listener: Some(listener) })
+    }
+
+    fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
 }
 
 /// Serves `state` on `listener` until `stop` completes.

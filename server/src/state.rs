@@ -17,10 +17,12 @@ use crate::{
     Error, Hub, Store, assets,
     data::{index::TakeIndex, library::Library},
     jobs::{
-        board::{DATABASE_FILE, Jobs},
+        board::Jobs,
         runs::{Calibrations, Diagnoses, Runs},
         trainer::Trainer,
+        way_in::WayIn,
     },
+    serve::open_people,
     station::{Live, LiveStation, RunningStation},
     work::Work,
 };
@@ -38,6 +40,8 @@ pub struct Access {
     pub login: bool,
     /// Requests come from a proxy on the way, which says in `X-Forwarded-For` from where it has them.
     pub behind_proxy: bool,
+    /// Where jobs of this computer reach it without TLS; without, no job can move the robot.
+    pub own_url: Option<String>,
     /// The `palpate` program that jobs run as; without, the one that runs now.
     pub program: Option<PathBuf>,
     /// The `palpate-train` program; without, it is looked for beside `palpate` and on `PATH`.
@@ -81,10 +85,11 @@ impl Studio {
             None => std::env::current_exe().map_err(Error::io("find", "this program"))?,
         };
         let trainer = Trainer { configured: access.train.clone(), palpate: Some(program) };
-        let jobs = Jobs::open(store.clone(), hub.clone(), trainer)?;
+        let people = Arc::new(open_people(store.root())?);
+        let way_in = WayIn { url: access.own_url.clone(), login: access.login, people: people.clone() };
+        let jobs = Jobs::open(store.clone(), hub.clone(), trainer, way_in)?;
         // After the database has been made.
         let library = Arc::new(Library::with_index(TakeIndex::open(store.root())?));
-        let people = Arc::new(People::open(&store.root().join(DATABASE_FILE))?);
         look_after(&people)?;
         let audit_path = store.audit_path();
         let audit = AuditFile::open(&audit_path, AuditRotation::default())

@@ -292,6 +292,7 @@ def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
         lambda: p.jobs.gathering(["no such object"]),
         lambda: p.jobs.imitation(["no such job"]),
         lambda: p.jobs.pipeline(preset="no such preset"),
+        lambda: p.jobs.rollouts("no such campaign"),
     ]
     for ask in asks:
         with pytest.raises(PalpateError) as caught:

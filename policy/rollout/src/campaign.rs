@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use palpate_terminal::cancel_on_ctrl_c;
+use palpate_terminal::{cancel_on_ctrl_c, events};
 use palpate_wire::api::{
     Attempt, Campaign, CampaignPlan, CampaignPolicy, RolloutOutcome, Trial, TrialState, TrialVerdict,
 };
@@ -71,6 +71,8 @@ struct Session<'a> {
     operator: Option<Operator>,
     /// Nothing is printed that a blind scorer is not to know.
     is_blind: bool,
+    /// Trials that this process has made.
+    num_made: u64,
 }
 
 /// Makes trials until none is left, or somebody pauses or closes the campaign.
@@ -85,11 +87,13 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
     let outcomes = Outcomes::open(&args.out, args.json)?;
     let is_blind = campaign.plan.is_blind;
     let (operator, arms) = (None, BTreeMap::new());
-    let mut session = Session { args, studio, options, arms, journal, outcomes, operator, is_blind };
+    let num_made = 0;
+    let mut session =
+        Session { args, studio, options, arms, journal, outcomes, operator, is_blind, num_made };
     session.tell_untold()?;
     let campaign: Campaign = studio.get(&path)?;
     if let Some(done) = standing(&campaign, options.repeats_void) {
-        say(options.id, &done);
+        session.say(&done);
         return Ok(());
     }
     // All before the first motion: a policy that does not fit is not found out in the middle of the night.
@@ -102,7 +106,8 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
                 reflex = Some(fit::reflex(path, &mut fitted)?);
             }
             for warning in &fitted.warnings {
-                eprintln!("rollout: {} on {}: {warning}", policy.id, object.id);
+                let policy = if is_blind { "a policy" } else { policy.id.as_str() };
+                eprintln!("rollout: {policy} on {}: {warning}", object.id);
             }
             session.arms.insert((policy.id.clone(), object.id.clone()), fitted);
         }
@@ -129,7 +134,7 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
             },
             Ok(done) => done,
         };
-        say(options.id, &done);
+        session.say(&done);
         match done {
             // Nobody stands beside an emulated station. Beside a real one somebody looks first whether it may move again.
             Done::Lost(_) if session.operator.is_some() => {}
@@ -139,17 +144,6 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
             Done::Complete | Done::Paused | Done::Closed | Done::Cancelled => return Ok(()),
         }
     }
-}
-
-fn say(id: &str, done: &Done) {
-    let text = match done {
-        Done::Complete => format!("campaign {id:?} has no trial left to make"),
-        Done::Paused => format!("campaign {id:?} is paused; resume it, and run the same command again"),
-        Done::Closed => format!("campaign {id:?} is closed"),
-        Done::Cancelled => format!("stopped by Ctrl-C; the same command goes on with campaign {id:?}"),
-        Done::Lost(why) => why.clone(),
-    };
-    eprintln!("rollout: {text}");
 }
 
 /// Takes control. A studio that is being started again is waited for, and so is the end of a lease whose holder is gone, as that
@@ -171,6 +165,25 @@ fn connect(args: &RolloutArgs, studio: &Studio) -> anyhow::Result<Link> {
 }
 
 impl Session<'_> {
+    /// Why no further trial is made now, for people, and for a program that reads events. Neither learns what trials came to,
+    /// which a blind scorer is not to know.
+    fn say(&self, done: &Done) {
+        let id = self.options.id;
+        let (ended, text) = match done {
+            Done::Complete => ("complete", format!("campaign {id:?} has no trial left to make")),
+            Done::Paused => {
+                ("paused", format!("campaign {id:?} is paused; resume it, and run the same command again"))
+            }
+            Done::Closed => ("closed", format!("campaign {id:?} is closed")),
+            Done::Cancelled => {
+                ("cancelled", format!("stopped by Ctrl-C; the same command goes on with campaign {id:?}"))
+            }
+            Done::Lost(why) => ("lost", why.clone()),
+        };
+        eprintln!("rollout: {text}");
+        events::report(&json!({ "campaign": id, "ended": ended, "trials_made": self.num_made }));
+    }
+
     fn trials(&mut self, hand: &Hand<'_>) -> anyhow::Result<Done> {
         let path = format!("/campaigns/{}", self.options.id);
         loop {
@@ -179,6 +192,7 @@ impl Session<'_> {
                 return Ok(done);
             }
             let trial = next(&campaign, self.options.repeats_void).context("there is no next trial")?;
+            tell_progress(&campaign, trial, "is prepared");
             ready(hand)?;
             if let Some(done) = self.trial(hand, &campaign, trial)? {
                 return Ok(done);
@@ -224,6 +238,9 @@ impl Session<'_> {
                 None if self.args.placed => Placing::Nobody,
                 None => Placing::Person(told(campaign, trial, arm)),
             };
+            if self.options.is_placed_at_page && !is_running {
+                tell_progress(campaign, trial, "waits: place its object and begin it at the page");
+            }
             num_tries += 1;
             match begin(hand, arm, placing) {
                 Ok(begins) => break begins,
@@ -232,6 +249,10 @@ impl Session<'_> {
                     still_there(hand)?;
                     eprintln!("rollout: trial {number} is prepared once more: {err:#}");
                     ready(hand)?;
+                }
+                // Somebody has taken a break, or closed the campaign, instead of placing the object.
+                Err(err) if self.options.is_placed_at_page && hand.link.ended().is_none() => {
+                    return self.standing_now(hand)?.map(Some).ok_or(err);
                 }
                 Err(err) => return Err(err),
             }
@@ -244,13 +265,19 @@ impl Session<'_> {
             let begun = alive_while(hand.link, || Ok(self.studio.post::<Campaign>(&path, &json!({}))?));
             if let Err(refused) = begun {
                 // Somebody may have taken a break, or closed the campaign, while the object was placed.
-                let path = format!("/campaigns/{}", self.options.id);
-                let campaign: Campaign = alive_while(hand.link, || Ok(self.studio.get(&path)?))?;
-                return standing(&campaign, self.options.repeats_void).map(Some).ok_or(refused);
+                return self.standing_now(hand)?.map(Some).ok_or(refused);
             }
         }
+        tell_progress(campaign, trial, "runs");
         let is_cancelled = self.make(hand, trial, attempt, &policy, is_silenced, &begins)?;
         Ok(is_cancelled.then_some(Done::Cancelled))
+    }
+
+    /// Why no trial is to be made now, as the studio has it.
+    fn standing_now(&self, hand: &Hand<'_>) -> anyhow::Result<Option<Done>> {
+        let path = format!("/campaigns/{}", self.options.id);
+        let campaign: Campaign = alive_while(hand.link, || Ok(self.studio.get(&path)?))?;
+        Ok(standing(&campaign, self.options.repeats_void))
     }
 
     fn make(
@@ -279,6 +306,7 @@ impl Session<'_> {
         let arm = self.arms.get_mut(&(policy.to_owned(), trial.object.clone()));
         let arm = arm.with_context(|| format!("there is no policy {policy:?} on {:?}", trial.object))?;
         self.journal.moves(number, attempt)?;
+        self.num_made += 1;
         let (outcome, is_cancelled) = make(hand, arm, making, begins, self.operator.as_mut())?;
         self.journal.ended(number, attempt, to_tell(&outcome))?;
         self.outcomes.add(&outcome)?;
@@ -313,6 +341,19 @@ impl Session<'_> {
         }
         Ok(())
     }
+}
+
+/// Tells whoever reads events how far `campaign` is, and what becomes of `trial`.
+fn tell_progress(campaign: &Campaign, trial: &Trial, what: &str) {
+    let made = campaign
+        .trials
+        .iter()
+        .filter(|trial| !trial.attempts.is_empty() && trial.state != TrialState::Running);
+    let (number, planned) = (trial.number, campaign.summary.planned);
+    events::progress(
+        made.count() as f64 / f64::from(planned.max(1)),
+        &format!("trial {number} of {planned} {what}"),
+    );
 }
 
 fn record_path(folder: &Path, trial: u32, attempt: u32) -> PathBuf {

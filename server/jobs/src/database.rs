@@ -14,7 +14,9 @@ use std::{
     time::Duration,
 };
 
-pub(crate) use jobs::{Ending, NewJob, QueuedJob, Row, held_cores};
+#[cfg(test)]
+pub(crate) use jobs::held_cores;
+pub(crate) use jobs::{Ending, NewJob, QueuedJob, Row};
 pub use jobs::{JobTotals, ListFilter, Submitted};
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 

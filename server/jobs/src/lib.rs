@@ -22,7 +22,8 @@ pub use error::JobsError;
 pub use folder::{FolderLock, JobFolder, Shard};
 pub use inputs::check_inputs;
 pub use runner::{
-    Capacity, Launch, ProcessRunner, ProcessRunnerConfig, RunState, Runner, SlurmConfig, SlurmRunner, runners,
+    Capacity, Launch, ProcessRunner, ProcessRunnerConfig, RunState, Runner, SlurmConfig, SlurmRunner,
+    StationVariables, runners,
 };
 pub use scheduler::{Observer, Scheduler, SchedulerConfig, Submission};
 pub use working::{Begun, Outcome, Working, WorkingConfig, on_stop_request};

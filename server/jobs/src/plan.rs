@@ -31,6 +31,9 @@ impl Holdings {
         self.station |= job.station;
         let held = self.by_runner.entry(job.runner.clone()).or_default();
         held.gpu |= job.gpu;
+        if job.station {
+            return;
+        }
         if job.short {
             held.short_jobs += 1;
         } else {
@@ -61,7 +64,8 @@ pub(crate) fn shards_at_once(resources: &Resources, capacity: Option<Capacity>) 
 /// waits for something that the next one does not need. `capacity` is that of a runner by name; `None` for one that is
 /// not there.
 ///
-/// Short jobs have a lane of their own beside all cores, because they end before anybody misses what they take.
+/// Short jobs have a lane of their own beside all cores, because they end before anybody misses what they take; the job on
+/// the station has one too, because somebody stands beside the robot, and it mostly waits for them.
 pub(crate) fn plan(
     queue: &[QueuedJob],
     holdings: &mut Holdings,
@@ -79,7 +83,9 @@ pub(crate) fn plan(
             if job.gpu && (held.gpu || !capacity.gpu) {
                 continue;
             }
-            if job.short {
+            if job.station {
+                // It needs nothing else.
+            } else if job.short {
                 if held.short_jobs >= capacity.short_jobs.max(1) {
                     continue;
                 }
@@ -163,6 +169,13 @@ mod tests {
     }
 
     #[test]
+    fn nobody_beside_the_robot_waits_for_a_training() {
+        let on_station = QueuedJob { station: true, ..job("trials", 1) };
+        assert_eq!(started(std::slice::from_ref(&on_station), &[job("training", 0)]), ["trials"]);
+        assert_eq!(started(&[job("training", 0)], &[on_station]), ["training"], "nor the other way round");
+    }
+
+    #[test]
     fn shards_stay_within_the_cores_of_their_job() {
         let at_once = |cores, shards, at_once| {
             let resources = Resources { cores, shards, at_once, ..Resources::default() };
@@ -201,12 +214,12 @@ mod tests {
             let started = started(&queue, &[]);
             let running: Vec<&QueuedJob> = queue.iter().filter(|job| started.contains(&job.id)).collect();
             prop_assert_eq!(&started[0], "0", "the first in the queue starts when nothing runs");
-            let long: Vec<&&QueuedJob> = running.iter().filter(|job| !job.short).collect();
+            let long: Vec<&&QueuedJob> = running.iter().filter(|job| !job.short && !job.station).collect();
             let cores: u32 = long.iter().map(|job| cores_of(job, Some(CAPACITY))).sum();
             prop_assert!(cores <= CAPACITY.cores);
             prop_assert!(running.iter().filter(|job| job.gpu).count() <= 1);
             prop_assert!(running.iter().filter(|job| job.station).count() <= 1);
-            prop_assert!(running.iter().filter(|job| job.short).count() <= CAPACITY.short_jobs as usize);
+            prop_assert!(running.iter().filter(|job| job.short && !job.station).count() <= CAPACITY.short_jobs as usize);
         }
     }
 }

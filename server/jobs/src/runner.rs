@@ -6,7 +6,7 @@ mod slurm;
 
 pub use file::runners;
 use palpate_wire::api::{JobExit, Resources};
-pub use process::{ProcessRunner, ProcessRunnerConfig};
+pub use process::{ProcessRunner, ProcessRunnerConfig, StationVariables};
 pub use slurm::{SlurmConfig, SlurmRunner};
 
 use crate::{JobFolder, JobsError};

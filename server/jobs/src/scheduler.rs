@@ -4,6 +4,7 @@
 //! starts and ends attempts; whoever submits or cancels never waits for it.
 
 mod shards;
+mod station;
 
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap},
@@ -22,7 +23,7 @@ use palpate_wire::api::{Job, JobPage, JobProgress, JobSpec, JobState};
 use crate::{
     Database, JobFolder, JobsError, ListFilter, Submitted,
     clock::rfc3339_now,
-    database::{Ending, JobTotals, NewJob, QueuedJob, Row, held_cores},
+    database::{Ending, JobTotals, NewJob, QueuedJob, Row},
     folder::Shard,
     inputs,
     plan::{Holdings, plan},
@@ -97,6 +98,8 @@ struct Shared {
     live: Mutex<HashMap<String, Live>>,
     wake: (Mutex<bool>, Condvar),
     ends: AtomicBool,
+    /// Jobs on the station that were asked for since this studio was started.
+    wanted: Mutex<BTreeSet<String>>,
 }
 
 /// What is known of a running job beyond the database.
@@ -134,6 +137,7 @@ impl Scheduler {
             live: Mutex::default(),
             wake: (Mutex::new(true), Condvar::new()),
             ends: AtomicBool::new(false),
+            wanted: Mutex::default(),
         });
         Ok(Self { shared, thread: Mutex::default() })
     }
@@ -180,10 +184,14 @@ impl Scheduler {
         };
         let submitted = {
             let live = self.shared.live();
+            if resources.station {
+                self.shared.refuse_second_on_station()?;
+            }
             let submitted = config.database.insert(&new, |id| {
                 JobFolder::at(config.runs.join(id)).create(submission.spec, submission.shards)
             })?;
             if submitted.is_new {
+                self.shared.note_wanted(&submitted.job);
                 (config.observer)(&submitted.job);
             }
             drop(live);
@@ -271,6 +279,9 @@ impl Scheduler {
         let job = {
             let live = self.shared.live();
             let job = self.shared.job(&live, id)?;
+            if job.spec.resources.station && !job.is_unfinished() {
+                self.shared.refuse_second_on_station()?;
+            }
             if !self.shared.config.database.retry(id)? {
                 return Err(JobsError::Conflict(format!(
                     "job {id:?} is {}; only one that failed or was cancelled can be tried again, others can be asked for \
@@ -278,6 +289,7 @@ impl Scheduler {
                     job.state.name()
                 )));
             }
+            self.shared.note_wanted(&job);
             self.shared.tell(&live, id)?;
             self.shared.job(&live, id)?
         };
@@ -504,7 +516,11 @@ impl Shared {
         }
     }
 
+    /// A job that was cut off is done again, unless it moves the robot: nobody may stand beside it any more.
     fn begin_again(&self, row: &Row) -> Result<(), JobsError> {
+        if row.job.spec.resources.station {
+            return self.end(row, JobState::Failed, Some(station::CUT_OFF), &rfc3339_now());
+        }
         if row.cut_off + 1 >= MAX_CUT_OFF {
             let problem = format!(
                 "it was cut off {MAX_CUT_OFF} times before it ended; find out what ends it, then try it again"
@@ -587,7 +603,7 @@ impl Shared {
             running.iter().map(|row| row.job.spec.resources.max_at_once() as usize).sum();
         let mut holdings = Holdings::default();
         for row in &running {
-            holdings.add(&queued(row), capacity(&row.job.runner).flatten());
+            holdings.add(&QueuedJob::from(row), capacity(&row.job.runner).flatten());
         }
         for short in [true, false] {
             for id in plan(&database.queue(short, MAX_PLANNED)?, &mut holdings, capacity) {
@@ -622,6 +638,7 @@ impl Shared {
             return Ok(true);
         }
         let started = match self.runner(&row.job.runner) {
+            _ if !self.is_wanted_now(&launch) => Err(JobsError::Conflict(station::NOT_WANTED.to_owned())),
             Some(runner) => runner.submit(&launch),
             None => Err(JobsError::Runner(format!("runner {:?} is not configured", row.job.runner))),
         };
@@ -661,18 +678,6 @@ fn telling_line(log: &str) -> Option<&str> {
 /// What the runner gave for the job's own process, if that was written down.
 fn handle(row: &Row) -> Option<&str> {
     row.handle.as_deref().filter(|handle| *handle != LAST_STEP)
-}
-
-fn queued(row: &Row) -> QueuedJob {
-    let resources = row.job.spec.resources;
-    QueuedJob {
-        id: row.job.id.clone(),
-        runner: row.job.runner.clone(),
-        cores: held_cores(&resources),
-        gpu: resources.gpu,
-        station: resources.station,
-        short: resources.short,
-    }
 }
 
 /// Adds what is known of a running job beyond the database.

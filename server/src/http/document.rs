@@ -16,7 +16,7 @@ use palpate_wire::api::{
     BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DemonstrationsRequest,
     DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest, EvaluationRequest, ExpertRequest,
     GatheringRequest, ImitationRequest, LEASE_HEADER, PipelineRequest, PretrainingRequest, ProblemDetails,
-    ProblemType, TuneRequest,
+    ProblemType, RolloutsRequest, TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
@@ -66,7 +66,8 @@ use super::{
         PretrainingRequest,
         GatheringRequest,
         ImitationRequest,
-        PipelineRequest
+        PipelineRequest,
+        RolloutsRequest
     )),
 )]
 struct Head;

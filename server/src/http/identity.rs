@@ -22,7 +22,7 @@ use super::{
     routes::{Needs, NeedsLease},
 };
 use crate::AppState;
-use palpate_wire::api::{ProblemType, Scope};
+use palpate_wire::api::{ProblemType, Role, Scope};
 
 /// The cookie of a login. Browsers take one of this name only from this very host, over TLS, for all paths.
 const COOKIE: &str = "__Host-palpate";
@@ -110,6 +110,25 @@ pub(crate) struct Gate {
     pub(crate) needs: Needs,
 }
 
+/// What keeps `principal` from what needs this `role` and `scope`, if anything does.
+pub(crate) fn lack(principal: &Principal, role: Role, scope: Scope) -> Option<String> {
+    if principal.may(role, scope) {
+        return None;
+    }
+    Some(match principal.role() >= role {
+        true => format!(
+            "{} is not good for {scope:?}, which this needs; make a token with that scope",
+            principal.label(),
+            scope = scope.name()
+        ),
+        false => format!(
+            "{} may do what a {} may, and this needs the role of {role}; ask an admin",
+            principal.label(),
+            principal.role()
+        ),
+    })
+}
+
 /// Lets a request through to its route, if whoever makes it may; notes what was changed, and by whom.
 pub(crate) async fn allow(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
     let Needs { role, scope, lease } = gate.needs;
@@ -120,19 +139,7 @@ pub(crate) async fn allow(State(gate): State<Arc<Gate>>, request: Request, next:
         Ok(principal) => principal,
         Err(denied) => return unknown(denied),
     };
-    if !principal.may(role, scope) {
-        let detail = match principal.role() >= role {
-            true => format!(
-                "{} is not good for {scope:?}, which this needs; make a token with that scope",
-                principal.label(),
-                scope = scope.name()
-            ),
-            false => format!(
-                "{} may do what a {} may, and this needs the role of {role}; ask an admin",
-                principal.label(),
-                principal.role()
-            ),
-        };
+    if let Some(detail) = lack(&principal, role, scope) {
         return problem(ProblemType::NotPermitted, &detail);
     }
     // The control loop notes what needs a lease, and people's routes say what they do in words.

@@ -5,7 +5,9 @@ use std::{
     sync::Arc,
 };
 
-use palpate_jobs::{Database, Observer, Scheduler, SchedulerConfig, Submission, Submitted, runners};
+use palpate_jobs::{
+    Database, Observer, Scheduler, SchedulerConfig, StationVariables, Submission, Submitted, runners,
+};
 use palpate_wire::{
     api::{ArtifactSort, Job, JobChanges, JobKindDocument, JobRequest, JobSpec, JobState},
     proto::JobUpdate,
@@ -13,8 +15,11 @@ use palpate_wire::{
 
 use serde_json::{Map, Value, json};
 
-use super::{kinds, legacy, trainer::Trainer};
+use super::{kinds, legacy, trainer::Trainer, way_in::WayIn};
 use crate::{Error, Hub, Store, hub::List};
+
+/// The runner of jobs that have to be on this computer.
+const LOCAL_RUNNER: &str = "process";
 
 /// The database of a data folder.
 pub(crate) const DATABASE_FILE: &str = "palpate.sqlite";
@@ -53,7 +58,7 @@ pub(crate) fn beside_a_studio(data: &Path, train: Option<&Path>) -> Result<(Path
     }
     let root = data.canonicalize().map_err(Error::io("open", data))?;
     let database = Arc::new(Database::open(&path)?);
-    let config = config_of(&root, database, &trainer_of(train)?, Arc::new(|_| {}))?;
+    let config = config_of(&root, database, &trainer_of(train)?, Arc::new(|_| {}), None)?;
     Ok((root, Scheduler::open(config)?))
 }
 
@@ -68,6 +73,7 @@ fn config_of(
     database: Arc<Database>,
     trainer: &Trainer,
     observer: Observer,
+    station: Option<StationVariables>,
 ) -> Result<SchedulerConfig, Error> {
     let palpate = trainer.palpate.clone().unwrap_or_else(|| "palpate".into());
     let mut command = vec![palpate, "job".into(), "run".into()];
@@ -78,7 +84,7 @@ fn config_of(
         runs: root.join("runs"),
         trash: root.join("trash/runs"),
         database,
-        runners: runners(root, command)?,
+        runners: runners(root, command, station)?,
         observer,
         cancel_grace: None,
     })
@@ -92,11 +98,19 @@ fn session_made_by(job: &Job) -> Option<&str> {
 }
 
 impl Jobs {
-    /// Opens the jobs of `store`'s folder; what waits is started.
-    pub(crate) fn open(store: Arc<Store>, hub: Arc<Hub>, trainer: Trainer) -> Result<Self, Error> {
+    /// Opens the jobs of `store`'s folder; what waits is started. Jobs on the station come back by `way_in`.
+    pub(crate) fn open(
+        store: Arc<Store>,
+        hub: Arc<Hub>,
+        trainer: Trainer,
+        way_in: WayIn,
+    ) -> Result<Self, Error> {
         let root = store.root().canonicalize().map_err(Error::io("open", store.root()))?;
         let database = Arc::new(Database::open(&root.join(DATABASE_FILE))?);
+        let way_in = Arc::new(way_in);
+        let station = way_in.variables(database.clone());
         let observer: Observer = Arc::new(move |job| {
+            way_in.close(job);
             hub.publish_job(&update_of(job));
             hub.tell_watchers(job);
             if let Some(session) = session_made_by(job) {
@@ -105,7 +119,7 @@ impl Jobs {
         });
         legacy::find_again(&store, &database)?;
         legacy::take_over(&store, &database)?;
-        let scheduler = Scheduler::start(config_of(&root, database, &trainer, observer)?)?;
+        let scheduler = Scheduler::start(config_of(&root, database, &trainer, observer, Some(station))?)?;
         Ok(Self { store, scheduler, trainer })
     }
 
@@ -188,7 +202,15 @@ impl Jobs {
             self.trainer.find()?;
         }
         let files = (kind.check)(&self.store, &request.request)?;
-        let resources = request.resources.unwrap_or(kind.resources);
+        let mut resources = request.resources.unwrap_or(kind.resources);
+        // Whoever asks cannot change whether a kind moves the robot.
+        resources.station = kind.resources.station;
+        let runner = request.runner.as_deref().or(kind.resources.station.then_some(LOCAL_RUNNER));
+        if kind.resources.station && !self.scheduler.is_local(runner) {
+            return Err(Error::Argument(format!(
+                "the station is at this computer; leave out the runner, or give {LOCAL_RUNNER:?}"
+            )));
+        }
         let shards = kinds::shards(kind, &request.request, request.seed, &resources)?;
         let spec = JobSpec {
             kind: kind.name.to_owned(),
@@ -199,14 +221,7 @@ impl Jobs {
             priority: request.priority,
             resources,
         };
-        let submission = Submission {
-            prefix: kind.prefix,
-            spec: &spec,
-            shards: &shards,
-            owner,
-            runner: request.runner.as_deref(),
-            key,
-        };
+        let submission = Submission { prefix: kind.prefix, spec: &spec, shards: &shards, owner, runner, key };
         Ok(self.scheduler.submit(&submission)?)
     }
 

@@ -11,6 +11,7 @@ mod gathering;
 mod imitation;
 mod pipeline;
 mod pretraining;
+mod rollouts;
 mod shards;
 mod training;
 mod tune;
@@ -49,6 +50,7 @@ pub(crate) const KINDS: &[&JobKind] = &[
     &gathering::GATHERING,
     &imitation::IMITATION,
     &pipeline::PIPELINE,
+    &rollouts::ROLLOUTS,
 ];
 
 /// The numbers that a job found.

@@ -18,7 +18,7 @@ use serde_json::Value;
 use crate::Error;
 
 /// Its name.
-const PROGRAM: &str = "palpate-train";
+pub(crate) const PROGRAM: &str = "palpate-train";
 /// Where `palpate-train` is looked for.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trainer {
@@ -61,8 +61,6 @@ impl Trainer {
         listener: &Listener<'_>,
     ) -> Result<Option<Value>, Error> {
         let program = self.find()?;
-        let shown: Vec<_> = args.iter().map(|arg| arg.to_string_lossy()).collect();
-        println!("{PROGRAM} {}", shown.join(" "));
         let mut command = child::command(&program);
         let ended =
             child::run(command.args(args).current_dir(dir), listener).map_err(Error::io("run", &program))?;

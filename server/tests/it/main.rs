@@ -16,6 +16,7 @@ mod jobs;
 mod operations;
 mod people;
 mod retention;
+mod rollouts;
 mod serving;
 mod stream;
 mod support;

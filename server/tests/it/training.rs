@@ -99,6 +99,10 @@ async fn studio_without_the_program_says_so_and_how_to_get_it() {
     let (app, _state) = studio(&data, &data.path("nowhere/palpate-train"));
     let kinds: Vec<JobKindDocument> = get(&app, "/api/v1/kinds").await.json();
     for kind in &kinds {
+        if kind.kind == "rollouts" {
+            // It needs a station first.
+            continue;
+        }
         let needs_it = TRAININGS.contains(&kind.kind.as_str());
         assert_eq!(kind.is_available, !needs_it, "{kind:?}");
         assert_eq!(kind.problem.as_deref().is_some_and(|problem| problem.contains("cargo build")), needs_it);
@@ -111,7 +115,9 @@ async fn studio_without_the_program_says_so_and_how_to_get_it() {
     fs::create_dir(data.path("nowhere")).unwrap();
     fs::copy(program(&data, STAND_IN), data.path("nowhere/palpate-train")).unwrap();
     let kinds: Vec<JobKindDocument> = get(&app, "/api/v1/kinds").await.json();
-    assert!(kinds.iter().all(|kind| kind.is_available), "{kinds:?}");
+    let missing: Vec<&str> =
+        kinds.iter().filter(|kind| !kind.is_available).map(|kind| kind.kind.as_str()).collect();
+    assert_eq!(missing, ["rollouts"], "there is no station");
 }
 
 #[tokio::test]

@@ -15,5 +15,5 @@ mod tables;
 pub use campaign::Viewer;
 pub use error::TrialsError;
 pub use plan::{MAX_TRIALS, PlannedTrial, check_plan, start_of, trials_of};
-pub use store::{Campaigns, results_of_folder};
+pub use store::{Campaigns, campaign_of_folder, results_of_folder};
 pub use tables::{Format, render};

@@ -292,6 +292,15 @@ pub fn results_of_folder(
     folder: &Path,
     published: &[PublishedResult],
 ) -> Result<CampaignResults, TrialsError> {
+    results::of(&state_of_folder(folder)?, published)
+}
+
+/// The campaign in `folder` as `viewer` may see it, read in the same way.
+pub fn campaign_of_folder(folder: &Path, viewer: &Viewer) -> Result<Campaign, TrialsError> {
+    Ok(state_of_folder(folder)?.view(viewer))
+}
+
+fn state_of_folder(folder: &Path) -> Result<State, TrialsError> {
     let id = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     if !folder.join(PLAN_FILE).is_file() {
         return Err(TrialsError::UnknownCampaign(id));
@@ -299,7 +308,7 @@ pub fn results_of_folder(
     let mut state = read_plan(folder, &id)?;
     let path = folder.join(LOG_FILE);
     replay(&mut state, Log::read(&path)?, &path)?;
-    results::of(&state, published)
+    Ok(state)
 }
 
 fn read_plan(folder: &Path, id: &str) -> Result<State, TrialsError> {

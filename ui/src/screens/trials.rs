@@ -2,6 +2,7 @@
 
 mod beside;
 mod form;
+mod hand;
 mod place;
 mod results;
 mod run;

@@ -14,7 +14,7 @@ use crate::{
     home::me,
 };
 
-fn job(id: &str, kind: &str, state: JobState) -> Job {
+pub(crate) fn job(id: &str, kind: &str, state: JobState) -> Job {
     Job {
         id: id.into(),
         kind: kind.into(),

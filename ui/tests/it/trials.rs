@@ -2,12 +2,12 @@
 
 use egui::{Key, accesskit::Role};
 use egui_kittest::kittest::Queryable as _;
-use palpate_ui::api_client::{ApiEvent, CampaignAct, Request};
+use palpate_ui::api_client::{ApiEvent, CampaignAct, JobAct, Request};
 use palpate_wire::{
     api::{
         Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignResults, CampaignSummary,
-        FailureModes, PolicyResult, Role as May, RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart,
-        TrialState, TrialVerdict, Via,
+        FailureModes, Job, JobKindDocument, JobPage, JobRequest, JobState, PolicyResult, Role as May,
+        RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart, TrialState, TrialVerdict, Via,
     },
     proto::{Changed, StreamMessage, stream_message},
 };
@@ -16,6 +16,7 @@ use prost::Message as _;
 use crate::{
     fixture::{FakeWindow, SharedApi, full_api, page, page_of},
     home::me,
+    jobs::job,
 };
 
 fn campaign(state: TrialState) -> Campaign {
@@ -132,6 +133,73 @@ fn the_next_trial_says_where_the_object_goes_and_begins() {
     assert_eq!(acts(&api), [CampaignAct::Begin(1)]);
     // The made-up server refuses, and its words are on the page.
     harness.get_by_label_contains("nothing at POST /api/v1/campaigns/first%2Dtrials/trials/1/begin");
+}
+
+/// The same studio, which can run policies itself unless there is a `problem`, with this job.
+fn with_rollouts(problem: Option<&str>, job: Option<Job>) -> SharedApi {
+    let api = with(&campaign(TrialState::Waiting));
+    let kind = JobKindDocument {
+        kind: "rollouts".into(),
+        resources: Default::default(),
+        is_available: problem.is_none(),
+        problem: problem.map(str::to_owned),
+    };
+    let page = JobPage { jobs: job.into_iter().collect(), next_cursor: None };
+    let mut fake = api.0.borrow_mut();
+    fake.answer(&Request::Kinds, serde_json::to_vec(&[kind]).expect("it is plain data"));
+    fake.answer(&Request::Jobs(None), serde_json::to_vec(&page).expect("it is plain data"));
+    drop(fake);
+    api
+}
+
+fn rollouts(state: JobState) -> Job {
+    let mut job = job("rollouts-1", "rollouts", state);
+    job.stage = "trial 1 of 2 waits: place its object and begin it at the page".into();
+    job.spec.request = serde_json::json!({ "campaign": "first-trials" });
+    job
+}
+
+#[test]
+fn policies_run_by_one_button_and_say_what_they_wait_for() {
+    let api = with_rollouts(None, None);
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Let the policies run here").click();
+    harness.run_steps(3);
+    let asked = Request::SubmitJob(JobRequest {
+        kind: "rollouts".into(),
+        request: serde_json::json!({ "campaign": "first-trials" }),
+        seed: 0,
+        priority: 0,
+        resources: None,
+        runner: None,
+    });
+    assert!(api.0.borrow().sent.contains(&asked));
+
+    let api = with_rollouts(None, Some(rollouts(JobState::Running)));
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("rollouts-1 moves the robot");
+    assert!(harness.query_by_label("Let the policies run here").is_none());
+    harness.get_by_role_and_label(Role::Button, "Stop running trials").click();
+    harness.run_steps(3);
+    let stopped = Request::ActOnJob { job: "rollouts-1".into(), act: JobAct::Cancel };
+    assert!(api.0.borrow().sent.contains(&stopped));
+}
+
+#[test]
+fn policies_that_cannot_run_say_why() {
+    let api = with_rollouts(Some("no station \"live\""), None);
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("This studio cannot run policies itself: no station");
+    assert!(harness.query_by_label("Let the policies run here").is_none());
+
+    let api = with_rollouts(None, Some(rollouts(JobState::Failed)));
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    harness.get_by_label_contains("rollouts-1 failed: the disk is full");
+    harness.get_by_role_and_label(Role::Button, "Let the policies run here");
 }
 
 #[test]

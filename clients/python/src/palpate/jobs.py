@@ -362,6 +362,19 @@ class Jobs:
         """
         return self._train("pipeline", 0, key, preset=preset, config=config, model=model)
 
+    def rollouts(self, campaign: str, *, repeat_void: bool = False, key: str | None = None) -> Job:
+        """Makes the trials of a campaign on the hand. Somebody places each object and begins its trial at the page.
+
+        The token needs the scope `control`: the job takes control of the robot.
+
+        Args:
+            campaign: Id of the campaign.
+            repeat_void: Make trials that were scored void once more, after all others.
+            key: The same text again gives the same job again.
+
+        """
+        return self._train("rollouts", 0, key, campaign=campaign, repeat_void=repeat_void)
+
     def tune(
         self,
         object: str,

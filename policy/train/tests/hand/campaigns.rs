@@ -7,8 +7,9 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use palpate_rollout::link::Link;
+use palpate_rollout::operator::Operator;
 use palpate_rollout::studio::{RequestError, Studio};
-use palpate_wire::api::{Campaign, CampaignResults, TrialVerdict};
+use palpate_wire::api::{Campaign, CampaignResults, Job, JobState, TrialVerdict};
 use serde_json::{Value, json};
 
 use super::station::{self, cube_station, palpate};
@@ -190,4 +191,71 @@ fn a_campaign_is_made_by_one_scored_blind_by_another_and_exported_as_it_was_scor
         .expect("the command starts");
     let exported: CampaignResults = serde_json::from_slice(&exported.stdout).expect("results");
     assert_eq!(exported, results);
+}
+
+#[test]
+fn studio_makes_trials_itself_for_as_long_as_somebody_places_objects() {
+    let Some(palpate) = palpate() else { return };
+    let _turn = turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let (dir, data) = (folder.path().join("devices"), folder.path().join("data"));
+    let (_station, found) = cube_station(&dir);
+    let token = somebody(&palpate, &data, "olga", "operator", "read,control,data,jobs");
+    let train = env!("CARGO_BIN_EXE_palpate-train");
+    let (_studio, url) = station::studio(&palpate, &data, &["--login", "--tls", "--train", train], &found);
+    let studio = Studio::new(&url, Some(token), Some(&data.join("tls/cert.pem"))).expect("a studio");
+    let plan = json!({
+        "name": "By the studio", "starts": 2, "half_width_m": 0.015, "seed": 5,
+        "policies": [{ "id": "expert", "source": "{object}.safetensors" }], "objects": [{ "id": "cube" }],
+    });
+    let _: Campaign = studio.post("/campaigns", &plan).expect("a campaign");
+    let request = json!({ "kind": "rollouts", "request": { "campaign": "by-the-studio" } });
+    let ask = || studio.post::<Job>("/jobs", &request).expect("a job").id;
+    let id = ask();
+    let until = |id: &str, wanted: &dyn Fn(&Job) -> bool| {
+        let begun = Instant::now();
+        loop {
+            let job: Job = studio.get(&format!("/jobs/{id}")).expect("the job");
+            if wanted(&job) {
+                return job;
+            }
+            let log = std::fs::read_to_string(data.join("runs").join(id).join("log.txt")).unwrap_or_default();
+            assert!(job.is_unfinished() && begun.elapsed() < PATIENCE, "{job:?}\n{log}");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    };
+
+    // The robot waits, out of the way, until the object of the first trial is placed and the trial begun.
+    until(&id, &|job| job.stage.contains("trial 1 of 2 waits"));
+    let campaign: Campaign = studio.get("/campaigns/by-the-studio").expect("the campaign");
+    let start = campaign.trials[0].start;
+    let place = json!({
+        "act": "place", "object": "cube", "offset_m": [start.x_m, start.y_m], "yaw_rad": start.yaw_rad,
+        "side": start.side, "seed": start.seed,
+    });
+    let mut operator =
+        Operator::connect(Path::new(found["operator"].as_str().expect("a socket"))).expect("the operator");
+    let placed = operator.ask(&place).expect("it is placed");
+    assert!(placed["object_pose"].is_array(), "{placed}");
+    let _: Campaign = studio.post("/campaigns/by-the-studio/trials/1/begin", &json!({})).expect("it begins");
+    let job = until(&id, &|job| job.stage.contains("trial 2 of 2 waits"));
+    assert!((job.fraction - 0.5).abs() < 1e-9, "{job:?}");
+    let campaign: Campaign = studio.get("/campaigns/by-the-studio").expect("the campaign");
+    let first = &campaign.trials[0].attempts[0];
+    let outcome = first.outcome.as_ref().expect("what came of it");
+    assert_eq!(first.by, "olga");
+    assert!(outcome.suggested.is_some_and(|verdict| verdict != TrialVerdict::Void), "{outcome:?}");
+    let record = outcome.record.as_ref().expect("a record");
+    assert!(Path::new(record).starts_with(data.join("campaigns/by-the-studio/rollout")), "{record}");
+
+    // Nobody places the second one: it is stopped, another job goes on where it was, and a break ends that one well.
+    let _: Job = studio.post(&format!("/jobs/{id}/cancel"), &json!({})).expect("it is asked");
+    assert_eq!(until(&id, &|job| !job.is_unfinished()).state, JobState::Cancelled);
+    let id = ask();
+    until(&id, &|job| job.stage.contains("trial 2 of 2 waits"));
+    let _: Campaign = studio.post("/campaigns/by-the-studio/pause", &json!({})).expect("a break");
+    assert_eq!(until(&id, &|job| !job.is_unfinished()).state, JobState::Done);
+    let report = std::fs::read(data.join("runs").join(&id).join("report.json")).expect("a report");
+    let report: Value = serde_json::from_slice(&report).expect("JSON");
+    assert_eq!(report, json!({ "campaign": "by-the-studio", "ended": "paused", "trials_made": 0 }));
 }

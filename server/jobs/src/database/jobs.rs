@@ -68,6 +68,20 @@ pub(crate) struct QueuedJob {
     pub(crate) short: bool,
 }
 
+impl From<&Row> for QueuedJob {
+    fn from(row: &Row) -> Self {
+        let resources = &row.job.spec.resources;
+        Self {
+            id: row.job.id.clone(),
+            runner: row.job.runner.clone(),
+            cores: held_cores(resources),
+            gpu: resources.gpu,
+            station: resources.station,
+            short: resources.short,
+        }
+    }
+}
+
 /// How a job ends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ending<'a> {

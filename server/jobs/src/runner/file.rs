@@ -9,7 +9,9 @@ use std::{
 
 use serde::Deserialize;
 
-use super::{Capacity, ProcessRunner, ProcessRunnerConfig, Runner, SlurmConfig, SlurmRunner};
+use super::{
+    Capacity, ProcessRunner, ProcessRunnerConfig, Runner, SlurmConfig, SlurmRunner, StationVariables,
+};
 use crate::JobsError;
 
 /// How much jobs give way to other processes, where the file does not say so.
@@ -42,8 +44,12 @@ struct ProcessFile {
 }
 
 /// The runners of the data folder `root`, the usual one first. `command` is what runs a job on this computer: a
-/// program, and what comes before `--dir DIR`.
-pub fn runners(root: &Path, command: Vec<PathBuf>) -> Result<Vec<Arc<dyn Runner>>, JobsError> {
+/// program, and what comes before `--dir DIR`; `station` is what jobs on the station are told there.
+pub fn runners(
+    root: &Path,
+    command: Vec<PathBuf>,
+    station: Option<StationVariables>,
+) -> Result<Vec<Arc<dyn Runner>>, JobsError> {
     let path = root.join("runners.toml");
     let problem = |problem: String| JobsError::Content { path: path.clone(), problem };
     let file: RunnersFile = match fs::read_to_string(&path) {
@@ -70,6 +76,7 @@ pub fn runners(root: &Path, command: Vec<PathBuf>) -> Result<Vec<Arc<dyn Runner>
             gpu: file.process.gpu.unwrap_or_else(|| Path::new("/dev/nvidia0").exists()),
             short_jobs: file.process.short_jobs.unwrap_or(SHORT_JOBS).max(1),
         },
+        station,
     });
     let mut runners: Vec<Arc<dyn Runner>> = vec![Arc::new(process)];
     for slurm in file.slurm {
@@ -100,7 +107,7 @@ mod tests {
         if let Some(text) = text {
             fs::write(dir.path().join("runners.toml"), text).unwrap();
         }
-        let runners = runners(dir.path(), vec!["palpate".into()]).map_err(|err| err.to_string())?;
+        let runners = runners(dir.path(), vec!["palpate".into()], None).map_err(|err| err.to_string())?;
         Ok(runners.iter().map(|runner| runner.name().to_owned()).collect())
     }
 

@@ -3,11 +3,12 @@
 
 use std::{
     collections::HashMap,
+    fmt,
     io::Write as _,
     os::unix::process::{CommandExt as _, ExitStatusExt as _},
     path::PathBuf,
     process::{Child, Command, ExitStatus, Stdio},
-    sync::{Mutex, PoisonError},
+    sync::{Arc, Mutex, PoisonError},
 };
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
@@ -15,15 +16,31 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 use super::{Capacity, Launch, RunState, Runner};
 use crate::{JobsError, clock::rfc3339_now, process_id};
 
+/// Environment variables for an attempt at a job on the station, which others do not get: where the studio is, and what
+/// lets the job in. Whatever it cannot be given keeps it from starting.
+pub type StationVariables = Arc<dyn Fn(&Launch) -> Result<Vec<(String, String)>, JobsError> + Send + Sync>;
+
 /// How processes are started.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct ProcessRunnerConfig {
     /// The program, and what comes before `--dir DIR --attempt N --nice N`.
     pub command: Vec<PathBuf>,
-    /// How much jobs give way to other processes, 0..=19.
+    /// How much jobs give way to other processes, 0..=19. Those on the station do not: the robot waits for what they send.
     pub nice: i32,
     /// What jobs share.
     pub capacity: Capacity,
+    /// What jobs on the station are told; without, they are told nothing.
+    pub station: Option<StationVariables>,
+}
+
+impl fmt::Debug for ProcessRunnerConfig {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ProcessRunnerConfig")
+            .field("command", &self.command)
+            .field("nice", &self.nice)
+            .field("capacity", &self.capacity)
+            .finish_non_exhaustive()
+    }
 }
 
 /// Runs jobs as processes of this computer.
@@ -80,6 +97,12 @@ impl Runner for ProcessRunner {
 
     fn submit(&self, launch: &Launch) -> Result<String, JobsError> {
         let folder = &launch.folder;
+        let is_on_station = launch.resources.station;
+        let nice = if is_on_station { 0 } else { self.config.nice };
+        let variables = match self.config.station.as_ref().filter(|_| is_on_station) {
+            Some(variables) => variables(launch)?,
+            None => Vec::new(),
+        };
         let lock = folder.lock()?;
         folder.begin_attempt(launch.attempt, &lock)?;
         drop(lock);
@@ -95,7 +118,8 @@ impl Runner for ProcessRunner {
             .args(arguments)
             .arg("--dir")
             .arg(folder.path())
-            .args(["--attempt", &launch.attempt.to_string(), "--nice", &self.config.nice.to_string()])
+            .args(["--attempt", &launch.attempt.to_string(), "--nice", &nice.to_string()])
+            .envs(variables)
             .stdin(Stdio::null())
             .stdout(log)
             .stderr(also)

@@ -370,6 +370,40 @@ fn same_key_gives_the_same_job_and_another_request_with_it_is_refused() {
 }
 
 #[test]
+fn robot_moves_when_somebody_has_just_asked_for_it_or_not_at_all() {
+    let mut scene = Scene::new();
+    let mut trials = spec(false);
+    trials.resources.station = true;
+    let submit = |scene: &Scene| {
+        let submission =
+            Submission { prefix: "run-", spec: &trials, shards: &[], owner: "me", runner: None, key: None };
+        scene.scheduler().submit(&submission).map(|submitted| submitted.job.id)
+    };
+    let state = |scene: &Scene, id: &str| scene.scheduler().job(id).unwrap().state;
+    let first = submit(&scene).unwrap();
+    assert!(submit(&scene).unwrap_err().to_string().contains("has the station"), "it would wait");
+    scene.scheduler().tick();
+    assert_eq!(state(&scene, &first), JobState::Running);
+
+    // It was cut off while no studio was there.
+    scene.finish(0, Ending::Killed);
+    scene.restart();
+    scene.scheduler().tick();
+    assert_eq!(state(&scene, &first), JobState::Failed, "no attempt begins by itself");
+    scene.scheduler().retry(&first).unwrap();
+    assert!(submit(&scene).is_err());
+    // The studio ends before it has begun.
+    scene.restart();
+    scene.scheduler().tick();
+    assert_eq!(state(&scene, &first), JobState::Failed);
+    let problem = scene.scheduler().job(&first).unwrap().problem.unwrap();
+    assert!(problem.contains("when the robot may move"), "{problem}");
+    scene.scheduler().retry(&first).unwrap();
+    scene.scheduler().tick();
+    assert_eq!(state(&scene, &first), JobState::Running, "somebody has asked again");
+}
+
+#[test]
 fn numbers_are_given_once() {
     let mut scene = Scene::new();
     scene.submit(true);

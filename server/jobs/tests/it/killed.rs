@@ -121,7 +121,7 @@ fn killed_at_fifty_moments_it_loses_no_acknowledged_job_and_does_none_twice() {
     assert!(queued.len() > NUM_KILLS / 2, "only {} jobs were acknowledged", queued.len());
     assert!(killed_while_running > NUM_KILLS / 10, "jobs ran at {killed_while_running} of {NUM_KILLS} kills");
 
-    let runners = runners(dir.path(), vec![PROBE.into()]).unwrap();
+    let runners = runners(dir.path(), vec![PROBE.into()], None).unwrap();
     let (scheduler, _) = open(dir.path(), runners);
     let begun = Instant::now();
     while !scheduler.unfinished().unwrap().is_empty() {

@@ -31,6 +31,7 @@ pub(crate) fn process_runner() -> Arc<dyn Runner> {
         command: vec![PathBuf::from(PROBE)],
         nice: 5,
         capacity: Capacity { cores: 2, gpu: false, short_jobs: 2 },
+        station: None,
     }))
 }
 

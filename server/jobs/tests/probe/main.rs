@@ -96,7 +96,7 @@ fn studio(data: &Path) -> Result<ExitCode, JobsError> {
         runs: data.join("runs"),
         trash: data.join("trash/runs"),
         database: Arc::new(Database::open(&data.join("palpate.sqlite"))?),
-        runners: runners(data, vec![this])?,
+        runners: runners(data, vec![this], None)?,
         observer: Arc::new(|_| {}),
         cancel_grace: Some(Duration::from_millis(300)),
     })?;

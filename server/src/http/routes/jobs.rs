@@ -14,8 +14,11 @@ use axum::{
 };
 use base64::Engine as _;
 use palpate_jobs::{ListFilter, Submitted};
+use palpate_people::Principal;
 use palpate_recording::files::{read_file, resolve_in};
-use palpate_wire::api::{Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, ProblemType};
+use palpate_wire::api::{
+    Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, ProblemType, Role, Scope,
+};
 use serde::Deserialize;
 use sha2::{Digest as _, Sha256};
 use utoipa::IntoParams;
@@ -27,10 +30,12 @@ use crate::{
     http::{
         document::{Binary, JobEvent, Refusal},
         etag,
-        extract::{Body, Ids, Key, Owner, Params, check_limit},
+        extract::{Asking, Body, Ids, Key, Owner, Params, check_limit},
+        identity,
         pages::page_of,
         problem::{Answer, problem},
     },
+    jobs::kinds,
     work::Kind,
 };
 
@@ -63,10 +68,14 @@ const MAX_FILE_BYTES: u64 = 256 << 20;
 pub(super) async fn submit(
     State(state): State<Arc<AppState>>,
     Owner(owner): Owner,
+    Asking(asking): Asking,
     Key { key }: Key,
     Body(request): Body<JobRequest>,
 ) -> Answer<Response> {
-    let submit = move |state: &AppState| state.jobs().submit(&request, &owner, key.as_deref());
+    let submit = move |state: &AppState| {
+        check_may_move(state, &request.kind, &asking)?;
+        state.jobs().submit(&request, &owner, key.as_deref())
+    };
     Ok(submitted(state.run(Kind::Read, submit).await?))
 }
 
@@ -91,11 +100,26 @@ pub(super) async fn clone(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
     Owner(owner): Owner,
+    Asking(asking): Asking,
     Key { key }: Key,
     Body(changes): Body<JobChanges>,
 ) -> Answer<Response> {
-    let clone = move |state: &AppState| state.jobs().clone_job(&id, changes, &owner, key.as_deref());
+    let clone = move |state: &AppState| {
+        check_may_move(state, &state.jobs().scheduler().job(&id)?.kind, &asking)?;
+        state.jobs().clone_job(&id, changes, &owner, key.as_deref())
+    };
     Ok(submitted(state.run(Kind::Read, clone).await?))
+}
+
+/// Refuses a job of `kind` that moves the robot to whoever may not, and where there is none.
+fn check_may_move(state: &AppState, kind: &str, asking: &Principal) -> Result<(), Error> {
+    if !kinds::kind(kind)?.resources.station {
+        return Ok(());
+    }
+    if let Some(lack) = identity::lack(asking, Role::Operator, Scope::Control) {
+        return Err(Error::NotPermitted(format!("a job of kind {kind:?} moves the robot: {lack}")));
+    }
+    state.live().map(drop).ok_or(Error::NoStation)
 }
 
 fn submitted(submitted: Submitted) -> Response {
@@ -150,7 +174,16 @@ pub(super) async fn list(
     responses((status = 200, description = "Done.", body = Vec<JobKindDocument>)),
 )]
 pub(super) async fn kinds(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<JobKindDocument>>> {
-    state.run(Kind::Read, move |state| Ok(Json(state.jobs().kinds()))).await
+    let kinds = move |state: &AppState| {
+        let mut kinds = state.jobs().kinds();
+        if state.live().is_none() {
+            for kind in kinds.iter_mut().filter(|kind| kind.resources.station) {
+                (kind.is_available, kind.problem) = (false, Some(Error::NoStation.to_string()));
+            }
+        }
+        Ok(Json(kinds))
+    };
+    state.run(Kind::Read, kinds).await
 }
 
 /// Answers with where a job stands.
@@ -212,8 +245,16 @@ pub(super) async fn cancel(State(state): State<Arc<AppState>>, Ids(id): Ids<Stri
         Refusal<409>,
     ),
 )]
-pub(super) async fn retry(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
-    state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().retry(&id)?))).await
+pub(super) async fn retry(
+    State(state): State<Arc<AppState>>,
+    Asking(asking): Asking,
+    Ids(id): Ids<String>,
+) -> Answer<Json<Job>> {
+    let retry = move |state: &AppState| {
+        check_may_move(state, &state.jobs().scheduler().job(&id)?.kind, &asking)?;
+        Ok(Json(state.jobs().scheduler().retry(&id)?))
+    };
+    state.run(Kind::Read, retry).await
 }
 
 /// Answers with the newest part of what the process of a job printed, 1 MiB at most.

@@ -4,7 +4,7 @@ use std::{
     ffi::OsString,
     fs,
     io::{self, Write as _},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use palpate_jobs::JobFolder;
@@ -17,7 +17,7 @@ use super::{
     JobKind, JobWork, LONG, demonstrations::DEMONSTRATIONS, expert::EXPERT, gathering::GATHERING,
     imitation::IMITATION, pipeline::PIPELINE, tune::TUNE,
 };
-use crate::{Error, Store, assets, data::files};
+use crate::{Error, Store, assets, data::files, jobs::trainer::PROGRAM};
 
 /// What a training learns.
 pub(crate) const POLICY_FILE: &str = "policy.safetensors";
@@ -69,6 +69,12 @@ pub(super) struct Arguments(Vec<OsString>);
 impl Arguments {
     pub(super) fn of(command: &str) -> Self {
         Self(vec![command.into()])
+    }
+
+    /// Says in the job's log what is run.
+    pub(super) fn log(&self) {
+        let shown: Vec<_> = self.0.iter().map(|arg| arg.to_string_lossy()).collect();
+        println!("{PROGRAM} {}", shown.join(" "));
     }
 
     /// `--name value`.
@@ -149,7 +155,16 @@ impl JobWork<'_> {
 
     /// Runs it where no report is wanted.
     pub(super) fn run_trainer(&self, arguments: Arguments) -> Result<Option<Value>, Error> {
-        let workplace = Workplace::make(self.folder)?;
+        arguments.log();
+        self.run_trainer_in(&Workplace::make(self.folder)?, arguments)
+    }
+
+    /// Runs it beside assets that were added to.
+    pub(super) fn run_trainer_in(
+        &self,
+        workplace: &Workplace,
+        arguments: Arguments,
+    ) -> Result<Option<Value>, Error> {
         let listener = Listener {
             progress: self.progress,
             metrics: &|point| (self.metrics)(&Value::Object(point.clone())),
@@ -183,10 +198,11 @@ impl JobWork<'_> {
 }
 
 /// A folder that holds the shipped assets, as `palpate-train` looks for them. It goes when dropped.
-struct Workplace(PathBuf);
+pub(super) struct Workplace(PathBuf);
 
 impl Workplace {
-    fn make(folder: &JobFolder) -> Result<Self, Error> {
+    /// In the folder of a job.
+    pub(super) fn make(folder: &JobFolder) -> Result<Self, Error> {
         let path = folder.file("work");
         if path.exists() {
             // What an attempt that was killed left.
@@ -195,6 +211,11 @@ impl Workplace {
         let workplace = Self(path);
         assets::unpack_to(&workplace.0.join("assets"))?;
         Ok(workplace)
+    }
+
+    /// Where `assets` is.
+    pub(super) fn path(&self) -> &Path {
+        &self.0
     }
 }
 

@@ -146,6 +146,21 @@ pub struct PipelineRequest {
     pub model: Option<String>,
 }
 
+/// Request of a job of kind `rollouts`: makes the trials of a campaign on the hand, one after the other. Somebody places
+/// each object and begins its trial at the page; the job takes control, lets the policy move, and tells the campaign what
+/// came of it. It needs a studio with a station, and whoever asks needs the scope `control`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct RolloutsRequest {
+    /// Id of the campaign. Policies are what its plan says: `script:NAME`, or the name of a shipped policy or of a job that
+    /// made one. The object's id stands in the place of `{object}`.
+    pub campaign: String,
+    /// Make trials that were scored void once more, after all others.
+    #[serde(default)]
+    pub repeat_void: bool,
+}
+
 /// Request of a job of kind `imitation`: learns to do what an expert did. An attempt that was cut off goes on from its last
 /// checkpoint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

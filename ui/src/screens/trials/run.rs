@@ -6,6 +6,7 @@ use palpate_wire::api::{
 };
 
 use super::{
+    hand::hand_ui,
     place::{place_ui, words},
     state_label,
 };
@@ -33,6 +34,9 @@ pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &C
         }
     }
     ui.add_space(10.0);
+    if runs(cx) && cx.store.people.lacks(Role::Operator, Scope::Jobs).is_none() {
+        hand_ui(ui, cx, campaign);
+    }
     if decides(cx) {
         settle_ui(ui, cx, campaign);
     }
