@@ -20,7 +20,7 @@ use palpate_wire::{
 };
 
 use self::interruptions::Interruptions;
-use super::{ScreenContext, empty_ui, failed_ui, loading_ui};
+use super::{ScreenContext, empty_ui, failed_ui, hand::PlacementView, loading_ui};
 use crate::{
     app::is_narrow,
     route::Screen,
@@ -31,7 +31,7 @@ const LIST_WIDTH: f32 = 250.0;
 const INCOMING_WIDTH: f32 = 300.0;
 
 /// What the screen remembers between frames.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct RecordState {
     start: start::StartState,
     /// The remark that is being typed.
@@ -44,6 +44,7 @@ pub struct RecordState {
     doubt: Option<(usize, RecordingAction)>,
     /// Whether the object stands where the plan says.
     fixture_elsewhere: bool,
+    placement: PlacementView,
 }
 
 /// Whether the robot is where the motion of a step starts, as far as this page has seen.
@@ -160,7 +161,7 @@ fn session_ui(
     cx: &mut ScreenContext<'_>,
     state: &mut RecordState,
     session: &RecordingSession,
-    station: &Station,
+    station: &Arc<Station>,
     names: &Names,
 ) {
     let phase = cx.store.recording_phase().unwrap_or(session.phase);
@@ -190,7 +191,7 @@ fn session_ui(
         // One column: the step under way, then what a wide page has beside it.
         egui::CentralPanel::default().show(ui, |ui| {
             egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-                step::step_ui(ui, cx, state, &scene, names, &mut actions);
+                step::step_ui(ui, cx, state, &scene, station, names, &mut actions);
                 ui.separator();
                 checklist::checklist_ui(ui, cx, &scene, &mut actions);
                 ui.separator();
@@ -205,7 +206,7 @@ fn session_ui(
             .show(ui, |ui| checklist::checklist_ui(ui, cx, &scene, &mut actions));
         egui::CentralPanel::default().show(ui, |ui| {
             egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-                step::step_ui(ui, cx, state, &scene, names, &mut actions);
+                step::step_ui(ui, cx, state, &scene, station, names, &mut actions);
             });
         });
     }

@@ -24,6 +24,8 @@ fn step(object: &str, primitive: &str, state: StepState) -> RecordingStep {
         primitive: primitive.to_lowercase(),
         primitive_label: primitive.to_owned(),
         instruction: "Place the sphere on fixture A, flat side to the arm".to_owned(),
+        object_pose: vec![0.12, -0.03, 0.25, 1.0, 0.0, 0.0, 0.0],
+        start: Vec::new(),
         touches: vec!["index_tip_0".to_owned()],
         duration_s: 20.0,
         added_because: None,
@@ -199,6 +201,36 @@ fn the_object_is_confirmed_with_what_is_known_of_its_place() {
     bench.harness.run_steps(3);
     bench.click("Object is in place");
     assert_eq!(acts(&bench), [RecordingAction::ConfirmObject { fixture_trusted: false }]);
+}
+
+#[test]
+fn where_the_object_goes_is_a_picture_and_numbers_until_the_motion_begins() {
+    let mut document = document(RecordingPhase::PlaceObject);
+    let station = Bench::at("#/record").station;
+    let num_dofs = station.robot.num_dofs();
+    let object = station.objects.keys().next().expect("an object").clone();
+    let names = ["3-D view of the hand", "x +120 mm, y -30 mm, z +250 mm from the robot's base"];
+    for (phase, is_shown) in [
+        (RecordingPhase::PlaceObject, true),
+        (RecordingPhase::StartPose, true),
+        (RecordingPhase::Running, false),
+    ] {
+        let session = document.session.as_mut().expect("a session");
+        session.phase = phase;
+        session.steps[1].start = vec![0.0; num_dofs];
+        session.steps[1].object.clone_from(&object);
+        let bench = in_control(&document);
+        for name in names {
+            assert_eq!(bench.harness.query_by_label_contains(name).is_some(), is_shown, "{phase:?}: {name}");
+        }
+    }
+    // Another station's checklist has no picture, and all the rest.
+    let session = document.session.as_mut().expect("a session");
+    session.phase = RecordingPhase::PlaceObject;
+    session.steps[1].start.push(0.0);
+    let bench = in_control(&document);
+    assert!(names.iter().all(|name| bench.harness.query_by_label_contains(name).is_none()));
+    bench.harness.get_by_label_contains("Place the sphere on fixture A");
 }
 
 #[test]

@@ -625,6 +625,8 @@ class RecordingStep:
     take: str | None
     verdict: TakeVerdict | None
     added_because: str | None = None
+    object_pose: list[float] = field(default_factory=list)
+    start: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

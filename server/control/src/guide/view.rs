@@ -1,5 +1,7 @@
 //! What pages see of the checklist.
 
+use nalgebra::Isometry3;
+use palpate_robot_model::PoseConfig;
 use palpate_wire::{
     api::{RecordingPhase, RecordingSession, RecordingStep, StepState},
     bits,
@@ -22,6 +24,8 @@ impl Guide {
             primitive: planned.primitive.clone(),
             primitive_label: planned.primitive_label.clone(),
             instruction: planned.instruction.clone(),
+            object_pose: numbers_of(&planned.base_from_object),
+            start: planned.start.clone(),
             touches: planned
                 .touches
                 .iter()
@@ -116,4 +120,10 @@ fn phase_name(phase: RecordingPhase) -> &'static str {
         RecordingPhase::Review => "review",
         RecordingPhase::Done => "done",
     }
+}
+
+/// Position, m, and quaternion, w first.
+fn numbers_of(pose: &Isometry3<f64>) -> Vec<f64> {
+    let PoseConfig { position_m, quaternion_wxyz } = PoseConfig::from_isometry(pose);
+    position_m.into_iter().chain(quaternion_wxyz).collect()
 }

@@ -102,6 +102,12 @@ pub struct RecordingStep {
     pub primitive_label: String,
     /// What to do with the body before the motion runs.
     pub instruction: String,
+    /// Where the plan has the object, from the robot's base: x, y, z, m, then the quaternion, w first.
+    #[serde(default)]
+    pub object_pose: Vec<f64>,
+    /// Where the motion starts, a position for each degree of freedom, rad or m.
+    #[serde(default)]
+    pub start: Vec<f64>,
     /// Channels that the motion means to touch, by id.
     pub touches: Vec<String>,
     /// How long the motion takes, s.

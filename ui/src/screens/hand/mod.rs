@@ -9,6 +9,7 @@ mod flat_map;
 mod hull;
 mod mesh;
 mod object_view;
+mod placement_view;
 mod renderer;
 pub mod residual;
 mod scene;
@@ -38,7 +39,11 @@ use self::{
     signal::{Coloring, Sample, Signal},
     view3d::{Moment, ViewState, view3d_ui},
 };
-pub use self::{flat_map::channel_map_ui, object_view::ObjectView};
+pub use self::{
+    flat_map::channel_map_ui,
+    object_view::ObjectView,
+    placement_view::{Placement, PlacementView},
+};
 use super::{
     ScreenContext,
     control::{

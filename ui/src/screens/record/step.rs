@@ -1,20 +1,27 @@
 //! The step under way, large: what to do with the body, one primary button, a countdown for people two metres away.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use egui::{RichText, accesskit::Role};
+use palpate_robot_model::Station;
 use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState, TakeVerdict};
 
 use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{
     route::{Route, Screen},
-    screens::{ScreenContext, duration_text, progress_bar},
+    screens::{
+        ScreenContext, duration_text,
+        hand::{Placement, PlacementView},
+        progress_bar,
+    },
     store::control::Holder,
     theme::Palette,
 };
 
 /// Size of the countdown's digits, points: about 6 cm on a laptop's screen.
 const COUNTDOWN_POINTS: f32 = 230.0;
+/// Of the picture of where the object goes, points.
+const PLACEMENT_HEIGHT: f32 = 260.0;
 /// So many names of channels are listed before the rest is counted.
 const MAX_NAMES: usize = 12;
 
@@ -28,6 +35,7 @@ pub(super) fn step_ui(
     cx: &mut ScreenContext<'_>,
     state: &mut RecordState,
     scene: &Scene<'_>,
+    station: &Arc<Station>,
     names: &Names,
     actions: &mut Vec<RecordingAction>,
 ) {
@@ -46,6 +54,10 @@ pub(super) fn step_ui(
         ui.label(RichText::new(format!("Added to the plan: {why}")).color(cx.palette.text_weak));
     }
     ui.add_space(10.0);
+    // While the robot moves, the page has better things to do than to draw it.
+    if matches!(scene.phase, RecordingPhase::PlaceObject | RecordingPhase::StartPose) {
+        placement_ui(ui, cx, &mut state.placement, station, step);
+    }
     match scene.phase {
         RecordingPhase::PlaceObject => place_ui(ui, state, scene, step),
         RecordingPhase::StartPose => start_pose_ui(ui, cx, state, scene),
@@ -96,6 +108,30 @@ pub(super) fn step_ui(
 
 fn big_ui(ui: &mut egui::Ui, text: &str) {
     ui.label(RichText::new(text).size(30.0).strong());
+}
+
+/// Where the object goes and where the hand will start, in a picture and in numbers.
+fn placement_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    view: &mut PlacementView,
+    station: &Arc<Station>,
+    step: &RecordingStep,
+) {
+    let frame = cx.store.live_frame().map(|frame| frame.joint_positions.clone()).unwrap_or_default();
+    let positions: Vec<f64> = frame.into_iter().map(f64::from).collect();
+    let placement = Placement::new(station, &positions, &step.start, (&step.object, &step.object_pose));
+    let Some(placement) = placement else { return };
+    let size = egui::vec2(ui.available_width(), PLACEMENT_HEIGHT);
+    let (rect, _) = ui.allocate_exact_size(size, egui::Sense::hover());
+    view.ui(ui, rect, &placement, &cx.palette, cx.surface);
+    let [x, y, z] = [0, 1, 2].map(|axis| 1e3 * placement.base_from_object.translation.vector[axis]);
+    let text = format!(
+        "{} at x {x:+.0} mm, y {y:+.0} mm, z {z:+.0} mm from the robot's base. The ghost of the hand is where the motion starts.",
+        step.object_label
+    );
+    ui.label(RichText::new(text).color(cx.palette.text_weak));
+    ui.add_space(8.0);
 }
 
 fn place_ui(ui: &mut egui::Ui, state: &mut RecordState, scene: &Scene<'_>, step: &RecordingStep) {

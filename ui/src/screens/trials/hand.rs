@@ -36,7 +36,8 @@ pub(super) fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &
 
 fn running_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, job: &Job) {
     ui.strong(format!("{} moves the robot", job.id));
-    ui.add(progress_bar(job.fraction, &job.stage).desired_width(ui.available_width().min(460.0)));
+    ui.label(&job.stage);
+    ui.add(progress_bar(job.fraction, "").desired_width(ui.available_width().min(460.0)));
     ui.horizontal_wrapped(|ui| {
         let stop = ui
             .add_enabled(!job.cancel_requested, egui::Button::new("Stop running trials"))

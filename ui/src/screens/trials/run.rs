@@ -21,6 +21,9 @@ pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &C
         ui.label("The campaign is paused: no trial begins, neither here nor from a rollout, until somebody goes on.");
         ui.add_space(4.0);
     }
+    if runs(cx) && cx.store.people.lacks(Role::Operator, Scope::Jobs).is_none() {
+        hand_ui(ui, cx, campaign);
+    }
     match next {
         Some(trial) if campaign.summary.paused.is_some() && trial.state != TrialState::Running => {
             ui.label(format!("Next is trial {} of {}.", trial.number, campaign.summary.planned));
@@ -34,9 +37,6 @@ pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &C
         }
     }
     ui.add_space(10.0);
-    if runs(cx) && cx.store.people.lacks(Role::Operator, Scope::Jobs).is_none() {
-        hand_ui(ui, cx, campaign);
-    }
     if decides(cx) {
         settle_ui(ui, cx, campaign);
     }
