@@ -1,6 +1,7 @@
 //! Compares policies under a protocol, on the same starts.
 
 mod kept;
+mod picture;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -29,6 +30,8 @@ use crate::policy::Policy;
 use crate::search::Expert;
 use crate::task::{self, OpenTask};
 
+/// Name of the arm that all others are compared with.
+const POLICY: &str = "policy";
 const PROTOCOLS: &str = "assets/grasp/protocols";
 
 /// What moves the robot in one arm of a comparison.
@@ -96,7 +99,7 @@ fn arms(args: &EvaluateArgs) -> anyhow::Result<Vec<Contestant>> {
         tracking: whole.tracking && !args.hide_tracking,
         ..whole
     };
-    let mut arms = vec![arm("policy", &args.policy, &policy, known)];
+    let mut arms = vec![arm(POLICY, &args.policy, &policy, known)];
     if args.controls {
         for name in ["script", "repetition", "oracle"] {
             let mover = Mover::parse(name);
@@ -138,6 +141,9 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     if let Some(folder) = &args.by_object {
         std::fs::create_dir_all(folder).with_context(|| format!("failed to create {folder:?}"))?;
     }
+    if let Some(folder) = &args.pictures {
+        std::fs::create_dir_all(folder).with_context(|| format!("failed to create {folder:?}"))?;
+    }
     if args.task.scene.start_cm.is_some() {
         bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
     }
@@ -173,7 +179,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         } else {
             let mut of_arms = Vec::with_capacity(arms.len());
             for (arm, ready) in arms.iter().zip(&ready) {
-                let scene = if arm.known.touch { &of_object.scene } else { &of_object.without_touch };
+                let scene = of_object.scene_for(arm.known);
                 let trials = (0..protocol.trials)
                     .into_par_iter()
                     .map(|trial| {
@@ -190,6 +196,12 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
             }
             of_arms
         };
+        if let Some(folder) = &args.pictures {
+            for ((arm, ready), trials) in arms.iter().zip(&ready).zip(&of_arms) {
+                let scene = of_object.scene_for(arm.known);
+                picture::of_trials(folder, arm, ready, scene, &protocol, trials)?;
+            }
+        }
         let group = of_object.scene.object().group;
         for (trials, endings) in of_arms.into_iter().zip(&mut endings) {
             endings.push(OfObject { id: of_object.id(), group, trials });
@@ -269,6 +281,11 @@ impl Bench {
         self.scene.object().id.clone()
     }
 
+    /// What a trial of somebody who knows this is simulated in: nobody computes touch that nobody feels.
+    fn scene_for(&self, known: Known) -> &Arc<GraspScene> {
+        if known.touch { &self.scene } else { &self.without_touch }
+    }
+
     /// What trials of `arms` are made with, once these are ready.
     fn record(&self, args: &EvaluateArgs, protocol: &Protocol, arms: &[Contestant]) -> Record {
         let of_arm = |arm: &Contestant| ArmRecord {
@@ -324,7 +341,7 @@ impl Bench {
                     &world,
                     &sources,
                 )?;
-                let scene = if known.touch { &self.scene } else { &self.without_touch };
+                let scene = self.scene_for(known);
                 let opened = task::of(&args.task, Arc::clone(scene), script, sources)?;
                 let (policy, source) = Policy::open(&path_for(path, &id), &opened)?;
                 self.sources.keep(source);
@@ -380,10 +397,7 @@ impl Experiences {
 impl Ready {
     fn run(&self, scene: &Arc<GraspScene>, known: Known, seed: u64, trial: u64) -> anyhow::Result<Ending> {
         let mut controller: Box<dyn Controller> = match self {
-            Self::Scripted(script) => {
-                let config = Arc::new(scene.config().clone());
-                Box::new(Scripted::new(Arc::clone(script), Arc::clone(scene.station()), config))
-            }
+            Self::Scripted(script) => Box::new(scripted(script, scene)),
             Self::Searching { expert, experience, prior } => {
                 Box::new(Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior))
             }
@@ -402,6 +416,10 @@ impl Ready {
         };
         Ok(conduct(scene, &mut *controller, known, seed, trial)?)
     }
+}
+
+fn scripted(script: &Arc<Script>, scene: &Arc<GraspScene>) -> Scripted {
+    Scripted::new(Arc::clone(script), Arc::clone(scene.station()), Arc::new(scene.config().clone()))
 }
 
 /// Whether an object belongs to a group.

@@ -57,6 +57,10 @@ pub(crate) struct EvaluateArgs {
     /// Folder for the trials, a file an object: trials that are there already are not run again
     #[arg(long, requires = "protocol")]
     pub(crate) by_object: Option<PathBuf>,
+    /// Folder for pictures (SVG): of each object the first trial that the policy won and the first that it lost, from above,
+    /// with what was felt; of searching experts also what they believed
+    #[arg(long, requires = "protocol")]
+    pub(crate) pictures: Option<PathBuf>,
     /// Write the comparison with every trial to this file
     #[arg(long, requires = "protocol")]
     pub(crate) out: Option<PathBuf>,

@@ -259,9 +259,22 @@ pub fn conduct(
     seed: u64,
     trial: u64,
 ) -> Result<Ending, GraspError> {
+    conduct_seen(scene, controller, known, seed, trial, &mut |_| ())
+}
+
+/// The same trial, to the same bits, with `see` shown its beginning and what came of each control step.
+pub fn conduct_seen(
+    scene: &Arc<GraspScene>,
+    controller: &mut dyn Controller,
+    known: Known,
+    seed: u64,
+    trial: u64,
+    see: &mut dyn FnMut(&GraspEnv),
+) -> Result<Ending, GraspError> {
     let mut rng = stream(seed, trial);
     let start = Start::draw(scene, &mut rng);
     let mut env = GraspEnv::at(Arc::clone(scene), &start, rng)?;
+    see(&env);
     let task = &scene.config().task;
     let mut judge = Judge::new(env.world(), task.episode_s);
     let nothing = vec![false; scene.station().layout.num_channels()];
@@ -281,6 +294,7 @@ pub fn conduct(
             }
             other => other?,
         }
+        see(&env);
         let contacts = env.world().contacts();
         let verdict = judge.look_and_hear(scene.config(), env.world(), &contacts, claimed);
         if let Some(outcome) = verdict {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
+use base64::Engine as _;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use palpate_cloning::POLICY_FILE;
 use serde::Deserialize;
@@ -10,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::config::{EvaluationConfig, PipelineConfig};
 use super::manifest::Manifest;
-use super::stages::{Training, comparison, trainings};
+use super::stages::{EXPERT, Training, comparison, pictures, trainings};
 use crate::files;
 
 /// Groups of objects, as comparisons name them.
@@ -54,6 +55,14 @@ struct Evaluation {
     settings: Value,
     /// The policy first, then what it was compared with.
     arms: Vec<Arm>,
+    pictures: Vec<Picture>,
+}
+
+/// Of a single trial.
+struct Picture {
+    /// Object, how it ended and who moved the hand.
+    name: String,
+    svg: Vec<u8>,
 }
 
 struct Arm {
@@ -228,7 +237,8 @@ impl Evaluation {
         let (protocol, settings) =
             (document["protocol"].as_str().unwrap_or_default().to_owned(), document["settings"].clone());
         arms.insert(0, Arm { name: first, document });
-        Ok(Self { name: evaluation.name(), protocol, settings, arms })
+        let pictures = Picture::all_in(&pictures(out, evaluation))?;
+        Ok(Self { name: evaluation.name(), protocol, settings, arms, pictures })
     }
 
     fn section(&self) -> Markup {
@@ -285,13 +295,42 @@ impl Evaluation {
                     } }
                 }
             }
+            @if !self.pictures.is_empty() {
+                details {
+                    summary { "Single trials: where the hand searched, what it felt, what the expert believed" }
+                    @for picture in &self.pictures { (picture.shown()) }
+                }
+            }
         }
+    }
+}
+
+impl Picture {
+    /// The pictures in a folder, by name.
+    fn all_in(folder: &Path) -> anyhow::Result<Vec<Self>> {
+        let failed = || format!("failed to read {folder:?}");
+        let mut pictures = Vec::new();
+        for entry in std::fs::read_dir(folder).with_context(failed)? {
+            let path = entry.with_context(failed)?.path();
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().replace('_', " ");
+            let svg = std::fs::read(&path).with_context(|| format!("failed to read {path:?}"))?;
+            pictures.push(Self { name, svg });
+        }
+        pictures.sort_by(|one, other| one.name.cmp(&other.name));
+        Ok(pictures)
+    }
+
+    /// The picture inside the page.
+    fn shown(&self) -> Markup {
+        let encoded = base64::engine::general_purpose::STANDARD.encode(&self.svg);
+        html! { p { img alt=(self.name) loading="lazy" src=(format!("data:image/svg+xml;base64,{encoded}")) {} } }
     }
 }
 
 /// What a control is called, where the policy is `policy`.
 fn control_name(name: &str, policy: &str) -> String {
     match name {
+        EXPERT => "searching expert".to_owned(),
         "script" => "closing script".to_owned(),
         "repetition" => "blind repetition".to_owned(),
         "oracle" => "told the place (oracle)".to_owned(),
@@ -357,5 +396,5 @@ const STYLE: &str = ":root{color-scheme:light dark;--line:#8886;--faint:#8882}\
     h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2rem}.wide{overflow-x:auto}\
     table{border-collapse:collapse}th,td{padding:.25rem .7rem;text-align:left;border-bottom:1px solid var(--line);\
     vertical-align:top;font-variant-numeric:tabular-nums}td.number{text-align:right}tr.apart td{background:var(--faint)}\
-    code,pre{font-size:.85em;overflow-wrap:anywhere}svg{max-width:44rem;width:100%}svg text{font-size:11px;fill:currentColor}\
+    code,pre{font-size:.85em;overflow-wrap:anywhere}img{max-width:100%;background:#fff}svg{max-width:44rem;width:100%}svg text{font-size:11px;fill:currentColor}\
     svg .axis{fill:none;stroke:currentColor;opacity:.5}";

@@ -99,9 +99,17 @@ pub(super) fn trainings<'a>(config: &'a PipelineConfig, out: &Path) -> Vec<Train
     config.policies.iter().flat_map(of_policy).collect()
 }
 
+/// The searching expert, as `palpate-train evaluate` names it.
+pub(super) const EXPERT: &str = "search";
+
 /// Where an evaluation is written.
 pub(super) fn comparison(out: &Path, evaluation: &EvaluationConfig) -> PathBuf {
     out.join("evaluations").join(format!("{}.json", evaluation.name()))
+}
+
+/// Folder of the pictures of its single trials.
+pub(super) fn pictures(out: &Path, evaluation: &EvaluationConfig) -> PathBuf {
+    out.join("pictures").join(evaluation.name())
 }
 
 /// What `config` asks for in the folder `out`, in the order in which it is done.
@@ -179,7 +187,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
     for evaluation in &config.evaluations {
         let (_, protocol) = compare::protocol(&evaluation.protocol, &files::Sources::default())?;
         let path = comparison(out, evaluation);
-        let by_object = path.with_extension("");
+        let (by_object, pictures) = (path.with_extension(""), pictures(out, evaluation));
         let mut command = Command::of("evaluate")
             .with("protocol", &evaluation.protocol)
             .with("objects", &evaluation.objects)
@@ -193,17 +201,21 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         for (idx, training) in trainings.iter().enumerate() {
             command = command.with(if idx == 0 { "policy" } else { "beside" }, training.as_policy());
         }
-        let arms = trainings.len() + if evaluation.controls { 6 } else { 0 };
+        if evaluation.controls {
+            // Who the policies have learned from.
+            command = command.with("beside", EXPERT);
+        }
+        let arms = trainings.len() + if evaluation.controls { 7 } else { 0 };
         let trials = evaluation.trials.unwrap_or(protocol.trials) as f64;
         stages.push(Stage {
             name: format!("evaluation {}", evaluation.name()),
-            command: command.with("by-object", &by_object).with("out", &path).0,
+            command: command.with("by-object", &by_object).with("pictures", &pictures).with("out", &path).0,
             needs: std::iter::once("closings".to_owned())
                 .chain(trainings.iter().map(Training::name))
                 .collect(),
             files: own(evaluation.truth.as_ref()).into_iter().chain(own(model)).collect(),
-            results: vec![path.clone()],
-            writes: vec![path, by_object],
+            results: vec![path.clone(), pictures.clone()],
+            writes: vec![path, by_object, pictures],
             core_s: core_s::EVALUATED_S
                 * protocol.episode_s
                 * trials

@@ -1,6 +1,7 @@
 //! Comparisons under a protocol, and the searching expert.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
@@ -124,11 +125,30 @@ fn a_search_is_compared_with_its_controls_and_has_the_same_bits_for_any_number_o
     };
     let (mut one, _) = run("cube,ring", &path("one.json"), &["--threads", "1"]);
     // In two calls, each of which keeps its trials.
-    let by_object = ["--threads", "3", "--by-object", &kept];
+    let shown = path("pictures");
+    let by_object = ["--threads", "3", "--by-object", &kept, "--pictures", &shown];
     let (ring, _) = run("ring", &path("ring.json"), &by_object);
+    let pictures = || {
+        let entries = std::fs::read_dir(&shown).expect("a folder");
+        let read = |path: PathBuf| (path.clone(), std::fs::read_to_string(path).expect("a picture"));
+        entries.map(|entry| read(entry.expect("an entry").path())).collect::<BTreeMap<_, _>>()
+    };
+    let of_ring = pictures();
+    for (path, picture) in &of_ring {
+        let name = path.file_stem().expect("a name").to_string_lossy();
+        assert!(name.starts_with("ring_") && picture.starts_with("<svg"), "{name}");
+        // What a searching expert believed before its first try is what it began with.
+        assert!(picture.contains("believed at 0.0 s") && picture.contains("class=\"believed\""), "{name}");
+        let verdict = if name.contains("_won_") { ": won" } else { ": lost" };
+        assert!(picture.contains(verdict), "{name}");
+    }
     assert_eq!(ring["trials"]["ring"], one["trials"]["ring"]);
     let (mut other, said) = run("cube,ring", &path("other.json"), &by_object);
     assert!(said.contains("ring: 3 trials are there already") && !said.contains("cube: 3"), "{said}");
+    let both = pictures();
+    assert!(
+        both.len() > of_ring.len() && of_ring.iter().all(|(path, picture)| both.get(path) == Some(picture))
+    );
     for report in [&mut one, &mut other] {
         report["seconds"] = Value::Null;
     }

@@ -93,6 +93,17 @@ impl Belief {
         if all > 0.0 { [sum[0] / all, sum[1] / all] } else { [0.0; 2] }
     }
 
+    /// Probability of each cell that has some, with its middle, m from the middle of the region, whatever the shape; and the
+    /// edge length of a cell, m.
+    pub fn places(&self) -> (Vec<([f64; 2], f64)>, f64) {
+        let mut cells = std::collections::BTreeMap::new();
+        for (_, x, y, mass) in self.cells() {
+            *cells.entry((x, y)).or_insert(0.0) += mass;
+        }
+        let at_m = |(x, y): (i32, i32)| [f64::from(x) * CELL_M, f64::from(y) * CELL_M];
+        (cells.into_iter().map(|(cell, mass)| (at_m(cell), mass)).collect(), CELL_M)
+    }
+
     /// Probability that the object lies within `radius_m` of `at_m`.
     pub fn within(&self, at_m: [f64; 2], radius_m: f64) -> f64 {
         let off = |x: i32, y: i32| (f64::from(x) * CELL_M - at_m[0]).hypot(f64::from(y) * CELL_M - at_m[1]);
