@@ -403,10 +403,15 @@ fn id_of(name: &str) -> &str {
 
 /// How long ago what is at `path` was moved there, s. Moving something changes when its entry last changed.
 fn since_moved(path: &Path, now: SystemTime) -> Result<f64, Error> {
+    let seconds = |time: SystemTime| time.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+    Ok(seconds(now) - seconds(moved_at(path)?))
+}
+
+/// When what is at `path` was moved there, to the second.
+pub(crate) fn moved_at(path: &Path) -> Result<SystemTime, Error> {
     let meta = path.symlink_metadata().map_err(Error::io("look at", path))?;
     let newest = meta.ctime().max(meta.mtime());
-    let now_s = now.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
-    Ok(now_s - newest as f64)
+    Ok(UNIX_EPOCH + Duration::from_secs(u64::try_from(newest).unwrap_or(0)))
 }
 
 fn is_older(age_days: f64, days: Option<u32>) -> bool {

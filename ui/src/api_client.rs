@@ -92,6 +92,8 @@ pub enum Request {
     DeleteSession(String),
     /// Take a session out of the trash.
     RestoreSession(String),
+    /// What is in the trash.
+    Trash,
     /// Move a saved model to the trash.
     DeleteModel(String),
     /// Take a saved model out of the trash.
@@ -298,6 +300,7 @@ impl Request {
             Self::UndoModel(model) => post(format!("/models/{}/undo", segment(model)), None),
             Self::DeleteSession(session) => delete(format!("/sessions/{}", segment(session))),
             Self::RestoreSession(session) => post(format!("/sessions/{}/restore", segment(session)), None),
+            Self::Trash => get("/trash".into()),
             Self::DeleteModel(model) => delete(format!("/models/{}", segment(model))),
             Self::RestoreModel(model) => post(format!("/models/{}/restore", segment(model)), None),
             Self::Import { name, archive } => {
@@ -376,7 +379,8 @@ impl Request {
     }
 }
 
-fn segment(text: &str) -> String {
+/// `text` as one segment of a path.
+pub(crate) fn segment(text: &str) -> String {
     percent_encoding::utf8_percent_encode(text, percent_encoding::NON_ALPHANUMERIC).to_string()
 }
 

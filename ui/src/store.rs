@@ -13,6 +13,7 @@ mod runs;
 #[cfg(test)]
 mod tests;
 pub mod touch_history;
+mod trash;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -23,7 +24,7 @@ use palpate_wire::{
         CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
         DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage, ModelSummary, ObjectEntry, RecordingAction,
         RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary,
-        StationDocument,
+        StationDocument, TrashEntry,
     },
     proto::{Changed, LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
@@ -173,6 +174,7 @@ pub struct Store {
     models: Loadable<Arc<Vec<ModelSummary>>>,
     objects: Loadable<Arc<Vec<ObjectEntry>>>,
     lineage: Loadable<Arc<Lineage>>,
+    trash: Loadable<Arc<Vec<TrashEntry>>>,
     calibrations: RunTable<CalibrationRequest, CalibrationReport>,
     diagnoses: RunTable<DiagnosisRequest, DiagnosisReport>,
     live: Option<LiveFrame>,
@@ -331,28 +333,6 @@ impl Store {
         self.outbox.push(Request::UndoModel(model.to_owned()));
     }
 
-    /// Moves a session to the trash; see [`Store::deleted_session`].
-    pub fn delete_session(&mut self, session: &str) {
-        self.deleted_session = Loadable::Loading;
-        self.outbox.push(Request::DeleteSession(session.to_owned()));
-    }
-
-    /// Takes a session out of the trash.
-    pub fn restore_session(&mut self, session: &str) {
-        self.outbox.push(Request::RestoreSession(session.to_owned()));
-    }
-
-    /// Moves a saved model to the trash; see [`Store::deleted_model`].
-    pub fn delete_model(&mut self, model: &str) {
-        self.deleted_model = Loadable::Loading;
-        self.outbox.push(Request::DeleteModel(model.to_owned()));
-    }
-
-    /// Takes a saved model out of the trash.
-    pub fn restore_model(&mut self, model: &str) {
-        self.outbox.push(Request::RestoreModel(model.to_owned()));
-    }
-
     /// Sends a session as an archive; see [`Store::imported`].
     pub fn import(&mut self, name: &str, archive: Vec<u8>) {
         self.imported = Loadable::Loading;
@@ -368,6 +348,7 @@ impl Store {
         reset(&mut self.models);
         reset(&mut self.objects);
         reset(&mut self.lineage);
+        reset(&mut self.trash);
         self.campaigns.retry_failed();
         self.jobs.retry_failed();
         self.people.retry_failed();
@@ -500,23 +481,11 @@ impl Store {
             // Whether it could be stopped or not: where the run stands now is what matters.
             Request::CancelRun(run) => self.outbox.push(Request::Run(run)),
             Request::CancelDiagnosis(run) => self.outbox.push(Request::Diagnosis(run)),
-            Request::DeleteSession(session) => {
-                self.deleted_session = Loadable::from_result(result.map(|_| session));
-                self.outbox.push(Request::Sessions);
-            }
-            Request::RestoreSession(session) => {
-                self.deleted_session = result.map_or_else(Loadable::Failed, |_| Loadable::Idle);
-                self.details.remove(&session);
-                self.outbox.push(Request::Sessions);
-            }
-            Request::DeleteModel(model) => {
-                self.deleted_model = Loadable::from_result(result.map(|_| model));
-                self.models_changed();
-            }
-            Request::RestoreModel(_) => {
-                self.deleted_model = result.map_or_else(Loadable::Failed, |_| Loadable::Idle);
-                self.models_changed();
-            }
+            Request::DeleteSession(_)
+            | Request::RestoreSession(_)
+            | Request::DeleteModel(_)
+            | Request::RestoreModel(_)
+            | Request::Trash => self.receive_trash(request, result),
             Request::StartRun(_) => self.started_run = self.calibrations.receive_started(result),
             Request::StartDiagnosis(_) => self.started_diagnosis = self.diagnoses.receive_started(result),
             Request::SaveDiagnosis { .. } => {
@@ -592,6 +561,7 @@ impl Store {
     /// Somebody, perhaps on another page, changed what a list shows.
     fn receive_changed(&mut self, changed: &Changed) {
         self.lineage_changed();
+        self.trash_changed();
         match changed.list.as_str() {
             "sessions" if self.sessions.ready().is_some() => {
                 self.details.remove(&changed.id);

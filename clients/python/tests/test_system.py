@@ -37,7 +37,9 @@ def test_a_session_is_listed_checked_deleted_and_restored(p: Palpate) -> None:
     with pytest.raises(PalpateError) as caught:
         p.session("small")
     assert caught.value.status == 404
+    assert ("session", "small") in [(entry.sort, entry.id) for entry in p.trash()]
     assert p.restore_session("small").summary == session.summary
+    assert "small" not in [entry.id for entry in p.trash()]
     with pytest.raises(PalpateError, match="has no take 'take-99'; it has"):
         session.take("take-99")
 

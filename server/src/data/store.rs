@@ -7,15 +7,16 @@ use std::{
     sync::Mutex,
 };
 
+use palpate_jobs::rfc3339;
 use palpate_recording::{
     GrowingSession, RecordingError, Session, SessionHold,
     files::{MAX_TEXT_BYTES, open_file, read_file, read_text, resolve_in},
 };
 use palpate_sim::SensorModel;
-use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport};
+use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport, TrashEntry, TrashSort};
 
 use super::{cache::lock, files, upload};
-use crate::Error;
+use crate::{Error, retention::moved_at};
 
 /// Locked by the studio that has the folder open; it holds the number of its process.
 const LOCK_FILE: &str = "studio.lock";
@@ -315,6 +316,26 @@ impl Store {
             fs::rename(&target, &aside).map_err(Error::io("move", &target))?;
         }
         fs::rename(&path, &target).map_err(Error::io("move", &path))
+    }
+
+    /// What [`Self::restore`] brings back, the one that was deleted last first. One that stepped aside for a later one of
+    /// its name is not among them.
+    pub(crate) fn trash(&self) -> Result<Vec<TrashEntry>, Error> {
+        let mut found = Vec::new();
+        for (sort, kind) in [(TrashSort::Session, Kind::Session), (TrashSort::Model, Kind::Model)] {
+            for (name, path) in self.entries(&format!("trash/{}", kind.folder()))? {
+                let id = match kind {
+                    Kind::Session => Some(name.as_str()),
+                    Kind::Model => name.strip_suffix(".toml"),
+                };
+                let Some(id) = id.filter(|id| files::check_id(kind.what(), id).is_ok()) else { continue };
+                // It may be restored or emptied meanwhile.
+                let Ok(deleted) = moved_at(&path) else { continue };
+                found.push((deleted, TrashEntry { sort, id: id.to_owned(), deleted: rfc3339(deleted) }));
+            }
+        }
+        found.sort_by_key(|(deleted, _)| std::cmp::Reverse(*deleted));
+        Ok(found.into_iter().map(|(_, entry)| entry).collect())
     }
 
     /// Brings an entry back from the trash.

@@ -43,6 +43,7 @@ use super::{
     info(title = "Palpate", description = ABOUT, version = "1"),
     tags(
         (name = "studio", description = "What runs, and this document."),
+        (name = "trash", description = "What was deleted and can be taken out again."),
         (name = "sessions", description = "Recorded takes: in by upload, out as traces, to the trash and back."),
         (name = "models", description = "Saved sensor models."),
         (name = "calibrations", description = "Jobs that fit the sensor model to a session."),

@@ -89,6 +89,7 @@ const EXAMPLES: &[Example] = &[
         curl: r#"curl -X DELETE "$PALPATE_URL/api/v1/sessions/bench""#,
         status: 204,
     },
+    Example { method: "GET", path: "/trash", curl: r#"curl "$PALPATE_URL/api/v1/trash""#, status: 200 },
     Example {
         method: "POST",
         path: "/sessions/{session}/restore",

@@ -13,6 +13,7 @@ pub(super) mod people;
 mod recording;
 mod sessions;
 mod takes;
+mod trash;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -150,6 +151,7 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::GET, "/models/{model}", VIEW, get(models::text)),
         route(Method::DELETE, "/models/{model}", DATA, delete(models::discard)),
         route(Method::POST, "/models/{model}/restore", DATA, post(models::restore)),
+        route(Method::GET, "/trash", VIEW, get(trash::list)),
         route(Method::GET, "/objects", VIEW, get(objects::list)),
         route(Method::GET, "/lineage", VIEW, get(lineage::document)),
         route(Method::GET, "/calibrations", VIEW, get(calibrations::list)),

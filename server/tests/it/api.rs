@@ -6,6 +6,7 @@ use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
         CheckReport, Info, ModelSummary, ObjectEntry, SessionDetail, SessionSummary, Source, StationDocument,
+        TrashEntry, TrashSort,
     },
     bits,
     proto::{ReplayTrace, TakeTrace},
@@ -193,7 +194,13 @@ async fn deleted_session_comes_back() {
     assert_eq!(send(&app, "DELETE", "/api/v1/sessions/taps", None).await.status, 204);
     get(&app, "/api/v1/sessions/taps").await.problem(404);
     assert!(get(&app, "/api/v1/sessions").await.json::<Vec<SessionSummary>>().is_empty());
+    let deleted: Vec<TrashEntry> = get(&app, "/api/v1/trash").await.json();
+    assert_eq!(deleted.len(), 1, "{deleted:?}");
+    assert_eq!((deleted[0].sort, deleted[0].id.as_str()), (TrashSort::Session, "taps"));
+    let ago_s = palpate_jobs::seconds_between(&deleted[0].deleted, std::time::SystemTime::now());
+    assert!(ago_s.is_some_and(|ago| (-1.0..3600.0).contains(&ago)), "{deleted:?}");
     let restored = send(&app, "POST", "/api/v1/sessions/taps/restore", None).await;
+    assert!(get(&app, "/api/v1/trash").await.json::<Vec<TrashEntry>>().is_empty());
     assert_eq!(restored.json::<SessionDetail>(), before);
     send(&app, "POST", "/api/v1/sessions/taps/restore", None).await.problem(404);
 }
@@ -208,6 +215,8 @@ async fn session_deleted_twice_keeps_both() {
         palpate_recording::import::import_csv(&station, data.csv(), data.session()).unwrap();
     }
     assert_eq!(std::fs::read_dir(data.root().join("trash/sessions")).unwrap().count(), 2);
+    let deleted: Vec<TrashEntry> = get(&app, "/api/v1/trash").await.json();
+    assert_eq!(deleted.len(), 1, "only the later one can be restored by its name: {deleted:?}");
     let detail = send(&app, "POST", "/api/v1/sessions/taps/restore", None).await.problem(409);
     assert!(detail.contains("taps"), "{detail}");
 }
@@ -231,6 +240,8 @@ async fn models_are_listed_read_and_restored() {
     assert_eq!(ReplayTrace::decode(replay.body).unwrap().thresholds[4], 500.0);
     assert_eq!(send(&app, "DELETE", "/api/v1/models/soft", None).await.status, 204);
     get(&app, "/api/v1/models/soft").await.problem(404);
+    let deleted: Vec<TrashEntry> = get(&app, "/api/v1/trash").await.json();
+    assert_eq!((deleted[0].sort, deleted[0].id.as_str()), (TrashSort::Model, "soft"));
     let restored: ModelSummary = send(&app, "POST", "/api/v1/models/soft/restore", None).await.json();
     assert_eq!(restored, models[0]);
 }

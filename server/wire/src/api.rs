@@ -10,6 +10,7 @@ mod people;
 mod problem;
 mod recording;
 mod training;
+mod trash;
 
 use std::collections::BTreeMap;
 
@@ -24,6 +25,7 @@ pub use problem::*;
 pub use recording::*;
 use serde::{Deserialize, Serialize};
 pub use training::*;
+pub use trash::*;
 
 /// Header of HTTP requests that only the operator may make: the lease's number, decimal, as `ControlReply` gives it.
 pub const LEASE_HEADER: &str = "palpate-lease";

@@ -1,6 +1,7 @@
 //! Sessions: what has been recorded, whether it can be used, and bringing in more.
 
 mod check;
+mod deleted;
 mod import;
 
 use egui::RichText;
@@ -53,6 +54,8 @@ pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Se
                 }
                 ui.add_space(8.0);
                 import::import_ui(ui, cx, &mut state.import);
+                ui.add_space(8.0);
+                deleted::deleted_ui(ui, cx);
             }
             Part::Chosen => match (&missing, &shown) {
                 (Some(missing), _) => missing_session_ui(ui, cx, missing),

@@ -3,9 +3,14 @@
 use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::{api_client::Request, screens::PickedFile};
-use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity};
+use palpate_wire::api::{
+    ChannelCoverage, CheckReport, Problem, Role as May, Severity, TrashEntry, TrashSort, Via,
+};
 
-use crate::fixture::{FakeWindow, full_api, page, page_of, station};
+use crate::{
+    fixture::{FakeWindow, full_api, page, page_of, station},
+    home::me,
+};
 
 fn check() -> CheckReport {
     let coverage = |channel: &str, touches_by_half: [usize; 2]| ChannelCoverage {
@@ -124,4 +129,46 @@ fn phone_has_the_list_and_the_session_one_at_a_time() {
     harness.get_by_role_and_label(Role::RadioButton, "All sessions").click();
     harness.run_steps(3);
     harness.get_by_role_and_label(Role::Button, "Session bench-1");
+}
+
+fn trash() -> Vec<u8> {
+    let entry =
+        |sort, id: &str| TrashEntry { sort, id: id.into(), deleted: "2026-11-25T09:00:00.000Z".into() };
+    let entries = [entry(TrashSort::Session, "bench-0"), entry(TrashSort::Model, "soft")];
+    serde_json::to_vec(&entries).expect("it is plain data")
+}
+
+#[test]
+fn what_was_deleted_is_listed_and_restored() {
+    let api = full_api();
+    api.0.borrow_mut().answer(&Request::Trash, trash());
+    let mut harness = page(&api, &FakeWindow::at("#/sessions"));
+    assert!(!api.0.borrow().sent.contains(&Request::Trash), "nobody has asked what was deleted");
+    harness.get_by_label("Deleted").click();
+    harness.run_steps(20);
+    api.0.borrow_mut().answer(&Request::RestoreSession("bench-0".into()), b"{}".to_vec());
+    api.0.borrow_mut().answer(&Request::Trash, b"[]".to_vec());
+    harness.get_by_role_and_label(Role::Button, "Restore model soft");
+    harness.get_by_role_and_label(Role::Button, "Restore session bench-0").click();
+    harness.run_steps(4);
+    assert!(api.0.borrow().sent.contains(&Request::RestoreSession("bench-0".into())));
+    harness.get_by_label("The trash holds no session and no model.");
+}
+
+#[test]
+fn what_cannot_be_restored_says_why_and_viewers_are_told_who_may() {
+    let api = full_api();
+    api.0.borrow_mut().answer(&Request::Trash, trash());
+    let mut harness = page(&api, &FakeWindow::at("#/sessions"));
+    harness.get_by_label("Deleted").click();
+    harness.run_steps(20);
+    harness.get_by_role_and_label(Role::Button, "Restore model soft").click();
+    harness.run_steps(4);
+    harness.get_by_label_contains("nothing at POST /api/v1/models/soft/restore");
+    let me = serde_json::to_vec(&me(May::Viewer, Via::Session)).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::Me, me);
+    let mut harness = page(&api, &FakeWindow::at("#/sessions"));
+    harness.get_by_label("Deleted").click();
+    harness.run_steps(20);
+    harness.get_by_label("Operators restore what was deleted.");
 }

@@ -24,6 +24,7 @@ from palpate.documents import (
     SessionDetail,
     SessionSummary,
     TakeSummary,
+    TrashEntry,
     decode,
 )
 from palpate.errors import PalpateError
@@ -139,6 +140,13 @@ class Palpate:
                 timeout_s=REPLAY_TIMEOUT_S,
             )
         return Session(self, decode(SessionDetail, detail))
+
+    def trash(self) -> list[TrashEntry]:
+        """Deleted sessions and models, the one that was deleted last first.
+
+        `restore_session` and `restore_model` take them out again.
+        """
+        return decode(list[TrashEntry], self.connection.json("GET", "/trash"))
 
     def restore_session(self, session: str) -> Session:
         """Takes a session out of the trash again."""

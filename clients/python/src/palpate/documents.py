@@ -181,6 +181,18 @@ class ModelSummary:
 
 
 @dataclass(frozen=True)
+class TrashEntry:
+    """Something that was deleted and can be taken out of the trash again.
+
+    `sort` is `session` or `model`; `deleted` is when, RFC 3339.
+    """
+
+    sort: str
+    id: str
+    deleted: str
+
+
+@dataclass(frozen=True)
 class Metrics:
     """How well simulated events match real ones; None where there is nothing to average over."""
 
