@@ -86,6 +86,9 @@ pub(crate) struct SubmitArgs {
     /// Shards that work at once at most [default: as many as there is room for]
     #[arg(long, value_name = "N", requires = "shards")]
     at_once: Option<u32>,
+    /// Learn on the graphics card, for kinds that can: imitation and pipeline
+    #[arg(long)]
+    gpu: bool,
     /// Where it runs: process, or the name of a runner in runners.toml [default: the first that there is]
     #[arg(long)]
     runner: Option<String>,
@@ -190,10 +193,11 @@ fn submit(args: &SubmitArgs) -> Result<(), Error> {
         request,
         seed: args.seed,
         priority: args.priority,
-        resources: (args.cores.is_some() || args.shards.is_some()).then(|| Resources {
+        resources: (args.cores.is_some() || args.shards.is_some() || args.gpu).then(|| Resources {
             cores: args.cores.unwrap_or(0),
             shards: args.shards.unwrap_or(0),
             at_once: args.at_once.unwrap_or(0),
+            gpu: args.gpu,
             ..Resources::default()
         }),
         runner: args.runner.clone(),

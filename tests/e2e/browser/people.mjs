@@ -56,7 +56,7 @@ await step("both log in", async () => {
 
 await step("a viewer is told why no training starts", async () => {
   await button("Jobs", viewer).click();
-  await button("Start a training", viewer).click();
+  await button("Start a job", viewer).click();
   await says(/^You are vera \(viewer\): you can watch\. Operators start and end jobs/, viewer).waitFor();
   assert.ok(await isDisabled(button("Start", viewer)), "a viewer can start a training");
   await shot("viewer-training", viewer);

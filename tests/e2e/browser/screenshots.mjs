@@ -13,6 +13,10 @@ const screens = {
   sessions: `#/sessions/${session}`,
   trials: "#/trials",
   jobs: "#/jobs",
+  job_form: "#/jobs?job=new",
+  models: "#/models",
+  objects: "#/objects",
+  record: "#/record",
   settings: "#/settings?part=audit",
 };
 

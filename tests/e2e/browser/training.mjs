@@ -69,7 +69,7 @@ async function look(name) {
 
 await step("the form has every training, and this studio can do all of them", async () => {
   await page.goto(`${url}/#/home`);
-  await button("Start a training").click();
+  await button("Start a job").click();
   await page.waitForURL(/job=new/);
   await page.getByRole("combobox", { name: "What to start" }).click();
   const kinds = await document("/kinds");
@@ -94,7 +94,7 @@ await step("trials of the expert are gathered, and the curves grow to a point an
 });
 
 await step("the expert is imitated by what was gathered, which a press fills in", async () => {
-  await button("Start a training").click();
+  await button("Start a job").click();
   await choose("Imitate an expert");
   await page.getByText("which gathered trials? Give jobs such as gathering-1").waitFor();
   await button("gathering-1").click();
@@ -122,7 +122,7 @@ await step("the policy is traced back to the trials that it imitates", async () 
 });
 
 await step("a training that would go on for hours is cancelled", async () => {
-  await button("Start a training").click();
+  await button("Start a job").click();
   await choose("Tune a script");
   // Until it is there, the button is where the form of the kind before has it.
   await page.getByText("Makes a closing script better").waitFor();

@@ -66,6 +66,8 @@ pub(super) fn glossary_ui(ctx: &egui::Context, state: &mut GlossaryState) -> Ans
         ui.add_space(6.0);
         let text = "More is in the folder docs of the source: calibration.md and diagnosis.md say how numbers come about.";
         ui.label(RichText::new(text).color(palette.text_weak));
+        let api = egui::Hyperlink::from_label_and_url("What scripts can ask for", "/api/docs");
+        ui.add(api.open_in_new_tab(true));
         answer
     });
     if modal.should_close() { Answer::Close } else { modal.inner }

@@ -1,6 +1,6 @@
 //! How a script, a shell or a notebook asks for what a form asks for: text to copy.
 
-use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, Job, JobRequest};
+use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, Job, JobRequest, Resources};
 
 use super::controls::name_button;
 
@@ -97,20 +97,33 @@ pub fn diagnosis(request: &DiagnosisRequest, data: &str) -> Forms {
 pub fn submission(asked: &JobRequest, data: &str) -> Forms {
     let request = asked.request.to_string();
     let data = if data == DATA_FOLDER { String::new() } else { format!(" --data {}", quoted(data)) };
+    let mut needs = String::new();
+    if let Some(Resources { cores, gpu, shards, at_once, .. }) = asked.resources {
+        for (flag, number) in [("cores", cores), ("shards", shards), ("at-once", at_once)] {
+            if number > 0 {
+                needs += &format!(" --{flag} {number}");
+            }
+        }
+        if gpu {
+            needs += " --gpu";
+        }
+    }
     Forms {
         command: Some(format!(
-            "palpate jobs submit {} {} --seed {}{data}",
+            "palpate jobs submit {} {} --seed {}{needs}{data}",
             quoted(&asked.kind),
             quoted(&request),
             asked.seed
         )),
-        ..any(&asked.kind, &asked.request, asked.seed)
+        ..any(&asked.kind, &asked.request, asked.seed, asked.resources)
     }
 }
 
 /// A job of any kind, with its seed.
 pub fn job(job: &Job, data: &str) -> Forms {
-    let forms = any(&job.kind, &job.spec.request, job.spec.seed);
+    // What its kind needs anyway need not be said.
+    let resources = Some(job.spec.resources).filter(|needs| needs.shards > 0 || needs.gpu);
+    let forms = any(&job.kind, &job.spec.request, job.spec.seed, resources);
     let request = job.spec.request.clone();
     let command = match job.kind.as_str() {
         "calibrate" => {
@@ -126,16 +139,35 @@ pub fn job(job: &Job, data: &str) -> Forms {
 }
 
 /// A request of any kind, but for the command line.
-fn any(kind: &str, request: &serde_json::Value, seed: u64) -> Forms {
-    let body = serde_json::json!({ "kind": kind, "request": request, "seed": seed });
+fn any(kind: &str, request: &serde_json::Value, seed: u64, resources: Option<Resources>) -> Forms {
+    let mut body = serde_json::json!({ "kind": kind, "request": request, "seed": seed });
     // JSON is Python where it holds neither true, false nor null; json.loads reads all of it.
-    let request = json(&request.to_string());
+    let loads = |value: &serde_json::Value| format!("json.loads({})", json(&value.to_string()));
+    let mut needs = String::new();
+    if let Some(resources) = resources {
+        let resources = said(resources);
+        needs = format!(", resources={}", loads(&resources));
+        body["resources"] = resources;
+    }
     let python = format!(
-        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({}, \
-         json.loads({request}), seed={seed})\n    print(job.wait())\n",
-        json(&kind)
+        "import json\nfrom palpate import Palpate\n\nwith Palpate() as p:\n    job = p.jobs.submit({}, {}, \
+         seed={seed}{needs})\n    print(job.wait())\n",
+        json(&kind),
+        loads(request)
     );
     Forms { curl: curl("/jobs", &body.to_string()), python, command: None }
+}
+
+/// `resources` without what is as usual.
+fn said(resources: Resources) -> serde_json::Value {
+    // Plain data always serialises.
+    let mut said = serde_json::to_value(resources).unwrap_or_default();
+    if let Some(fields) = said.as_object_mut() {
+        fields.retain(|_, value| {
+            !matches!(value, serde_json::Value::Null | serde_json::Value::Bool(false)) && *value != 0
+        });
+    }
+    said
 }
 
 /// A line for a shell. The address is that of a studio on this computer.
@@ -247,6 +279,35 @@ mod tests {
         assert!(forms.python.contains(call), "{}", forms.python);
         assert!(forms.command.is_some_and(|command| command.ends_with("--seed 3")));
         assert_eq!(job(&some_job("blind", serde_json::json!({})), "data").command, None);
+    }
+
+    #[test]
+    fn parts_and_graphics_card_are_in_every_form() {
+        let asked = |resources| JobRequest {
+            kind: "gathering".into(),
+            request: serde_json::json!({ "count": 20 }),
+            seed: 3,
+            priority: 0,
+            resources: Some(resources),
+            runner: None,
+        };
+        let resources = Resources { shards: 4, cores: 2, at_once: 3, ..Resources::default() };
+        let forms = submission(&asked(resources), DATA_FOLDER);
+        assert!(forms.curl.contains(r#""resources":{"at_once":3,"cores":2,"shards":4}"#), "{}", forms.curl);
+        let call = r#"seed=3, resources=json.loads("{\"at_once\":3,\"cores\":2,\"shards\":4}"))"#;
+        assert!(forms.python.contains(call), "{}", forms.python);
+        let command =
+            r#"palpate jobs submit gathering '{"count":20}' --seed 3 --cores 2 --shards 4 --at-once 3"#;
+        assert_eq!(forms.command.as_deref(), Some(command));
+        let gpu = Resources { gpu: true, ..Resources::default() };
+        let forms = submission(&asked(gpu), DATA_FOLDER);
+        assert!(forms.curl.contains(r#""resources":{"gpu":true}"#), "{}", forms.curl);
+        assert!(forms.command.is_some_and(|command| command.ends_with("--seed 3 --gpu")));
+        // A job that was divided is asked for again divided; one that was not is left to its kind.
+        let mut divided = some_job("gathering", serde_json::json!({}));
+        assert!(!job(&divided, DATA_FOLDER).curl.contains("resources"));
+        divided.spec.resources = resources;
+        assert!(job(&divided, DATA_FOLDER).curl.contains(r#""shards":4"#));
     }
 
     proptest! {

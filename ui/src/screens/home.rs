@@ -17,7 +17,7 @@ use super::{
     ScreenContext,
     control::wording::{link_word, phase_color, phase_mark_ui, phase_word},
     duration_text,
-    jobs::NEW,
+    jobs::{NEW, working_now},
     progress_bar,
 };
 use crate::{
@@ -224,6 +224,8 @@ fn facts(cx: &mut ScreenContext<'_>) -> Loadable<Facts> {
             num_named,
         }
     });
+    // What is next does not wait for it.
+    let working = cx.store.jobs.list().ready().map_or_else(Vec::new, |jobs| working_now(jobs));
     let recording = if commandable { cx.store.recording() } else { Loadable::Idle };
     let recording = recording.ready();
     Loadable::Ready(Facts {
@@ -235,6 +237,7 @@ fn facts(cx: &mut ScreenContext<'_>) -> Loadable<Facts> {
         wanted: recording.map_or(0, |document| document.wanted.len()),
         newest,
         campaigns: campaigns.iter().filter_map(CampaignFacts::of).collect(),
+        working,
     })
 }
 
@@ -356,7 +359,7 @@ fn running_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
             if !jobs.is_empty() && ui.button("All jobs").clicked() {
                 *cx.go_to = Some(Route::to(Screen::Jobs));
             }
-            if ui.button("Start a training").clicked() {
+            if ui.button("Start a job").clicked() {
                 *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
             }
         });

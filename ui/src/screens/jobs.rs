@@ -1,6 +1,7 @@
 //! Jobs: long work of every kind, what waits, what runs, how it ended.
 
 mod curves;
+mod needs;
 mod start;
 
 pub use curves::Curves;
@@ -56,7 +57,7 @@ pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSt
     if jobs.is_empty() {
         let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
             this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind.";
-        if empty_ui(ui, "No job yet", text, "Start a training") {
+        if empty_ui(ui, "No job yet", text, "Start a job") {
             *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
         }
         return;
@@ -114,7 +115,7 @@ fn list_ui(
     ui.add_space(4.0);
     ui.horizontal_wrapped(|ui| {
         ui.heading("Jobs");
-        if ui.button("Start a training").clicked() {
+        if ui.button("Start a job").clicked() {
             *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
         }
     });
@@ -209,10 +210,12 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
         if let Some(problem) = cx.store.jobs.problem.clone() {
             ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
         }
-        progress_ui(ui, cx, job);
+        let working = working_now(cx.store.jobs.list().ready().map_or(&[][..], |jobs| jobs.as_slice()));
+        progress_ui(ui, cx, job, &working);
         actions_ui(ui, cx, state, job);
         ui.add_space(8.0);
         facts_ui(ui, cx, job);
+        files_ui(ui, job);
         ui.add_space(8.0);
         copy_as::copy_ui(ui, &copy_as::job(job, copy_as::DATA_FOLDER));
         ui.add_space(8.0);
@@ -225,7 +228,7 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
     });
 }
 
-fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
+fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job, working: &[String]) {
     match job.state {
         JobState::Running => {
             let left = job
@@ -237,7 +240,7 @@ fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
             ui.label(format!("{asked}{}", job.stage));
         }
         JobState::Queued => {
-            ui.label("It waits for its turn.");
+            ui.add(egui::Label::new(waits_text("It", working)).wrap());
         }
         JobState::Failed => {
             let problem = job.problem.as_deref().unwrap_or("it failed without saying why; its log may tell");
@@ -246,6 +249,22 @@ fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
         JobState::Done | JobState::Cancelled => {
             ui.colored_label(colour(cx, job.state), format!("{} {}", mark(job.state), job.state.name()));
         }
+    }
+}
+
+/// Ids of the jobs that have begun and not ended.
+pub(super) fn working_now(jobs: &[Job]) -> Vec<String> {
+    let working = jobs.iter().filter(|job| job.state == JobState::Running);
+    working.map(|job| job.id.clone()).collect()
+}
+
+/// That `who` waits, and what works meanwhile.
+pub(super) fn waits_text(who: &str, working: &[String]) -> String {
+    match working {
+        [] => format!("{who} waits for its turn."),
+        [one] => format!("{who} waits for its turn: {one} works."),
+        [one, other] => format!("{who} waits for its turn: {one} and {other} work."),
+        [one, others @ ..] => format!("{who} waits for its turn: {one} and {} others work.", others.len()),
     }
 }
 
@@ -309,6 +328,41 @@ fn outcome_of(job: &Job) -> Option<(Screen, &'static str)> {
     }
 }
 
+/// Links to what a job has left.
+fn files_ui(ui: &mut egui::Ui, job: &Job) {
+    let files = files_of(job);
+    if files.is_empty() {
+        return;
+    }
+    ui.horizontal_wrapped(|ui| {
+        ui.label("Files");
+        for name in files {
+            let url = format!("/api/v1/jobs/{}/files/{name}", job.id);
+            ui.add(egui::Hyperlink::from_label_and_url(name, url).open_in_new_tab(true));
+        }
+    });
+}
+
+/// Names of the files that a job of this kind has left once it is done.
+fn files_of(job: &Job) -> Vec<&'static str> {
+    if job.state != JobState::Done {
+        return Vec::new();
+    }
+    let others: &[&str] = match job.kind.as_str() {
+        "calibrate" => &["report.html", "model.toml"],
+        "diagnose" => &["report.html", "model.toml", "calibrated.toml", "base.toml"],
+        "blind" => &["answers.jsonl"],
+        "tune" => &["script.toml"],
+        "expert" => &["policy.safetensors", "script.toml"],
+        "evaluation" if job.spec.request["protocol"].is_string() => &["comparison.json"],
+        "pretraining" => &["encoder.safetensors"],
+        "imitation" => &["policy.safetensors"],
+        "pipeline" => &["report.html", "policy.safetensors"],
+        _ => &[],
+    };
+    std::iter::once("report.json").chain(others.iter().copied()).collect()
+}
+
 fn facts_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
     let time = |text: &Option<String>| {
         text.as_deref()
@@ -324,6 +378,7 @@ fn facts_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job) {
             ("Ended", time(&job.ended)),
             ("Attempts", job.attempts.to_string()),
             ("Runs on", job.runner.clone()),
+            ("Parts and graphics card", needs::words(job).unwrap_or_else(|| "-".to_owned())),
             ("Seed", job.spec.seed.to_string()),
             ("Software", job.spec.software.clone()),
             ("Input files", job.spec.inputs.len().to_string()),

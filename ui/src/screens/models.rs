@@ -10,6 +10,7 @@ use super::{
     words,
 };
 use crate::{
+    api_client::segment,
     playback::ModelRef,
     route::{Route, Screen},
     store::Loadable,
@@ -125,6 +126,11 @@ fn buttons_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, artifact: &Artifact
             cx.playback.compared = Some(ModelRef::Saved(artifact.key.id.clone()));
             let model = Some(ModelRef::Saved(artifact.key.id.clone()).key());
             *cx.go_to = Some(Route { model, ..Route::to(Screen::Timelines).with_session(&session.id) });
+        }
+        if artifact.key.sort == ArtifactSort::Model && !artifact.is_shipped {
+            let url = format!("/api/v1/models/{}", segment(&artifact.key.id));
+            let link = egui::Hyperlink::from_label_and_url("Model file", url).open_in_new_tab(true);
+            ui.add(link).on_hover_text("The file that other studios and `palpate` read");
         }
         for job in &artifact.jobs {
             if ui.button(format!("Job {job}")).on_hover_text("Its request, log and curves").clicked() {

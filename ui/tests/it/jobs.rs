@@ -1,10 +1,13 @@
 //! Jobs of every kind on the page.
 
 use egui::accesskit::Role;
-use egui_kittest::kittest::Queryable as _;
-use palpate_ui::api_client::{ApiEvent, JobAct, Request};
+use egui_kittest::{Harness, kittest::Queryable as _};
+use palpate_ui::{
+    StudioApp,
+    api_client::{ApiEvent, JobAct, Request},
+};
 use palpate_wire::{
-    api::{Job, JobKindDocument, JobPage, JobRequest, JobSpec, JobState, Role as May, Via},
+    api::{Job, JobKindDocument, JobPage, JobRequest, JobSpec, JobState, Resources, Role as May, Via},
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;
@@ -143,7 +146,7 @@ fn a_training_is_started_from_the_form_and_then_shown() {
     let window = FakeWindow::at("#/jobs");
     let mut harness = page(&api, &window);
     harness.run_steps(3);
-    harness.get_by_role_and_label(Role::Button, "Start a training").click();
+    harness.get_by_role_and_label(Role::Button, "Start a job").click();
     harness.run_steps(3);
     assert_eq!(window.current(), "#/jobs?job=new");
     let asked = Request::SubmitJob(JobRequest {
@@ -251,4 +254,107 @@ fn curves_are_drawn_and_asked_for_again_when_the_job_has_ended() {
     api.0.borrow_mut().events.push_back(ApiEvent::SocketMessage(message.encode_to_vec()));
     harness.run_steps(5);
     harness.get_by_role_and_label(Role::Image, "Curve success_rate: 0.750 at step 3");
+}
+
+fn starts(api: &SharedApi, kind: &str) -> Harness<'static, Option<StudioApp>> {
+    kinds(api, None);
+    let mut harness = page(api, &FakeWindow::at("#/jobs?job=new"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ComboBox, "What to start").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ListBoxOption, kind).click();
+    harness.run_steps(3);
+    harness
+}
+
+fn submitted(api: &SharedApi) -> JobRequest {
+    let api = api.0.borrow();
+    let found = api.sent.iter().find_map(|request| match request {
+        Request::SubmitJob(job) => Some(job.clone()),
+        _ => None,
+    });
+    found.expect("a job was asked for")
+}
+
+#[test]
+fn a_gathering_is_divided_into_parts() {
+    let api = with(Vec::new());
+    let mut harness = starts(&api, "Gather an expert's trials");
+    assert!(harness.query_by_label("Parts").is_none(), "it is folded");
+    harness.get_by_label("Advanced").click();
+    harness.run_steps(20);
+    harness.get_by_label_contains("The result is the same.");
+    assert!(harness.query_by_label("Cores of each").is_none());
+    harness.get_by_role_and_label(Role::SpinButton, "Parts").focus();
+    harness.run_steps(3);
+    harness.event(egui::Event::Text("3".into()));
+    harness.run_steps(2);
+    harness.key_press(egui::Key::Enter);
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::SpinButton, "Cores of each");
+    harness.get_by_role_and_label(Role::Button, "Start").click();
+    harness.run_steps(3);
+    let expected = Resources { shards: 3, cores: 1, ..Resources::default() };
+    assert_eq!(submitted(&api).resources, Some(expected));
+}
+
+#[test]
+fn a_pipeline_learns_on_the_graphics_card_and_has_no_seed() {
+    let api = with(Vec::new());
+    let mut harness = starts(&api, "Do it all, from model to scored policies");
+    assert!(harness.query_by_label("Seed").is_none(), "its seeds are in its configuration");
+    harness.get_by_label("Advanced").click();
+    harness.run_steps(20);
+    assert!(harness.query_by_label("Parts").is_none());
+    harness.get_by_role_and_label(Role::CheckBox, "Learn on the graphics card").click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Button, "Start").click();
+    harness.run_steps(3);
+    assert_eq!(submitted(&api).resources, Some(Resources { gpu: true, ..Resources::default() }));
+}
+
+#[test]
+fn an_expert_has_a_seed_and_nothing_advanced() {
+    let harness = starts(&with(Vec::new()), "Train an expert");
+    harness.get_by_role_and_label(Role::SpinButton, "Seed");
+    assert!(harness.query_by_label("Advanced").is_none());
+}
+
+#[test]
+fn a_divided_job_says_how_and_how_far_its_parts_are() {
+    let mut divided = job("gathering-1", "gathering", JobState::Running);
+    divided.spec.resources = Resources { shards: 8, cores: 2, at_once: 4, ..Resources::default() };
+    divided.stage = "3 of 8 shards done, 4 at work, 1 waiting".into();
+    let mut harness = page(&with(vec![divided]), &FakeWindow::at("#/jobs?job=gathering-1"));
+    harness.run_steps(3);
+    harness.get_by_label("8 parts, 2 cores each, 4 at once at most");
+    harness.get_by_label_contains("3 of 8 shards done");
+}
+
+#[test]
+fn a_job_that_waits_names_what_works() {
+    let jobs =
+        vec![job("expert-2", "expert", JobState::Queued), job("expert-1", "expert", JobState::Running)];
+    let mut harness = page(&with(jobs), &FakeWindow::at("#/jobs?job=expert-2"));
+    harness.run_steps(3);
+    harness.get_by_label("It waits for its turn: expert-1 works.");
+}
+
+#[test]
+fn a_job_that_is_done_links_to_its_files() {
+    let api =
+        with(vec![job("expert-2", "expert", JobState::Running), job("expert-1", "expert", JobState::Done)]);
+    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=expert-1"));
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::Link, "report.json");
+    harness.get_by_role_and_label(Role::Link, "policy.safetensors").click();
+    harness.step();
+    let opened = harness.output().platform_output.commands.iter().find_map(|command| match command {
+        egui::OutputCommand::OpenUrl(url) => Some((url.url.clone(), url.new_tab)),
+        _ => None,
+    });
+    assert_eq!(opened, Some(("/api/v1/jobs/expert-1/files/policy.safetensors".to_owned(), true)));
+    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=expert-2"));
+    harness.run_steps(3);
+    assert!(harness.query_by_label("report.json").is_none());
 }

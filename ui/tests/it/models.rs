@@ -47,6 +47,7 @@ fn lineage_is_clicked_through_from_trials_back_to_takes() {
     harness.get_all_by_role_and_label(Role::Button, "Model Bench fit").last().expect("in the tree").click();
     harness.run_steps(3);
     assert_eq!(window.current(), "#/models?artifact=model:bench-fit");
+    harness.get_by_role_and_label(Role::Link, "Model file");
     harness.get_by_role_and_label(Role::Button, "Job run-1").click();
     harness.run_steps(3);
     assert!(window.current().starts_with("#/jobs?"), "{}", window.current());

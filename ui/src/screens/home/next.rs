@@ -4,7 +4,7 @@ use palpate_wire::api::{CampaignSummary, JobState, ModelSummary, Role, Run, Sess
 
 use crate::{
     route::{Route, Screen},
-    screens::run_controls::OfSession,
+    screens::{jobs::waits_text, run_controls::OfSession},
 };
 
 /// What the decision needs to know.
@@ -22,6 +22,8 @@ pub struct Facts {
     pub newest: Option<SessionFacts>,
     /// Campaigns that can be read, newest first.
     pub campaigns: Vec<CampaignFacts>,
+    /// Ids of the jobs that work now, as far as they are known.
+    pub working: Vec<String>,
 }
 
 /// The newest session and what was made of it.
@@ -104,7 +106,7 @@ pub enum Step {
         /// How many.
         num_named: usize,
     },
-    /// Watch a run that works.
+    /// Watch a run that works, or waits for its turn.
     Watch {
         /// Where it is shown.
         screen: Screen,
@@ -112,6 +114,8 @@ pub enum Step {
         session: String,
         /// Id of the run.
         run: String,
+        /// It waits, while these jobs work; `None` once it works.
+        waits_for: Option<Vec<String>>,
     },
     /// Record what a diagnosis asked for.
     RecordWanted(usize),
@@ -155,7 +159,10 @@ impl Step {
                     "The diagnosis of session {session} named {effects}. See them, and add what convinces you."
                 )
             }
-            Self::Watch { session, run, .. } => format!("{run} works on session {session}."),
+            Self::Watch { session, run, waits_for: Some(working), .. } => {
+                waits_text(&format!("{run} on session {session}"), working)
+            }
+            Self::Watch { session, run, waits_for: None, .. } => format!("{run} works on session {session}."),
             Self::RecordWanted(1) => "A diagnosis asked for one more take.".into(),
             Self::RecordWanted(takes) => format!("A diagnosis asked for {takes} more takes."),
             Self::Score(campaign) => match campaign.to_score {
@@ -217,7 +224,7 @@ impl Step {
             Self::SaveModel { session, run: id } => run(Screen::Calibrate, session, id),
             Self::Diagnose { session, .. } => Route::to(Screen::Diagnose).with_session(session.clone()),
             Self::LookAtNames { session, run: id, .. } => run(Screen::Diagnose, session, id),
-            Self::Watch { screen, session, run: id } => run(*screen, session, id),
+            Self::Watch { screen, session, run: id, .. } => run(*screen, session, id),
             Self::Score(facts) => campaign(facts, "score"),
             Self::RunTrials(facts) => campaign(facts, "run"),
             Self::PlanCampaign => Route::to(Screen::Trials),
@@ -240,7 +247,7 @@ pub fn steps(facts: &Facts) -> Vec<Step> {
             }
             steps.push(Step::Import);
         }
-        Some(session) => match of_session(session) {
+        Some(session) => match of_session(session, &facts.working) {
             Some(step @ Step::Watch { .. }) => running.push(step),
             Some(step) => steps.push(step),
             None => {}
@@ -272,16 +279,20 @@ pub fn steps(facts: &Facts) -> Vec<Step> {
 }
 
 /// The next step on the way of one session: calibrate, keep, diagnose, look.
-fn of_session(session: &SessionFacts) -> Option<Step> {
+fn of_session(session: &SessionFacts, working: &[String]) -> Option<Step> {
     let id = session.id.clone();
+    let watch = |screen, run: &RunFacts| {
+        let waits_for = (run.state == JobState::Queued).then(|| working.to_vec());
+        Step::Watch { screen, session: session.id.clone(), run: run.id.clone(), waits_for }
+    };
     let works = |run: &&RunFacts| matches!(run.state, JobState::Queued | JobState::Running);
     let is_done = |run: &&RunFacts| run.state == JobState::Done;
     let (calibration, diagnosis) = (session.calibration.as_ref(), session.diagnosis.as_ref());
     if let Some(run) = diagnosis.filter(works) {
-        return Some(Step::Watch { screen: Screen::Diagnose, session: id, run: run.id.clone() });
+        return Some(watch(Screen::Diagnose, run));
     }
     if let Some(run) = calibration.filter(works) {
-        return Some(Step::Watch { screen: Screen::Calibrate, session: id, run: run.id.clone() });
+        return Some(watch(Screen::Calibrate, run));
     }
     if let Some(run) = diagnosis.filter(is_done) {
         let num_named = session.num_named.filter(|named| *named > 0 && run.saved_as.is_none())?;
@@ -371,6 +382,22 @@ mod tests {
     }
 
     #[test]
+    fn a_run_that_waits_is_not_said_to_work() {
+        let sentence = |state, working: &[&str]| {
+            let diagnosis = Some(run("diagnosis-1", state, None));
+            let session = SessionFacts { id: "demo".into(), diagnosis, ..SessionFacts::default() };
+            let working = working.iter().map(|&id| id.to_owned()).collect();
+            first(&Facts { working, ..operator(Some(session)) }).sentence()
+        };
+        assert_eq!(sentence(JobState::Running, &["diagnosis-1"]), "diagnosis-1 works on session demo.");
+        let waits = |working: &[&str]| sentence(JobState::Queued, working);
+        assert_eq!(waits(&[]), "diagnosis-1 on session demo waits for its turn.");
+        assert_eq!(waits(&["expert-1"]), "diagnosis-1 on session demo waits for its turn: expert-1 works.");
+        assert!(waits(&["expert-1", "run-2"]).ends_with("turn: expert-1 and run-2 work."));
+        assert!(waits(&["expert-1", "run-2", "run-3"]).ends_with("turn: expert-1 and 2 others work."));
+    }
+
+    #[test]
     fn nothing_yet_means_record_where_there_is_a_hand_and_import_where_there_is_none() {
         assert_eq!(steps(&operator(None)), [Step::Import]);
         let facts = Facts { commandable: true, ..operator(None) };
@@ -452,8 +479,9 @@ mod tests {
         fn facts()(
             role in role(), commandable in any::<bool>(), recording in any::<bool>(), wanted in 0..3_usize,
             newest in session(), campaigns in campaigns(),
+            working in prop::collection::vec("[a-z]{1,6}-[1-9]", 0..4),
         ) -> Facts {
-            Facts { role: Some(role), commandable, recording, wanted, newest, campaigns }
+            Facts { role: Some(role), commandable, recording, wanted, newest, campaigns, working }
         }
     }
 

@@ -1,4 +1,4 @@
-//! The form that starts a training: every kind of job that `palpate-train` does, each a list of fields.
+//! The form that starts a job: every kind that `palpate-train` does, and the blind bench, each a list of fields.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,6 +11,7 @@ use super::super::{
     controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as,
 };
+use super::needs::Needs;
 use crate::store::Loadable;
 
 /// What can be started.
@@ -20,15 +21,32 @@ struct Training {
     words: &'static str,
     explained: &'static str,
     fields: &'static [Field],
+    /// Whether the seed of the job is used.
+    is_seeded: bool,
+    /// What the parts are into which its work can be divided, if it can be.
+    parts: Option<&'static str>,
+    /// Whether it can work on the graphics card.
+    may_use_gpu: bool,
 }
+
+/// Neither divided nor on the graphics card.
+const PLAIN: Training = Training {
+    kind: "",
+    words: "",
+    explained: "",
+    fields: &[],
+    is_seeded: true,
+    parts: None,
+    may_use_gpu: false,
+};
 
 /// A field of a request. What is left as it is, is left to the studio.
 #[derive(Clone, Copy)]
 enum Field {
     /// The object to grasp.
     Object,
-    /// Which objects, by group.
-    Objects,
+    /// Which objects, by group; the first says nothing. The form keeps the choice as `slot`.
+    Objects { slot: &'static str, groups: &'static [&'static str] },
     /// A policy: a job of one of these kinds that is done, or a shipped one.
     Policy(&'static [&'static str]),
     /// Jobs to learn from, of this kind.
@@ -63,6 +81,7 @@ const TRAININGS: &[Training] = &[
             Field::Model,
             SILENCE,
         ],
+        ..PLAIN
     },
     Training {
         kind: "evaluation",
@@ -76,9 +95,12 @@ const TRAININGS: &[Training] = &[
                 label: "Protocol",
                 choices: &["", "paper", "wide", "wide_20s", "claim"],
             },
+            Field::Objects { slot: "scored", groups: &["", "seen", "unseen", "all"] },
             Field::Model,
             SILENCE,
         ],
+        parts: Some("objects"),
+        ..PLAIN
     },
     Training {
         kind: "demonstrations",
@@ -89,6 +111,7 @@ const TRAININGS: &[Training] = &[
             Field::Number { key: "count", label: "How many", usual: "64", otherwise: Some(64) },
             Field::Model,
         ],
+        ..PLAIN
     },
     Training {
         kind: "pretraining",
@@ -100,17 +123,20 @@ const TRAININGS: &[Training] = &[
             number("epochs", "Epochs", "as the preset says"),
             SILENCE,
         ],
+        ..PLAIN
     },
     Training {
         kind: "gathering",
         words: "Gather an expert's trials",
         explained: "Lets the searching expert grasp in simulation and keeps every trial, won or lost, to imitate.",
         fields: &[
-            Field::Objects,
+            Field::Objects { slot: "objects", groups: GROUPS },
             number("count", "Trials on each object", "300"),
             Field::Choice { key: "protocol", label: "Protocol", choices: PROTOCOLS },
             Field::Model,
         ],
+        parts: Some("objects"),
+        ..PLAIN
     },
     Training {
         kind: "imitation",
@@ -125,6 +151,8 @@ const TRAININGS: &[Training] = &[
             Field::Flag { key: "hide_tracking", label: "Tracking errors", words: "are not seen" },
             Field::Flag { key: "only_won", label: "Learns from", words: "trials that were won only" },
         ],
+        may_use_gpu: true,
+        ..PLAIN
     },
     Training {
         kind: "pipeline",
@@ -135,12 +163,30 @@ const TRAININGS: &[Training] = &[
             Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
             Field::Model,
         ],
+        is_seeded: false,
+        may_use_gpu: true,
+        ..PLAIN
     },
     Training {
         kind: "tune",
         words: "Tune a script",
         explained: "Makes a closing script better on one object, by trying variants of it.",
         fields: &[Field::Object, number("generations", "Generations", "8"), Field::Model],
+        ..PLAIN
+    },
+    Training {
+        kind: "blind",
+        words: "Bench the diagnosis blind",
+        explained: "Hides known effects in emulated sessions, has them diagnosed and scores the names: minutes a round.",
+        fields: &[
+            Field::Choice { key: "domain", label: "Effects of", choices: &["tactile", "actuator"] },
+            number("seeds", "Rounds", "1"),
+            number("nulls", "Sessions with nothing hidden", "20"),
+            Field::Flag { key: "raw_only", label: "Without raw readings", words: "is not tried too" },
+            Field::Flag { key: "whole_library", label: "Effects taken out", words: "are not tried too" },
+        ],
+        parts: Some("rounds"),
+        ..PLAIN
     },
 ];
 
@@ -156,6 +202,7 @@ pub(super) struct StartState {
     flags: BTreeSet<&'static str>,
     model: Option<String>,
     seed: u64,
+    needs: Needs,
 }
 
 impl Default for StartState {
@@ -168,6 +215,7 @@ impl Default for StartState {
             flags: BTreeSet::new(),
             model: None,
             seed: 1,
+            needs: Needs::default(),
         }
     }
 }
@@ -196,12 +244,25 @@ impl StartState {
                 request.insert(key.to_owned(), value);
             }
         }
+        let resources = self.needs.resources(training.parts.is_some(), training.may_use_gpu);
+        if training.kind == "evaluation" {
+            let is_divided = resources.is_some();
+            match (request.contains_key("protocol"), request.contains_key("objects")) {
+                (false, true) => return Err("objects belong to a protocol; choose one too".to_owned()),
+                (has_protocol, has_objects) if is_divided && !(has_protocol && has_objects) => {
+                    let missing =
+                        "parts share the objects of a protocol; choose a protocol and which objects";
+                    return Err(missing.to_owned());
+                }
+                _ => {}
+            }
+        }
         Ok(JobRequest {
             kind: training.kind.to_owned(),
             request: Value::Object(request),
-            seed: self.seed,
+            seed: if training.is_seeded { self.seed } else { 0 },
             priority: 0,
-            resources: None,
+            resources,
             runner: None,
         })
     }
@@ -210,9 +271,9 @@ impl StartState {
     fn value(&self, field: Field) -> Result<Option<(&'static str, Value)>, String> {
         let value: Option<(_, Value)> = match field {
             Field::Object => Some(("object", self.object.clone().into())),
-            Field::Objects => {
-                let group = self.chosen("objects", GROUPS);
-                (group != GROUPS[0]).then(|| ("objects", vec![group].into()))
+            Field::Objects { slot, groups } => {
+                let group = self.chosen(slot, groups);
+                (Some(&group) != groups.first()).then(|| ("objects", vec![group].into()))
             }
             Field::Policy(_) => match self.text("policy") {
                 "" => {
@@ -255,7 +316,7 @@ const GROUPS: &[&str] = &["seen", "unseen", "all"];
 
 /// The form. `jobs` are those that are known.
 pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartState, jobs: &[Job]) {
-    ui.heading("Start a training");
+    ui.heading("Start a job");
     ui.horizontal_wrapped(|ui| {
         combo_ui(ui, "What to start", state.training().words, 190.0, |ui| {
             for (idx, training) in TRAININGS.iter().enumerate() {
@@ -265,15 +326,19 @@ pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mu
     });
     ui.add(egui::Label::new(RichText::new(state.training().explained).color(cx.palette.text_weak)).wrap());
     ui.add_space(6.0);
-    egui::Grid::new("start_training").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+    egui::Grid::new("start_job").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         for field in state.training().fields {
             field_ui(ui, cx, state, jobs, *field);
             ui.end_row();
         }
-        let label = ui.label("Seed");
-        ui.add(egui::DragValue::new(&mut state.seed)).labelled_by(label.id);
-        ui.end_row();
+        if state.training().is_seeded {
+            let label = ui.label("Seed");
+            ui.add(egui::DragValue::new(&mut state.seed)).labelled_by(label.id);
+            ui.end_row();
+        }
     });
+    let training = state.training();
+    state.needs.show(ui, cx, training.parts, training.may_use_gpu);
     ui.add_space(6.0);
     let problem = match cx.store.jobs.kinds() {
         Loadable::Ready(kinds) => {
@@ -321,7 +386,7 @@ fn field_ui(
                 }
             });
         }
-        Field::Objects => choice_ui(ui, state, "objects", "Objects", GROUPS),
+        Field::Objects { slot, groups } => choice_ui(ui, state, slot, "Objects", groups),
         Field::Policy(kinds) => {
             let known = kinds.iter().flat_map(|kind| done(jobs, kind)).collect();
             text_ui(ui, "Policy", "expert-1 or cube", state.texts.entry("policy").or_default(), known);
@@ -369,6 +434,7 @@ fn choice_ui(
 ) {
     let shown = |choice: &'static str| match (choice, key) {
         ("", "protocol") => "none",
+        ("", "scored") => "as usual",
         ("", _) => "as the preset says",
         _ => choice,
     };
@@ -412,8 +478,8 @@ fn done<'a>(jobs: &'a [Job], kind: &str) -> Vec<&'a str> {
 #[cfg(test)]
 mod tests {
     use palpate_wire::api::{
-        DemonstrationsRequest, EvaluationRequest, ExpertRequest, GatheringRequest, ImitationRequest,
-        PipelineRequest, PretrainingRequest, TuneRequest,
+        BlindRequest, DemonstrationsRequest, EvaluationRequest, ExpertRequest, GatheringRequest,
+        ImitationRequest, PipelineRequest, PretrainingRequest, TuneRequest,
     };
     use serde::de::DeserializeOwned;
     use serde_json::json;
@@ -446,6 +512,7 @@ mod tests {
                 json!({ "trials": ["gathering-1"], "preset": "small" }),
             ),
             ("tune", &[], json!({ "object": "cube" })),
+            ("blind", &[("seeds", "8")], json!({ "domain": "tactile", "seeds": 8 })),
         ] {
             assert_eq!(form(kind, texts).request().unwrap().request, expected, "{kind}");
         }
@@ -475,8 +542,8 @@ mod tests {
             for field in training.fields {
                 match *field {
                     Field::Object | Field::Model => {}
-                    Field::Objects => {
-                        state.choices.insert("objects", "all");
+                    Field::Objects { slot, .. } => {
+                        state.choices.insert(slot, "all");
                     }
                     Field::Policy(_) => {
                         state.texts.insert("policy", "cube".to_owned());
@@ -506,6 +573,7 @@ mod tests {
                 "imitation" => reads::<ImitationRequest>(request.request),
                 "pipeline" => reads::<PipelineRequest>(request.request),
                 "tune" => reads::<TuneRequest>(request.request),
+                "blind" => reads::<BlindRequest>(request.request),
                 other => panic!("{other} is no kind of training"),
             };
             assert!(read.is_ok(), "{}: {read:?}", training.kind);
@@ -519,5 +587,33 @@ mod tests {
         state.training = form("imitation", &[]).training;
         state.texts.insert("trials", "gathering-1".to_owned());
         assert_eq!(state.request().unwrap().request["preset"], "small");
+    }
+
+    #[test]
+    fn parts_of_an_evaluation_share_the_objects_of_a_protocol() {
+        let mut state = form("evaluation", &[("policy", "imitation-1")]);
+        state.needs.parts = 3;
+        assert!(state.request().unwrap_err().contains("choose a protocol"));
+        state.choices.insert("protocol", "wide");
+        assert!(state.request().unwrap_err().contains("which objects"));
+        state.choices.insert("scored", "all");
+        let request = state.request().unwrap();
+        assert_eq!(
+            request.request,
+            json!({ "policy": "imitation-1", "protocol": "wide", "objects": ["all"] })
+        );
+        let resources = request.resources.unwrap();
+        assert_eq!((resources.shards, resources.cores, resources.at_once), (3, 1, 0));
+        state.choices.insert("protocol", "");
+        state.needs.parts = 1;
+        assert!(state.request().unwrap_err().contains("objects belong to a protocol"));
+    }
+
+    #[test]
+    fn a_pipeline_has_its_seeds_in_its_configuration() {
+        let state = StartState { seed: 7, ..form("pipeline", &[]) };
+        assert_eq!(state.request().unwrap().seed, 0);
+        let state = StartState { seed: 7, ..form("tune", &[]) };
+        assert_eq!(state.request().unwrap().seed, 7);
     }
 }
