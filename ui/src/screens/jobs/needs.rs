@@ -86,7 +86,7 @@ impl Needs {
             }
             if may_use_gpu {
                 ui.checkbox(&mut self.gpu, "Learn on the graphics card");
-                weak(ui, "It waits until no other job has the card, and fails where there is none that it can use.");
+                weak(ui, "It waits until no other job has the card, and is refused where the runner has none.");
             }
         });
     }
