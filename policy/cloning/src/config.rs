@@ -15,6 +15,16 @@ pub enum Head {
     Diffusion,
 }
 
+/// What makes one observation of a window of frames, before the head.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Memory {
+    /// All frames side by side.
+    Window,
+    /// The last state of a GRU that reads one frame after the other, the oldest first.
+    Recurrent,
+}
+
 /// How to learn. Fields that a file leaves out have the values of the preset `small`, which are given here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -46,6 +56,10 @@ pub struct CloneConfig {
     pub executed: usize,
     /// What is seen.
     pub observation: ObservationConfig,
+    /// How the frames of a window are joined; side by side.
+    pub memory: Memory,
+    /// What only a recurrent memory needs.
+    pub recurrent: RecurrentConfig,
     /// Widths of the layers that every head begins with, at least one; 512, 512, 256.
     pub trunk: Vec<usize>,
     /// What predicts.
@@ -66,6 +80,14 @@ pub struct ObservationConfig {
     pub touch: bool,
     /// How far each joint is from where it was sent; yes.
     pub tracking: bool,
+}
+
+/// A gated recurrent unit (Cho et al. 2014).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RecurrentConfig {
+    /// Numbers of its state, at least 1; 128.
+    pub width: usize,
 }
 
 /// Denoising diffusion (Ho et al. 2020), with the cosine schedule of Nichol and Dhariwal 2021.
@@ -98,6 +120,8 @@ impl Default for CloneConfig {
             predicted: 8,
             executed: 3,
             observation: ObservationConfig::default(),
+            memory: Memory::Window,
+            recurrent: RecurrentConfig::default(),
             trunk: vec![512, 512, 256],
             head: Head::Regression,
             diffusion: DiffusionConfig::default(),
@@ -108,6 +132,12 @@ impl Default for CloneConfig {
 impl Default for ObservationConfig {
     fn default() -> Self {
         Self { frames: 16, stride: 8, touch: true, tracking: true }
+    }
+}
+
+impl Default for RecurrentConfig {
+    fn default() -> Self {
+        Self { width: 128 }
     }
 }
 
@@ -196,6 +226,7 @@ impl CloneConfig {
             within(&["executed"], self.executed, self.predicted, "1 to predicted"),
             count(&["observation", "frames"], self.observation.frames as u64),
             count(&["observation", "stride"], self.observation.stride as u64),
+            count(&["recurrent", "width"], self.recurrent.width as u64),
             Expectation {
                 path: &["trunk"],
                 value: format!("{:?}", self.trunk),
@@ -268,6 +299,8 @@ mod tests {
                 "head = \"diffusion\"\npredicted = 7",
                 "run.toml:2: predicted is 7, expected an even number for diffusion",
             ),
+            ("memory = \"attention\"", "unknown variant `attention`"),
+            ("[recurrent]\nwidth = 0", "run.toml:2: recurrent.width is 0, expected 1 or more"),
             ("trunk = []", "trunk is [], expected one width or more, each 1 or more"),
             ("[diffusion]\nkernel = 4", "run.toml:2: diffusion.kernel is 4, expected an odd number"),
             (

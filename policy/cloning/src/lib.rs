@@ -18,6 +18,7 @@ mod device;
 mod episodes;
 mod error;
 mod file;
+mod gru;
 mod history;
 mod network;
 mod run;
@@ -25,7 +26,7 @@ mod schedule;
 mod trainer;
 
 pub use cloned::{Cloned, Plan, Robot, Run};
-pub use config::{CloneConfig, DiffusionConfig, Head, ObservationConfig};
+pub use config::{CloneConfig, DiffusionConfig, Head, Memory, ObservationConfig, RecurrentConfig};
 pub use device::TrainingDevice;
 pub use episodes::{Episode, Episodes, Step};
 pub use error::CloneError;

@@ -3,7 +3,8 @@
 use burn_tensor::{Device, Tensor, TensorData, activation, module};
 use palpate_training::{Array, ArrayBuilder};
 
-use crate::{CloneConfig, Head, Shape};
+use crate::gru::Gru;
+use crate::{CloneConfig, Head, Memory, Shape};
 
 /// Samples that one thread computes at a time. Fixed, because the order of a sum is part of its bits.
 pub(crate) const CHUNK_SAMPLES: usize = 32;
@@ -24,6 +25,8 @@ pub(crate) struct Network {
     pub(crate) arrays: Vec<Array>,
     num_trunk_arrays: usize,
     head: Head,
+    /// What reads the window before the trunk's layers; nothing where frames stand side by side.
+    gru: Option<Gru>,
     trunk_layers: usize,
     predicted: usize,
     action_len: usize,
@@ -36,6 +39,17 @@ impl Network {
     pub(crate) fn new(config: &CloneConfig, shape: Shape) -> Self {
         let mut builder = ArrayBuilder::new(config.seed, WEIGHTS);
         let mut width = shape.input_len(&config.observation);
+        let gru = match config.memory {
+            Memory::Window => None,
+            Memory::Recurrent => {
+                let frames = config.observation.frames;
+                Some(Gru { frames, frame_len: shape.frame_len(), width: config.recurrent.width })
+            }
+        };
+        if let Some(gru) = gru {
+            gru.build(&mut builder);
+            width = width - gru.frames * gru.frame_len + gru.width;
+        }
         for (layer, &next) in config.trunk.iter().enumerate() {
             builder.linear(&format!("trunk.{layer}"), width, next);
             width = next;
@@ -55,6 +69,7 @@ impl Network {
             arrays: builder.into_arrays(),
             num_trunk_arrays,
             head: config.head,
+            gru,
             trunk_layers: config.trunk.len(),
             predicted,
             action_len,
@@ -74,13 +89,17 @@ impl Network {
 
     /// Features `[samples, width]` of observations `[samples, input_len]`, normalised.
     pub(crate) fn trunk(&self, tensors: &[Tensor<2>], inputs: Tensor<2>) -> Tensor<2> {
-        let mut pass = Pass(tensors[..self.num_trunk_arrays].iter());
-        (0..self.trunk_layers).fold(inputs, |rows, _| activation::silu(pass.linear(rows)))
+        let mut pass = Pass::new(&tensors[..self.num_trunk_arrays]);
+        let rows = match self.gru {
+            None => inputs,
+            Some(gru) => gru.read(&mut pass, inputs),
+        };
+        (0..self.trunk_layers).fold(rows, |rows, _| activation::silu(pass.linear(rows)))
     }
 
     /// Chunks `[samples, predicted * action_len]`, normalised, of features.
     pub(crate) fn regress(&self, tensors: &[Tensor<2>], features: Tensor<2>) -> Tensor<2> {
-        Pass(tensors[self.num_trunk_arrays..].iter()).linear(features)
+        Pass::new(&tensors[self.num_trunk_arrays..]).linear(features)
     }
 
     /// The noise in `noisy` chunks `[samples, predicted * action_len]`, which are after these `steps`, one for each
@@ -92,7 +111,7 @@ impl Network {
         noisy: Tensor<2>,
         steps: &[usize],
     ) -> Tensor<2> {
-        let mut pass = Pass(tensors[self.num_trunk_arrays..].iter());
+        let mut pass = Pass::new(&tensors[self.num_trunk_arrays..]);
         let (samples, device) = (steps.len(), features.device());
         let embedded = TensorData::new(embedding(steps), [samples, STEP_DIM]);
         let embedded = activation::silu(pass.linear(Tensor::from_data(embedded, &device)));
@@ -234,14 +253,18 @@ impl UNet {
 }
 
 /// One way through the parameters.
-struct Pass<'a>(std::slice::Iter<'a, Tensor<2>>);
+pub(crate) struct Pass<'a>(std::slice::Iter<'a, Tensor<2>>);
 
-impl Pass<'_> {
-    fn next(&mut self) -> Tensor<2> {
+impl<'a> Pass<'a> {
+    pub(crate) fn new(tensors: &'a [Tensor<2>]) -> Self {
+        Self(tensors.iter())
+    }
+
+    pub(crate) fn next(&mut self) -> Tensor<2> {
         self.0.next().expect("a pass takes what was built").clone()
     }
 
-    fn linear(&mut self, rows: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn linear(&mut self, rows: Tensor<2>) -> Tensor<2> {
         rows.matmul(self.next()) + self.next()
     }
 

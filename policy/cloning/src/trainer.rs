@@ -10,7 +10,7 @@ use crate::cloned::{Cloned, Robot};
 use crate::episodes::{Episodes, Sample};
 use crate::network::{CHUNK_SAMPLES, Network, values};
 use crate::schedule::Schedule;
-use crate::{CloneConfig, CloneError, Head};
+use crate::{CloneConfig, CloneError, Head, Memory};
 
 /// What noise is for: the order of samples; what is added to chunks; the same for held-out ones.
 const SHUFFLE: u64 = 2;
@@ -46,6 +46,14 @@ impl Scaling {
         }
         let factor = square.iter().map(|square: &f64| square.sqrt().max(min_std).recip()).collect();
         Self { mean, factor }
+    }
+
+    /// The same for all `frames` at the beginning, that of the first: a recurrent memory reads each in the same way.
+    fn with_equal_frames(mut self, frames: usize, frame_len: usize) -> Self {
+        for numbers in [&mut self.mean, &mut self.factor] {
+            (1..frames).for_each(|frame| numbers.copy_within(..frame_len, frame * frame_len));
+        }
+        self
     }
 
     /// `values` made about one.
@@ -123,10 +131,14 @@ impl Trainer {
         }
         let measured: Vec<Sample> =
             spread(&moments, MAX_MEASURED).par_iter().map(|&at| episodes.sample(&config, at)).collect();
+        let mut inputs = Scaling::of(measured.iter().map(|sample| &sample.input), MIN_INPUT_STD);
+        if config.memory == Memory::Recurrent {
+            inputs = inputs.with_equal_frames(config.observation.frames, shape.frame_len());
+        }
         let network = Network::new(&config, shape);
         let average: Vec<Vec<f32>> = network.arrays.iter().map(|array| array.values.clone()).collect();
         Ok(Self {
-            inputs: Scaling::of(measured.iter().map(|sample| &sample.input), MIN_INPUT_STD),
+            inputs,
             chunks: Scaling::of(measured.iter().map(|sample| &sample.chunk), MIN_ACTION_STD),
             adam: Adam::new(average.iter().map(Vec::len)),
             schedule: Schedule::cosine(config.diffusion.steps),

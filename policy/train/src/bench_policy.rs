@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Moment, Robot, Shape, Step};
+use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Memory, Moment, Robot, Shape, Step};
 use palpate_encoder::{Dataset, EncoderConfig, Sample};
 use palpate_robot_model::Station;
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,9 @@ pub(crate) struct BenchPolicyArgs {
     /// Sizes of the policy: "small" or "paper"
     #[arg(long, default_value = "paper")]
     preset: String,
+    /// How the policy joins the frames of a window: "window" or "recurrent"; the peer knows only "window"
+    #[arg(long, default_value = "window", value_parser = crate::clone::memory)]
+    memory: Memory,
     /// Sizes of the tactile encoder: "quick" or "paper"
     #[arg(long, default_value = "paper")]
     encoder_preset: String,
@@ -98,8 +101,11 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
             bail!("{name} is 0, expected at least 1");
         }
     }
+    if args.memory == Memory::Recurrent && args.python.is_some() {
+        bail!("PyTorch's side has no recurrent policy; leave out --python or --memory");
+    }
     let mut config = CloneConfig::preset(&args.preset)?;
-    (config.head, config.batch_size) = (Head::Diffusion, args.batch_size);
+    (config.head, config.memory, config.batch_size) = (Head::Diffusion, args.memory, args.batch_size);
     let mut encoding = EncoderConfig::preset(&args.encoder_preset)?;
     // Neither is part of an inference, and both make data that are not needed.
     (encoding.batch_size, encoding.hand_points, encoding.object_points) =

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
-    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Moment, POLICY_FILE, Progress, Robot, Run,
-    Start, TrainingDevice,
+    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Memory, Moment, POLICY_FILE, Progress, Robot,
+    Run, Start, TrainingDevice,
 };
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
@@ -34,6 +34,10 @@ pub(crate) struct CloneArgs {
     /// What predicts: "regression" or "diffusion" [default: the configuration's]
     #[arg(long, value_parser = head)]
     head: Option<Head>,
+    /// How the frames of a window are joined: "window", side by side, or "recurrent", by a GRU [default: the
+    /// configuration's]
+    #[arg(long, value_parser = memory)]
+    memory: Option<Memory>,
     /// Seed of weights, order and noise [default: the configuration's]
     #[arg(long)]
     seed: Option<u64>,
@@ -74,6 +78,14 @@ fn head(text: &str) -> Result<Head, String> {
     }
 }
 
+pub(crate) fn memory(text: &str) -> Result<Memory, String> {
+    match text {
+        "window" => Ok(Memory::Window),
+        "recurrent" => Ok(Memory::Recurrent),
+        other => Err(format!("{other:?} is neither window nor recurrent")),
+    }
+}
+
 #[derive(Serialize)]
 struct Report {
     updates: u64,
@@ -90,6 +102,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         None => CloneConfig::preset(&args.preset)?,
     };
     config.head = args.head.unwrap_or(config.head);
+    config.memory = args.memory.unwrap_or(config.memory);
     config.seed = args.seed.unwrap_or(config.seed);
     config.updates = args.updates.unwrap_or(config.updates);
     config.observation.touch &= !args.silence_touch;

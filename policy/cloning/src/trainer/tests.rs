@@ -4,7 +4,10 @@ use std::sync::Arc;
 
 use super::*;
 use crate::episodes::tests::reaching;
-use crate::{Data, DiffusionConfig, Finish, Moment, ObservationConfig, Run, Start, TrainingDevice, train};
+use crate::{
+    Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig, Run, Shape, Start,
+    Step, TrainingDevice, train,
+};
 
 fn robot() -> Robot {
     Robot { joints: vec!["slide".to_owned()], channels: vec!["tip".to_owned()], control_rate_hz: 20.0 }
@@ -27,6 +30,10 @@ fn config(head: Head) -> CloneConfig {
         diffusion: DiffusionConfig { channels: [8, 12], kernel: 3, steps: 12, sampled_steps: 6 },
         ..CloneConfig::default()
     }
+}
+
+fn recurrent(head: Head) -> CloneConfig {
+    CloneConfig { memory: Memory::Recurrent, recurrent: RecurrentConfig { width: 12 }, ..config(head) }
 }
 
 fn paces() -> Vec<f64> {
@@ -71,14 +78,19 @@ fn both_heads_learn_to_reach_and_to_say_so() {
 
 #[test]
 fn gradients_are_those_of_finite_differences() {
-    for head in [Head::Regression, Head::Diffusion] {
+    let configs = [config(Head::Regression), config(Head::Diffusion), recurrent(Head::Regression)];
+    for config in configs {
+        let (head, memory) = (config.head, config.memory);
         let episodes = reaching(&paces(), 25);
-        let trainer = Trainer::new(config(head), robot(), &episodes, BTreeMap::new()).expect("it fits");
+        let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
+        // First predictions are small on purpose; slopes of early layers would be too.
+        let of_head = trainer.network.arrays.iter_mut().filter(|array| array.name == "head.weight");
+        of_head.flat_map(|array| &mut array.values).for_each(|value| *value *= 10.0);
         let samples: Vec<Sample> =
             [(0, 3), (4, 9), (7, 20)].map(|at| episodes.sample(trainer.config(), at)).into();
         let loss = |trainer: &Trainer| trainer.gradients(&samples, NOISE, [0, 0], 3).expect("a loss").1;
         let (gradients, _) = trainer.gradients(&samples, NOISE, [0, 0], 3).expect("gradients");
-        let mut num_checked = 0;
+        let mut checked = Vec::new();
         for (idx, array) in trainer.network.arrays.iter().enumerate() {
             // The steepest of each array: rounding is small beside it.
             let of_array = gradients[idx].iter().enumerate();
@@ -98,9 +110,11 @@ fn gradients_are_those_of_finite_differences() {
                 "{}: {found}, {expected}",
                 array.name
             );
-            num_checked += 1;
+            checked.push(array.name.as_str());
         }
-        assert!(num_checked >= 6, "{head:?}: {num_checked} arrays");
+        assert!(checked.len() >= 6, "{head:?}, {memory:?}: {checked:?}");
+        let num_of_gru = checked.iter().filter(|name| name.starts_with("gru.")).count();
+        assert_eq!(num_of_gru, if memory == Memory::Recurrent { 4 } else { 0 }, "{checked:?}");
     }
 }
 
@@ -110,7 +124,7 @@ fn any_number_of_threads_gives_the_same_bits() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
             let episodes = reaching(&paces(), 25);
-            let config = CloneConfig { batch_size: 80, ..config(Head::Diffusion) };
+            let config = CloneConfig { batch_size: 80, ..recurrent(Head::Diffusion) };
             let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
             for _ in 0..5 {
                 trainer.update(&episodes).expect("an update");
@@ -123,7 +137,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
-    let config = CloneConfig { updates: 60, ..config(Head::Diffusion) };
+    let config = CloneConfig { updates: 60, ..recurrent(Head::Diffusion) };
     let episodes = reaching(&paces(), 25);
     let [learned, held_out] = episodes.split(&config);
     let folder = tempfile::tempdir().expect("a folder");
@@ -150,8 +164,14 @@ fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
 
 #[test]
 fn files_are_read_back_and_what_does_not_belong_together_is_named() {
-    let trainer = trained(Head::Diffusion);
     let path = Path::new("policy.safetensors");
+    let remembering =
+        Trainer::new(recurrent(Head::Regression), robot(), &reaching(&paces(), 25), BTreeMap::new());
+    let bytes = remembering.expect("it fits").cloned().to_bytes().expect("a file");
+    let read = Cloned::from_bytes(path, &bytes).expect("the policy");
+    assert_eq!(read.config().memory, Memory::Recurrent);
+    assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
+    let trainer = trained(Head::Diffusion);
     let bytes = trainer.cloned().to_bytes().expect("a file");
     let read = Cloned::from_bytes(path, &bytes).expect("the policy");
     assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
@@ -188,6 +208,64 @@ fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     assert!(problem.contains("\"palm\""), "{problem}");
     let problem = going_on(config, robot(), &bytes).expect_err("no training");
     assert!(problem.contains("a policy alone"), "{problem}");
+}
+
+/// Twenty episodes of a robot of one joint that waits for four steps and then goes up if it felt something in the first
+/// step, down if not.
+fn told_at_the_beginning() -> Episodes {
+    let shape = Shape { dofs: 1, channels: 1 };
+    let episode = |is_up: bool| {
+        let mut episode = Episode::default();
+        for step in 0..5 {
+            let moment = Moment {
+                time_s: 0.05 * step as f64,
+                positions: &[0.0],
+                commands: &[0.0],
+                active: &[is_up && step == 0],
+            };
+            let target = if step < 4 {
+                0.0
+            } else if is_up {
+                0.3
+            } else {
+                -0.3
+            };
+            episode.push(shape, &Step { moment, targets: &[target], claims_held: false });
+        }
+        episode
+    };
+    Episodes::new(shape, (0..20).map(|idx| episode(idx % 2 == 0)).collect()).expect("they fit")
+}
+
+#[test]
+fn a_recurrent_policy_does_what_it_was_told_some_frames_ago() {
+    let episodes = told_at_the_beginning();
+    let learned = |frames| {
+        let observation = ObservationConfig { frames, stride: 1, ..ObservationConfig::default() };
+        let config = CloneConfig { observation, predicted: 1, executed: 1, ..recurrent(Head::Regression) };
+        let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
+        while trainer.updates() < trainer.config().updates {
+            trainer.update(&episodes).expect("an update");
+        }
+        let policy = trainer.cloned();
+        [true, false].map(|is_up| {
+            let mut seen = policy.history();
+            for step in 0..5 {
+                let active = [is_up && step == 0];
+                seen.see(&Moment {
+                    time_s: 0.05 * step as f64,
+                    positions: &[0.0],
+                    commands: &[0.0],
+                    active: &active,
+                });
+            }
+            policy.plan(&seen, &[0.0], [0, 0]).expect("a plan")[0].targets[0]
+        })
+    };
+    let [up, down] = learned(5);
+    assert!((up - 0.3).abs() < 0.05 && (down + 0.3).abs() < 0.05, "went to {up} and {down}");
+    let [up, down] = learned(4);
+    assert_eq!(up, down, "a window that does not reach back to the beginning cannot tell");
 }
 
 #[test]

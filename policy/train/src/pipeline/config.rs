@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::{CloneConfig, Head};
+use palpate_cloning::{CloneConfig, Head, Memory};
 use serde::Deserialize;
 
 use crate::files::{self, Sources};
@@ -63,6 +63,8 @@ pub(super) struct PolicyConfig {
     pub(super) config: Option<PathBuf>,
     /// "regression" or "diffusion"; absent means the configuration's.
     pub(super) head: Option<Head>,
+    /// "window" or "recurrent"; absent means the configuration's.
+    pub(super) memory: Option<Memory>,
     /// Absent means the configuration's.
     pub(super) updates: Option<u64>,
     #[serde(default)]
@@ -100,6 +102,7 @@ impl PolicyConfig {
             (preset, None) => CloneConfig::preset(preset.as_deref().unwrap_or("small"))?,
         };
         config.head = self.head.unwrap_or(config.head);
+        config.memory = self.memory.unwrap_or(config.memory);
         config.updates = self.updates.unwrap_or(config.updates);
         config.validate()?;
         Ok(config)

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use palpate_cloning::{Head, POLICY_FILE};
+use palpate_cloning::{Head, Memory, POLICY_FILE};
 
 use super::PipelineArgs;
 use super::config::{EvaluationConfig, PipelineConfig, PolicyConfig};
@@ -18,6 +18,8 @@ mod core_s {
     pub(super) const EVALUATED_S: f64 = 0.012;
     pub(super) const REGRESSION_UPDATE: f64 = 0.04;
     pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
+    /// What an update takes longer where the policy's memory is recurrent.
+    pub(super) const RECURRENT_MORE: f64 = 0.03;
 }
 
 /// One stage.
@@ -161,6 +163,14 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
             Head::Regression => ("regression", core_s::REGRESSION_UPDATE),
             Head::Diffusion => ("diffusion", core_s::DIFFUSION_UPDATE),
         };
+        let more_core_s = match how.memory {
+            Memory::Window => 0.0,
+            Memory::Recurrent => core_s::RECURRENT_MORE,
+        };
+        let memory = training.policy.memory.map(|memory| match memory {
+            Memory::Window => "window",
+            Memory::Recurrent => "recurrent",
+        });
         stages.push(Stage {
             name: training.name(),
             command: Command::of("clone")
@@ -168,6 +178,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .maybe("preset", training.policy.preset.as_ref())
                 .maybe("config", training.policy.config.as_ref())
                 .with("head", head)
+                .maybe("memory", memory)
                 .with("updates", how.updates.to_string())
                 .with("seed", training.seed.to_string())
                 .flag("silence-touch", training.policy.silence_touch)
@@ -180,7 +191,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
             files: own(training.policy.config.as_ref()),
             results: vec![training.folder.join(POLICY_FILE)],
             writes: vec![training.folder.clone()],
-            core_s: update_core_s * how.updates as f64,
+            core_s: (update_core_s + more_core_s) * how.updates as f64,
             is_parallel: false,
         });
     }
