@@ -120,11 +120,11 @@ fn gradients_are_those_of_finite_differences() {
 
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
-    let run = |threads| {
+    let run = |config: &CloneConfig, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
             let episodes = reaching(&paces(), 25);
-            let config = CloneConfig { batch_size: 80, ..recurrent(Head::Diffusion) };
+            let config = CloneConfig { batch_size: 80, ..config.clone() };
             let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
             for _ in 0..5 {
                 trainer.update(&episodes).expect("an update");
@@ -132,14 +132,21 @@ fn any_number_of_threads_gives_the_same_bits() {
             trainer.to_checkpoint()
         })
     };
-    assert!(run(1) == run(3));
+    for config in [config(Head::Diffusion), recurrent(Head::Diffusion)] {
+        assert!(run(&config, 1) == run(&config, 3), "{:?}", config.memory);
+    }
 }
 
 #[test]
 fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
-    let config = CloneConfig { updates: 60, ..recurrent(Head::Diffusion) };
+    for config in [config(Head::Diffusion), recurrent(Head::Diffusion)] {
+        goes_on_to_the_same_bits(&CloneConfig { updates: 60, ..config });
+    }
+}
+
+fn goes_on_to_the_same_bits(config: &CloneConfig) {
     let episodes = reaching(&paces(), 25);
-    let [learned, held_out] = episodes.split(&config);
+    let [learned, held_out] = episodes.split(config);
     let folder = tempfile::tempdir().expect("a folder");
     let cpu = TrainingDevice::cpu();
     let run = |name: &str, start, stop_at: u64| {
