@@ -40,8 +40,15 @@ pub struct JobSource<'a> {
     pub train: Option<&'a Path>,
 }
 
-/// Queues a job in a data folder, whether a studio has it open or not; one that has it open starts it.
+/// Queues a job in a data folder, whether a studio has it open or not; one that has it open starts it. A job that moves the
+/// robot is refused: it begins when the studio itself is asked for it.
 pub fn submit_job(source: &JobSource<'_>, request: &JobRequest, owner: &str) -> Result<Job, Error> {
+    if kinds::kind(&request.kind)?.resources.station {
+        return Err(Error::Argument(format!(
+            "a job of kind {:?} moves the robot, so the studio that has it must be asked: at its page, or by POST /api/v1/jobs",
+            request.kind
+        )));
+    }
     let (root, scheduler) = beside_a_studio(source.data, source.train)?;
     let trainer = trainer_of(source.train)?;
     let jobs = Jobs { store: Arc::new(Store::of_job(&root)), scheduler, trainer };

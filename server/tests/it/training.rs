@@ -382,6 +382,7 @@ async fn command_line_queues_a_job_that_the_studio_starts() {
         ("tune", r#"{"object": "cueb"}"#, "no object"),
         ("tune", "{", "no JSON"),
         ("dance", "{}", "expert, evaluation"),
+        ("rollouts", r#"{"campaign": "night"}"#, "the studio that has it must be asked"),
     ] {
         let refused = palpate_refuses(&submission(&data, &train, kind, request));
         assert!(refused.contains(words), "{refused}");
