@@ -67,7 +67,7 @@ async function look(name) {
   await page.waitForTimeout(500);
 }
 
-await step("the form has every training, and this studio can do all of them", async () => {
+await step("the form has every training and the blind bench, and this studio can do all of them", async () => {
   await page.goto(`${url}/#/home`);
   await button("Start a job").click();
   await page.waitForURL(/job=new/);
@@ -76,7 +76,7 @@ await step("the form has every training, and this studio can do all of them", as
   assert.deepEqual(kinds.filter(({ is_available }) => !is_available).map(({ kind }) => kind), ["rollouts"], "there is no station");
   await page.getByRole("option").last().waitFor();
   const words = await page.getByRole("option").allTextContents();
-  assert.equal(words.length, 8, words.join(", "));
+  assert.equal(words.length, 9, words.join(", "));
   await page.keyboard.press("Escape");
 });
 
