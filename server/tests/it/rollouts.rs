@@ -17,7 +17,7 @@ use crate::support::{Answer, Data, access, answer_of, get, post};
 
 /// Writes down what it is asked and told, and goes on until it is asked to stop.
 const STAND_IN: &str = r#"#!/bin/sh
-trap 'exit 0' TERM
+trap 'echo "{\"event\":\"report\",\"report\":{\"ended\":\"cancelled\"}}"; exit 0' TERM
 echo "$@" > ../asked.txt
 ls assets/objects > ../objects.txt
 echo "$PALPATE_URL $PALPATE_TOKEN" > ../told.txt

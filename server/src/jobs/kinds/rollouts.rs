@@ -84,7 +84,12 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         arguments.log();
     }
     let report = cx.run_trainer_in(&workplace, arguments)?.unwrap_or_default();
-    cx.save_report(&report)
+    cx.save_report(&report)?;
+    // A rollout that is asked to stop ends well, and may do so before this process has heard of it.
+    match report["ended"].as_str() {
+        Some("cancelled") => Err(Error::Cancelled),
+        _ => Ok(()),
+    }
 }
 
 /// The folder of campaign `id`.
