@@ -11,11 +11,11 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::Cloned;
-use palpate_grasp::controller::{Controller, Scripted};
+use palpate_grasp::controller::{Command, Controller, Observation, Scripted};
 use palpate_grasp::learn::{Conditions, LearnEnv};
-use palpate_grasp::search::{Experience, Prior, Searcher, Senses};
-use palpate_grasp::trial::{Ending, Known, conduct};
-use palpate_grasp::{GraspScene, Protocol, Script};
+use palpate_grasp::search::{Belief, Experience, Prior, Searcher, Senses};
+use palpate_grasp::trial::{Ending, Known, conduct_seen};
+use palpate_grasp::{GraspEnv, GraspScene, Protocol, Script};
 use palpate_robot_model::ObjectGroup;
 use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, events};
@@ -26,7 +26,7 @@ use self::report::{Arm, Comparison, OfObject};
 use crate::clone::{self, Imitator};
 use crate::evaluate::EvaluateArgs;
 use crate::files::{self, OpenWorld, Sources};
-use crate::policy::Policy;
+use crate::policy::{Policy, Watch};
 use crate::search::Expert;
 use crate::task::{self, OpenTask};
 
@@ -396,30 +396,77 @@ impl Experiences {
 
 impl Ready {
     fn run(&self, scene: &Arc<GraspScene>, known: Known, seed: u64, trial: u64) -> anyhow::Result<Ending> {
-        let mut controller: Box<dyn Controller> = match self {
-            Self::Scripted(script) => Box::new(scripted(script, scene)),
+        self.run_seen(scene, known, seed, trial, &mut |_| ()).map(|(ending, _)| ending)
+    }
+
+    /// The same trial, to the same bits, with `see` shown its beginning and what came of each control step; also what a
+    /// searching expert believed before each of its tries, and when, s.
+    fn run_seen(
+        &self,
+        scene: &Arc<GraspScene>,
+        known: Known,
+        seed: u64,
+        trial: u64,
+        see: &mut dyn FnMut(&GraspEnv),
+    ) -> anyhow::Result<(Ending, Vec<(f64, Belief)>)> {
+        let conduct = |controller: &mut dyn Controller, see: &mut dyn FnMut(&GraspEnv)| {
+            conduct_seen(scene, controller, known, seed, trial, see)
+        };
+        match self {
+            Self::Scripted(script) => {
+                let config = Arc::new(scene.config().clone());
+                let mut scripted = Scripted::new(Arc::clone(script), Arc::clone(scene.station()), config);
+                Ok((conduct(&mut scripted, see)?, Vec::new()))
+            }
             Self::Searching { expert, experience, prior } => {
-                Box::new(Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior))
+                let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior);
+                let mut searcher = Remembering { searcher, beliefs: Vec::new() };
+                let ending = conduct(&mut searcher, see)?;
+                Ok((ending, searcher.beliefs))
             }
             Self::Cloned(policy) => {
                 let mut imitator = Imitator::new(Arc::clone(policy), Arc::clone(scene.station()), trial);
-                let ending = conduct(scene, &mut imitator, known, seed, trial)?;
-                return imitator.problem.map_or(Ok(ending), |problem| Err(problem.into()));
+                let ending = conduct(&mut imitator, see)?;
+                imitator.problem.map_or(Ok((ending, Vec::new())), |problem| Err(problem.into()))
             }
             Self::Learned { policy, opened, tracking_hidden } => {
                 let mut env = LearnEnv::for_trials(Arc::clone(&opened.task))?;
                 env.hide_tracking(*tracking_hidden);
                 env.begin_trial(seed, trial, Conditions::Evaluation)?;
-                let outcome = policy.run(&mut env, &mut ())?;
-                return Ok(Ending { outcome, time_s: env.grasp().time_s(), claimed: false });
+                see(env.grasp());
+                let outcome = policy.run(&mut env, &mut Seen(see))?;
+                let ending = Ending { outcome, time_s: env.grasp().time_s(), claimed: false };
+                Ok((ending, Vec::new()))
             }
-        };
-        Ok(conduct(scene, &mut *controller, known, seed, trial)?)
+        }
     }
 }
 
-fn scripted(script: &Arc<Script>, scene: &Arc<GraspScene>) -> Scripted {
-    Scripted::new(Arc::clone(script), Arc::clone(scene.station()), Arc::new(scene.config().clone()))
+/// Shows every step of a trial to somebody.
+struct Seen<'a>(&'a mut dyn FnMut(&GraspEnv));
+
+impl Watch for Seen<'_> {
+    fn before(&mut self, _: &LearnEnv, _: &[f32], _: &[f32]) {}
+
+    fn after(&mut self, env: &LearnEnv) {
+        (self.0)(env.grasp());
+    }
+}
+
+/// A searching expert whose beliefs are kept.
+struct Remembering {
+    searcher: Searcher,
+    beliefs: Vec<(f64, Belief)>,
+}
+
+impl Controller for Remembering {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        let command = self.searcher.control(now);
+        if self.searcher.num_tries() > self.beliefs.len() {
+            self.beliefs.push((now.time_s, self.searcher.belief().clone()));
+        }
+        command
+    }
 }
 
 /// Whether an object belongs to a group.

@@ -5,16 +5,12 @@ use std::sync::Arc;
 
 use maud::{Markup, html};
 use nalgebra::Vector3;
-use palpate_grasp::controller::{Command, Controller, Observation};
-use palpate_grasp::learn::{Conditions, LearnEnv};
-use palpate_grasp::search::{Belief, Searcher, Senses};
-use palpate_grasp::trial::{Ending, Outcome, conduct_seen};
+use palpate_grasp::search::{Belief, Senses};
+use palpate_grasp::trial::{Ending, Outcome};
 use palpate_grasp::{GraspEnv, GraspScene, Protocol};
 
-use super::{Contestant, Mover, POLICY, Ready, scripted};
-use crate::clone::Imitator;
+use super::{Contestant, Mover, POLICY, Ready};
 use crate::files;
-use crate::policy::Watch;
 
 /// A pixel of the map is this wide, m.
 const PIXEL_M: f64 = 0.0006;
@@ -76,30 +72,6 @@ impl Trace {
     }
 }
 
-impl Watch for Trace {
-    fn before(&mut self, _: &LearnEnv, _: &[f32], _: &[f32]) {}
-
-    fn after(&mut self, env: &LearnEnv) {
-        self.see(env.grasp());
-    }
-}
-
-/// A searching expert whose beliefs are kept.
-struct Remembering {
-    searcher: Searcher,
-    beliefs: Vec<(f64, Belief)>,
-}
-
-impl Controller for Remembering {
-    fn control(&mut self, now: &Observation<'_>) -> Command {
-        let command = self.searcher.control(now);
-        if self.searcher.num_tries() > self.beliefs.len() {
-            self.beliefs.push((now.time_s, self.searcher.belief().clone()));
-        }
-        command
-    }
-}
-
 /// Draws the first trial that `arm` won and the first that it lost, of those on one object, if it is the policy itself or a
 /// searching expert that can use its senses.
 pub(super) fn of_trials(
@@ -118,7 +90,10 @@ pub(super) fn of_trials(
     let name = name_of(&arm.policy);
     for is_won in [true, false] {
         let Some(trial) = trials.iter().position(|ending| ending.is_won() == is_won) else { continue };
-        let trace = trace(arm, ready, scene, protocol.seed, trial as u64)?;
+        let mut trace = Trace::default();
+        let seen =
+            ready.run_seen(scene, arm.known, protocol.seed, trial as u64, &mut |env| trace.see(env))?;
+        trace.beliefs = seen.1;
         let end = if is_won { "won" } else { "lost" };
         let path = folder.join(format!("{}_{end}_{name}.svg", scene.object().id));
         let title = format!("{name} on {}, trial {trial}", scene.object().label);
@@ -133,41 +108,6 @@ fn name_of(policy: &str) -> String {
     let path = Path::new(policy.strip_prefix("clone:").unwrap_or(policy));
     let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy();
     name.replace(|letter: char| !letter.is_ascii_alphanumeric() && letter != '_', "_")
-}
-
-/// Trial number `trial` once more, to the same bits.
-fn trace(
-    arm: &Contestant,
-    ready: &Ready,
-    scene: &Arc<GraspScene>,
-    seed: u64,
-    trial: u64,
-) -> anyhow::Result<Trace> {
-    let mut trace = Trace::default();
-    let known = arm.known;
-    match ready {
-        Ready::Scripted(script) => {
-            conduct_seen(scene, &mut scripted(script, scene), known, seed, trial, &mut |env| trace.see(env))?;
-        }
-        Ready::Searching { expert, experience, prior } => {
-            let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(experience), prior);
-            let mut searcher = Remembering { searcher, beliefs: Vec::new() };
-            conduct_seen(scene, &mut searcher, known, seed, trial, &mut |env| trace.see(env))?;
-            trace.beliefs = searcher.beliefs;
-        }
-        Ready::Cloned(policy) => {
-            let mut imitator = Imitator::new(Arc::clone(policy), Arc::clone(scene.station()), trial);
-            conduct_seen(scene, &mut imitator, known, seed, trial, &mut |env| trace.see(env))?;
-        }
-        Ready::Learned { policy, opened, tracking_hidden } => {
-            let mut env = LearnEnv::for_trials(Arc::clone(&opened.task))?;
-            env.hide_tracking(*tracking_hidden);
-            env.begin_trial(seed, trial, Conditions::Evaluation)?;
-            trace.see(env.grasp());
-            policy.run(&mut env, &mut trace)?;
-        }
-    }
-    Ok(trace)
 }
 
 fn draw(trace: &Trace, title: &str, ending: &Ending, protocol: &Protocol, num_channels: usize) -> Markup {
