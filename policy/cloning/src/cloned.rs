@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use burn_tensor::{Device, Tensor, TensorData};
 use palpate_training::{fill_normal, generator};
 
+use crate::episodes::EncoderFile;
 use crate::network::{Network, values};
 use crate::schedule::Schedule;
 use crate::trainer::Scaling;
@@ -27,9 +28,9 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Its sizes.
+    /// Its sizes, without the features of an encoder.
     pub fn shape(&self) -> Shape {
-        Shape { dofs: self.joints.len(), channels: self.channels.len() }
+        Shape { dofs: self.joints.len(), channels: self.channels.len(), features: 0 }
     }
 
     /// Whether `other` has the same joints and channels in the same order, and is controlled as often.
@@ -82,6 +83,7 @@ pub struct Cloned {
     pub(crate) network: Network,
     pub(crate) updates: u64,
     pub(crate) sources: BTreeMap<String, String>,
+    pub(crate) encoder: Option<Arc<EncoderFile>>,
     tensors: Vec<Tensor<2>>,
     schedule: Schedule,
 }
@@ -94,10 +96,11 @@ impl Cloned {
         network: Network,
         updates: u64,
         sources: BTreeMap<String, String>,
+        encoder: Option<Arc<EncoderFile>>,
     ) -> Self {
         let tensors = network.tensors(&Device::flex());
         let schedule = Schedule::cosine(config.diffusion.steps);
-        Self { config, robot, inputs, chunks, network, updates, sources, tensors, schedule }
+        Self { config, robot, inputs, chunks, network, updates, sources, encoder, tensors, schedule }
     }
 
     /// How it was trained.
@@ -120,9 +123,20 @@ impl Cloned {
         &self.sources
     }
 
+    /// What makes the features that it wants in each [`Moment`]; nothing if it wants none.
+    pub fn encoder(&self) -> Option<&Arc<EncoderFile>> {
+        self.encoder.as_ref()
+    }
+
+    /// Sizes of what it sees.
+    pub fn shape(&self) -> Shape {
+        let features = self.encoder.as_ref().map_or(0, |encoder| encoder.num_features);
+        Shape { features, ..self.robot.shape() }
+    }
+
     /// A window in which nothing has been seen yet.
     pub fn history(&self) -> History {
-        History::new(self.config.observation.clone(), self.robot.shape())
+        History::new(self.config.observation.clone(), self.shape())
     }
 
     /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws

@@ -80,6 +80,9 @@ pub struct ObservationConfig {
     pub touch: bool,
     /// How far each joint is from where it was sent; yes.
     pub tracking: bool,
+    /// The features that a pretrained encoder makes of each frame; no. They are made of what `touch` and `tracking` let the
+    /// policy see, and the episodes have to come with them.
+    pub features: bool,
 }
 
 /// A gated recurrent unit (Cho et al. 2014).
@@ -131,7 +134,7 @@ impl Default for CloneConfig {
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        Self { frames: 16, stride: 8, touch: true, tracking: true }
+        Self { frames: 16, stride: 8, touch: true, tracking: true, features: false }
     }
 }
 
@@ -308,6 +311,7 @@ mod tests {
                 "diffusion.sampled_steps is 51, expected 1 to diffusion.steps",
             ),
             ("[observation]\nframe = 3", "unknown field `frame`"),
+            ("[observation]\nfeatures = 96", "run.toml:2: invalid type: integer `96`, expected a boolean"),
             ("head = \"transformer\"", "unknown variant `transformer`"),
         ] {
             let refusal = refusal(text);

@@ -1,5 +1,7 @@
 //! What an expert did.
 
+use std::sync::Arc;
+
 use palpate_training::{generator, permutation};
 
 use crate::history::observation;
@@ -22,7 +24,8 @@ pub struct Step<'a> {
 /// One trial of an expert, step by step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Episode {
-    /// `[steps, 2 * dofs + channels]`: commands, how far joints are from them (rad or m), channels (0 or 1).
+    /// `[steps, 2 * dofs + channels + features]`: commands, how far joints are from them (rad or m), channels (0 or 1),
+    /// features of an encoder.
     pub frames: Vec<f32>,
     /// `[steps, dofs + 1]`: where each joint was sent (rad or m), and whether the expert claimed to hold the object (0
     /// or 1).
@@ -44,6 +47,26 @@ impl Episode {
         self.times_s.push(step.moment.time_s as f32);
     }
 
+    /// This episode of a robot of this `shape`, which has no features, with `features` of `num_features` numbers for each
+    /// step.
+    ///
+    /// # Panics
+    /// If they are not as many: a caller's bug.
+    pub fn with_features(&self, shape: Shape, num_features: usize, features: &[f32]) -> Self {
+        let frame_len = shape.frame_len();
+        assert_eq!(
+            [self.frames.len(), features.len()],
+            [self.len() * frame_len, self.len() * num_features],
+            "one frame and its features per step"
+        );
+        let mut frames = Vec::with_capacity(self.frames.len() + features.len());
+        for step in 0..self.len() {
+            frames.extend_from_slice(&self.frames[step * frame_len..][..frame_len]);
+            frames.extend_from_slice(&features[step * num_features..][..num_features]);
+        }
+        Self { frames, targets: self.targets.clone(), times_s: self.times_s.clone() }
+    }
+
     /// Steps.
     pub fn len(&self) -> usize {
         self.times_s.len()
@@ -55,11 +78,23 @@ impl Episode {
     }
 }
 
+/// The file of the encoder that made features. What is in it only those know who make features.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncoderFile {
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+    /// Their SHA-256, in hexadecimal digits.
+    pub sha256: String,
+    /// Numbers that it makes of a moment.
+    pub num_features: usize,
+}
+
 /// Episodes of one robot.
 #[derive(Clone, Debug)]
 pub struct Episodes {
     shape: Shape,
     episodes: Vec<Episode>,
+    encoder: Option<Arc<EncoderFile>>,
 }
 
 /// An observation and the chunk that followed it.
@@ -95,7 +130,26 @@ impl Episodes {
                 }
             }
         }
-        Ok(Self { shape, episodes })
+        Ok(Self { shape, episodes, encoder: None })
+    }
+
+    /// The same, whose features `encoder` made.
+    ///
+    /// # Errors
+    /// An encoder that makes another number of features.
+    pub fn encoded_by(self, encoder: Arc<EncoderFile>) -> Result<Self, CloneError> {
+        let (found, made) = (self.shape.features, encoder.num_features);
+        if found != made {
+            return Err(CloneError::Shape(format!(
+                "the episodes have {found} features in each step, their encoder makes {made}"
+            )));
+        }
+        Ok(Self { encoder: Some(encoder), ..self })
+    }
+
+    /// What made their features, if they have any.
+    pub fn encoder(&self) -> Option<&Arc<EncoderFile>> {
+        self.encoder.as_ref()
     }
 
     /// Sizes of the robot.
@@ -128,7 +182,7 @@ impl Episodes {
         for (episode, is_held_out) in self.episodes.into_iter().zip(is_held_out) {
             if is_held_out { held_out.push(episode) } else { train.push(episode) }
         }
-        [train, held_out].map(|episodes| Self { shape: self.shape, episodes })
+        [train, held_out].map(|episodes| Self { shape: self.shape, episodes, encoder: self.encoder.clone() })
     }
 
     /// Episode and step of every sample.
@@ -164,7 +218,7 @@ pub(crate) mod tests {
     /// Episodes of a robot of one joint and one channel that goes to 1 in steps of `pace`, and feels something at the
     /// end.
     pub(crate) fn reaching(paces: &[f64], steps: usize) -> Episodes {
-        let shape = Shape { dofs: 1, channels: 1 };
+        let shape = Shape { dofs: 1, channels: 1, features: 0 };
         let episode = |&pace: &f64| {
             let mut episode = Episode::default();
             let mut command = 0.0;
@@ -175,6 +229,7 @@ pub(crate) mod tests {
                     positions: &[command - 0.1 * pace],
                     commands: &[command],
                     active: &[command >= 1.0],
+                    features: &[],
                 };
                 episode.push(shape, &Step { moment, targets: &[target], claims_held: command >= 1.0 });
                 command = target;
@@ -182,6 +237,30 @@ pub(crate) mod tests {
             episode
         };
         Episodes::new(shape, paces.iter().map(episode).collect()).expect("they fit")
+    }
+
+    /// What [`encoded`] makes of a moment: where the joint is, and what it feels, in other words.
+    pub(crate) fn features_of(position: f64, active: bool) -> [f32; 3] {
+        [2.0 * position as f32, f32::from(u8::from(active)) - 0.5, (7.0 * position as f32).sin()]
+    }
+
+    /// An encoder, as far as anybody here can tell; `name` tells it from others.
+    pub(crate) fn encoder(name: &str) -> Arc<EncoderFile> {
+        let (bytes, sha256) = (format!("encoder {name}").into_bytes(), format!("digest of {name}"));
+        Arc::new(EncoderFile { bytes, sha256, num_features: 3 })
+    }
+
+    /// The same episodes with features, made by the encoder called `name`.
+    pub(crate) fn encoded(paces: &[f64], steps: usize, name: &str) -> Episodes {
+        let plain = reaching(paces, steps);
+        let of_frame = |frame: &[f32]| features_of(f64::from(frame[0]) - f64::from(frame[1]), frame[2] > 0.0);
+        let episode = |episode: &Episode| {
+            let features: Vec<f32> = episode.frames.chunks(3).flat_map(of_frame).collect();
+            episode.with_features(plain.shape, 3, &features)
+        };
+        let episodes = plain.episodes.iter().map(episode).collect();
+        let shape = Shape { features: 3, ..plain.shape };
+        Episodes::new(shape, episodes).and_then(|all| all.encoded_by(encoder(name))).expect("they fit")
     }
 
     #[test]
@@ -198,7 +277,7 @@ pub(crate) mod tests {
         let episodes = reaching(&[0.07], 40);
         for observation in [
             ObservationConfig { frames: 4, stride: 3, ..ObservationConfig::default() },
-            ObservationConfig { frames: 2, stride: 5, touch: false, tracking: true },
+            ObservationConfig { frames: 2, stride: 5, touch: false, ..ObservationConfig::default() },
         ] {
             let config = CloneConfig { observation: observation.clone(), ..CloneConfig::default() };
             let mut history = History::new(observation, episodes.shape());
@@ -209,6 +288,7 @@ pub(crate) mod tests {
                     positions: &[command - 0.1 * 0.07],
                     commands: &[command],
                     active: &[command >= 1.0],
+                    features: &[],
                 });
                 let [seen, learned] = [history.observation(), episodes.sample(&config, (0, step)).input];
                 let (time, rest) = (seen.len() - 1, ..seen.len() - 1);
@@ -230,8 +310,23 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn features_stand_behind_what_they_were_made_of() {
+        let (plain, encoded) = (reaching(&[0.07], 5), encoded(&[0.07], 5, "a"));
+        assert_eq!(encoded.shape(), Shape { dofs: 1, channels: 1, features: 3 });
+        let [plain, with] = [&plain, &encoded].map(|episodes| &episodes.episodes[0]);
+        for (plain, with) in plain.frames.chunks(3).zip(with.frames.chunks(6)) {
+            assert_eq!(plain, &with[..3]);
+            assert_eq!(features_of(f64::from(plain[0]) - f64::from(plain[1]), plain[2] > 0.0), with[3..]);
+        }
+        let [_, held_out] = encoded.split(&CloneConfig { held_out_share: 0.5, ..CloneConfig::default() });
+        assert_eq!(held_out.encoder(), Some(&encoder("a")), "whoever holds a part knows who made it");
+        let problem = reaching(&[0.07], 5).encoded_by(encoder("a")).expect_err("they have none").to_string();
+        assert_eq!(problem, "the episodes have 0 features in each step, their encoder makes 3");
+    }
+
+    #[test]
     fn numbers_that_do_not_fit_are_refused() {
-        let shape = Shape { dofs: 1, channels: 1 };
+        let shape = Shape { dofs: 1, channels: 1, features: 0 };
         let good = reaching(&[0.5], 2).episodes.remove(0);
         let refused = |spoil: &dyn Fn(&mut Episode)| {
             let mut episode = good.clone();

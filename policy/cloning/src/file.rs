@@ -2,24 +2,29 @@
 //!
 //! Parameters have their names; in a checkpoint the optimiser's memory is `adam.first.NAME` and `adam.second.NAME`, the
 //! moving average `average.NAME`. The scalings are `inputs.mean`, `inputs.factor`, `chunks.mean`, `chunks.factor` in 64
-//! bits. A policy's file has the averaged parameters alone, in 16 bits.
+//! bits. A policy's file has the averaged parameters alone, in 16 bits. Where an encoder makes features, its own file is the
+//! tensor `encoder`, byte by byte.
 
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use palpate_training::{Adam, Array, CHECKPOINT_FILE, Encoded, TensorFile, encode, file_error};
 use serde::{Deserialize, Serialize};
 
 use crate::cloned::{Cloned, Robot};
-use crate::episodes::Episodes;
+use crate::episodes::{EncoderFile, Episodes};
 use crate::network::Network;
 use crate::trainer::{Scaling, Trainer};
-use crate::{CloneConfig, CloneError};
+use crate::{CloneConfig, CloneError, Shape};
 
 /// The policy that came out of a training, in its folder.
 pub const POLICY_FILE: &str = "policy.safetensors";
+
+/// The tensor that holds the file of an encoder.
+const ENCODER: &str = "encoder";
 
 /// Version of the file; another one is refused.
 const FORMAT: u32 = 1;
@@ -37,9 +42,21 @@ struct State {
     sources: BTreeMap<String, String>,
     /// CRC-32 of the bytes of each tensor.
     checksums: BTreeMap<String, u32>,
+    /// Nothing where no encoder makes features.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    encoder: Option<EncoderState>,
     /// Nothing in a policy's file.
     #[serde(flatten)]
     training: Option<TrainingState>,
+}
+
+/// The encoder whose file is the tensor [`ENCODER`].
+#[derive(Clone, Serialize, Deserialize)]
+struct EncoderState {
+    /// Of that file.
+    sha256: String,
+    /// Numbers that it makes of a moment.
+    features: usize,
 }
 
 /// What it takes to go on.
@@ -73,6 +90,7 @@ impl Trainer {
         }
         encode_scaling(&mut tensors, "inputs", &self.inputs);
         encode_scaling(&mut tensors, "chunks", &self.chunks);
+        let encoder = encode_encoder(&mut tensors, self.encoder.as_deref());
         encode(tensors, |checksums| State {
             format: FORMAT,
             joints: self.robot.joints.clone(),
@@ -82,6 +100,7 @@ impl Trainer {
             updates: self.updates,
             sources: self.sources.clone(),
             checksums,
+            encoder,
             training: Some(TrainingState { samples: self.num_samples, adam_steps: self.adam.steps }),
         })
     }
@@ -109,6 +128,20 @@ impl Trainer {
             return Err(file.error(problem).into());
         }
         file.state.robot().check(&robot).map_err(|err| file.error(err.to_string()))?;
+        let named = |sha256: Option<&String>| {
+            sha256.map_or_else(
+                || "no encoder".to_owned(),
+                |sha256| format!("the encoder with SHA-256 {sha256}"),
+            )
+        };
+        let found = file.state.encoder.as_ref().map(|encoder| &encoder.sha256);
+        let given = episodes.encoder().map(|encoder| &encoder.sha256);
+        if found != given {
+            let (found, given) = (named(found), named(given));
+            return Err(file
+                .error(format!("its features were made by {found}, those of this call by {given}"))
+                .into());
+        }
         if file.state.sources != sources {
             return Err(file.error("its episodes are others than this call's".to_owned()).into());
         }
@@ -159,7 +192,14 @@ impl Cloned {
     pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, CloneError> {
         let file = File::open(path, bytes, FORMAT)?;
         let (config, robot) = (read_config(&file)?, file.state.robot());
-        let shape = robot.shape();
+        let encoder = encoder(&file)?;
+        if config.observation.features != encoder.is_some() {
+            let features = config.observation.features;
+            let holds = if encoder.is_some() { "it holds an encoder" } else { "it holds no encoder" };
+            return Err(file.error(format!("observation.features is {features}, but {holds}")).into());
+        }
+        let features = encoder.as_ref().map_or(0, |encoder| encoder.num_features);
+        let shape = Shape { features, ..robot.shape() };
         let mut network = Network::new(&config, shape);
         for Array { name, shape, values } in &mut network.arrays {
             *values = match file.state.training {
@@ -170,7 +210,7 @@ impl Cloned {
         let inputs = scaling(&file, "inputs", shape.input_len(&config.observation))?;
         let chunks = scaling(&file, "chunks", network.chunk_len())?;
         let State { updates, sources, .. } = file.state;
-        Ok(Self::new(config, robot, [inputs, chunks], network, updates, sources))
+        Ok(Self::new(config, robot, [inputs, chunks], network, updates, sources, encoder))
     }
 
     /// This policy as the bytes of a file of its own: parameters are rounded to 16 bits, and nothing goes on from it.
@@ -185,6 +225,7 @@ impl Cloned {
         }
         encode_scaling(&mut tensors, "inputs", &self.inputs);
         encode_scaling(&mut tensors, "chunks", &self.chunks);
+        let encoder = encode_encoder(&mut tensors, self.encoder.as_deref());
         Ok(encode(tensors, |checksums| State {
             format: FORMAT,
             joints: self.robot.joints.clone(),
@@ -194,6 +235,7 @@ impl Cloned {
             updates: self.updates,
             sources: self.sources.clone(),
             checksums,
+            encoder,
             training: None,
         }))
     }
@@ -202,6 +244,20 @@ impl Cloned {
 fn encode_scaling(tensors: &mut Vec<Encoded>, name: &str, scaling: &Scaling) {
     tensors.push(Encoded::doubles(format!("{name}.mean"), &scaling.mean));
     tensors.push(Encoded::doubles(format!("{name}.factor"), &scaling.factor));
+}
+
+fn encode_encoder(tensors: &mut Vec<Encoded>, encoder: Option<&EncoderFile>) -> Option<EncoderState> {
+    let encoder = encoder?;
+    tensors.push(Encoded::file(ENCODER.to_owned(), &encoder.bytes));
+    Some(EncoderState { sha256: encoder.sha256.clone(), features: encoder.num_features })
+}
+
+fn encoder(file: &File<'_>) -> Result<Option<Arc<EncoderFile>>, CloneError> {
+    let Some(EncoderState { sha256, features }) = file.state.encoder.clone() else { return Ok(None) };
+    if features == 0 {
+        return Err(file.error("its encoder makes 0 features, expected 1 or more".to_owned()).into());
+    }
+    Ok(Some(Arc::new(EncoderFile { bytes: file.file(ENCODER)?, sha256, num_features: features })))
 }
 
 fn scaling(file: &File<'_>, name: &str, len: usize) -> Result<Scaling, CloneError> {

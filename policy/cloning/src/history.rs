@@ -14,28 +14,30 @@ pub struct Shape {
     pub dofs: usize,
     /// Touch channels.
     pub channels: usize,
+    /// Numbers that an encoder makes of a moment; 0 without one.
+    pub features: usize,
 }
 
 impl Shape {
-    /// Numbers of one frame: commands, how far joints are from them, channels.
-    pub(crate) fn frame_len(self) -> usize {
-        2 * self.dofs + self.channels
+    /// Numbers of one frame: commands, how far joints are from them, channels, features.
+    pub fn frame_len(self) -> usize {
+        2 * self.dofs + self.channels + self.features
     }
 
-    /// What is kept of a moment: commands, how far joints are from them, touch.
+    /// What is kept of a moment: commands, how far joints are from them (rad or m), touch (0 or 1), features.
     ///
     /// # Panics
     /// If its numbers are not as many as the shape says: a caller's bug.
-    pub(crate) fn frame(self, now: &Moment<'_>) -> Vec<f32> {
+    pub fn frame(self, now: &Moment<'_>) -> Vec<f32> {
         assert_eq!(
-            [now.positions.len(), now.commands.len(), now.active.len()],
-            [self.dofs, self.dofs, self.channels],
-            "one number per joint and channel"
+            [now.positions.len(), now.commands.len(), now.active.len(), now.features.len()],
+            [self.dofs, self.dofs, self.channels, self.features],
+            "one number per joint, channel and feature"
         );
         let tracking = now.commands.iter().zip(now.positions).map(|(command, read)| command - read);
         let touch = now.active.iter().map(|&on| f64::from(u8::from(on)));
         let frame = now.commands.iter().copied().chain(tracking).chain(touch);
-        frame.map(|value| value as f32).collect()
+        frame.map(|value| value as f32).chain(now.features.iter().copied()).collect()
     }
 
     /// Numbers of one step of a chunk: differences to the last command, and the claim that the object is held.
@@ -60,6 +62,8 @@ pub struct Moment<'a> {
     pub commands: &'a [f64],
     /// Whether each channel is on.
     pub active: &'a [bool],
+    /// What an encoder makes of this moment and those before it; none where the policy has no encoder.
+    pub features: &'a [f32],
 }
 
 /// The window of moments that a policy looks back on.
@@ -109,13 +113,16 @@ pub(crate) fn observation<'a>(
     let mut observation = Vec::with_capacity(shape.input_len(config));
     for back in (0..config.frames).map(|frame| frame * config.stride) {
         let (commands, rest) = frame(back).split_at(shape.dofs);
-        let (tracking, touch) = rest.split_at(shape.dofs);
+        let (tracking, rest) = rest.split_at(shape.dofs);
+        let (touch, features) = rest.split_at(shape.channels);
         observation.extend_from_slice(commands);
         let mut sense = |values: &[f32], is_told: bool| {
             observation.extend(values.iter().map(|&value| if is_told { value } else { 0.0 }));
         };
         sense(tracking, config.tracking);
         sense(touch, config.touch);
+        // Their encoder was not shown what is hidden.
+        observation.extend_from_slice(features);
     }
     observation.push((time_s / TIME_UNIT_S) as f32);
     observation
@@ -125,7 +132,7 @@ pub(crate) fn observation<'a>(
 mod tests {
     use super::*;
 
-    const SHAPE: Shape = Shape { dofs: 1, channels: 2 };
+    const SHAPE: Shape = Shape { dofs: 1, channels: 2, features: 0 };
 
     fn see(history: &mut History, step: u32) {
         let value = f64::from(step);
@@ -135,6 +142,7 @@ mod tests {
             positions: &[value - 0.5],
             commands: &[value],
             active: &active,
+            features: &[],
         });
     }
 
@@ -157,9 +165,30 @@ mod tests {
 
     #[test]
     fn what_is_hidden_is_zero() {
-        let config = ObservationConfig { frames: 1, stride: 1, touch: false, tracking: false };
+        let hidden = ObservationConfig { touch: false, tracking: false, ..ObservationConfig::default() };
+        let config = ObservationConfig { frames: 1, stride: 1, ..hidden };
         let mut history = History::new(config, SHAPE);
         see(&mut history, 2);
         assert_eq!(history.observation(), [2.0, 0.0, 0.0, 0.0, 0.2]);
+    }
+
+    #[test]
+    fn features_are_the_last_numbers_of_each_frame() {
+        let config =
+            ObservationConfig { frames: 2, stride: 1, features: true, ..ObservationConfig::default() };
+        let mut history = History::new(config, Shape { features: 3, ..SHAPE });
+        for step in [1.0, 2.0] {
+            let features = [10.0 * step, 0.1, -7.0].map(|value| value as f32);
+            history.see(&Moment {
+                time_s: step,
+                positions: &[step],
+                commands: &[step],
+                active: &[true, false],
+                features: &features,
+            });
+        }
+        let expected =
+            [[2.0, 0.0, 1.0, 0.0, 20.0, 0.1, -7.0], [1.0, 0.0, 1.0, 0.0, 10.0, 0.1, -7.0]].concat();
+        assert_eq!(history.observation()[..14], expected);
     }
 }

@@ -6,7 +6,8 @@
 //! is the policy that comes out.
 //!
 //! Actions are differences to the last *command* and not to the measured position: gravity and contact would otherwise
-//! take a part of every action away. Commands are part of what is seen.
+//! take a part of every action away. Commands are part of what is seen. So may be features that a pretrained encoder makes of
+//! each moment: here they are numbers, and the encoder is a file ([`EncoderFile`]) that goes where the policy goes.
 //!
 //! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of
 //! fixed size whose gradients are added in order. On a graphics card (feature `gpu`) a training
@@ -28,7 +29,7 @@ mod trainer;
 pub use cloned::{Cloned, Plan, Robot, Run};
 pub use config::{CloneConfig, DiffusionConfig, Head, Memory, ObservationConfig, RecurrentConfig};
 pub use device::TrainingDevice;
-pub use episodes::{Episode, Episodes, Step};
+pub use episodes::{EncoderFile, Episode, Episodes, Step};
 pub use error::CloneError;
 pub use file::POLICY_FILE;
 pub use history::{History, Moment, Shape};

@@ -1,16 +1,17 @@
 //! Learning: episodes in, a better policy out.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use burn_tensor::{Device, Tensor, TensorData};
 use palpate_training::{Adam, clip_norm, fill_normal, generator, permutation};
 use rayon::prelude::*;
 
 use crate::cloned::{Cloned, Robot};
-use crate::episodes::{Episodes, Sample};
+use crate::episodes::{EncoderFile, Episodes, Sample};
 use crate::network::{CHUNK_SAMPLES, Network, values};
 use crate::schedule::Schedule;
-use crate::{CloneConfig, CloneError, Head, Memory};
+use crate::{CloneConfig, CloneError, Head, Memory, Shape};
 
 /// What noise is for: the order of samples; what is added to chunks; the same for held-out ones.
 const SHUFFLE: u64 = 2;
@@ -92,6 +93,8 @@ pub struct Trainer {
     pub(crate) updates: u64,
     /// What the episodes were made from, by name.
     pub(crate) sources: BTreeMap<String, String>,
+    /// What made the features of the episodes.
+    pub(crate) encoder: Option<Arc<EncoderFile>>,
     schedule: Schedule,
     moments: Vec<(usize, usize)>,
     /// An epoch, and the order of its samples: drawn once for all of its updates.
@@ -112,7 +115,8 @@ impl Trainer {
     ) -> Result<Self, CloneError> {
         config.validate()?;
         let shape = episodes.shape();
-        if robot.shape() != shape {
+        check_features(&config, episodes)?;
+        if robot.shape() != (Shape { features: 0, ..shape }) {
             let Robot { joints, channels, .. } = &robot;
             return Err(CloneError::Shape(format!(
                 "the episodes have {} joints and {} channels, the robot {} and {}",
@@ -150,6 +154,7 @@ impl Trainer {
             average,
             moments,
             sources,
+            encoder: episodes.encoder().cloned(),
             config,
         })
     }
@@ -288,6 +293,7 @@ impl Trainer {
             self.averaged(),
             self.updates,
             self.sources.clone(),
+            self.encoder.clone(),
         )
     }
 
@@ -379,6 +385,23 @@ impl Trainer {
             .collect();
         Ok((gradients, loss))
     }
+}
+
+/// Whether `episodes` have features if `config` lets the policy see some, and say who made them.
+fn check_features(config: &CloneConfig, episodes: &Episodes) -> Result<(), CloneError> {
+    let problem = match (config.observation.features, episodes.shape().features) {
+        (true, 0) => {
+            "observation.features is true, but the episodes have no features of an encoder".to_owned()
+        }
+        (false, found @ 1..) => {
+            format!("observation.features is false, but the episodes have {found} features in each step")
+        }
+        (true, 1..) if episodes.encoder().is_none() => {
+            "the episodes have features, but do not say which encoder made them".to_owned()
+        }
+        _ => return Ok(()),
+    };
+    Err(CloneError::Shape(problem))
 }
 
 /// At most `most` of `moments`, evenly spread.

@@ -135,7 +135,7 @@ impl Encoder {
             };
         }
         let scaling = scaling(&file)?;
-        Ok(Self { networks, scaling, config, updates: file.state.updates, sources: file.state.sources })
+        Ok(Self::new(networks, scaling, config, file.state.updates, file.state.sources))
     }
 
     /// This encoder as the bytes of a file of its own, a small part of a checkpoint: parameters are rounded to 16 bits, and

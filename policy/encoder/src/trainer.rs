@@ -170,13 +170,13 @@ impl Trainer {
 
     /// The encoder so far.
     pub fn encoder(&self) -> Encoder {
-        Encoder {
-            networks: self.networks.without_decoder(),
-            scaling: self.scaling.clone(),
-            config: self.config.clone(),
-            updates: self.updates,
-            sources: self.sources.clone(),
-        }
+        Encoder::new(
+            self.networks.without_decoder(),
+            self.scaling.clone(),
+            self.config.clone(),
+            self.updates,
+            self.sources.clone(),
+        )
     }
 
     fn samples<D: Dataset + ?Sized>(&self, data: &D, numbers: &[usize]) -> Result<Vec<Sample>, EncoderError> {

@@ -225,7 +225,8 @@ fn learned(
             .robot()
             .check(&robot)
             .with_context(|| format!("{file:?} does not fit the station {:?}", station.id))?;
-        return Ok(Box::new(ClonedPolicy::new(Arc::new(cloned), Arc::clone(station))));
+        let policy = ClonedPolicy::new(Arc::new(cloned), Arc::clone(station), world);
+        return Ok(Box::new(policy.with_context(|| format!("{file:?} does not fit"))?));
     }
     let text = sources.text("learning", &args.learning)?;
     let learning = LearnConfig::from_toml(&shown(&args.learning), &text, &station.robot)

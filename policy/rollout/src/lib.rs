@@ -10,6 +10,8 @@
 
 mod campaign;
 mod command;
+#[cfg(feature = "learned")]
+pub mod features;
 pub mod fit;
 pub mod inject;
 mod journal;

@@ -134,7 +134,13 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
         for _ in 0..BLOCK.min(args.inferences - ours.policy.len()) {
             let began = Instant::now();
             let mut seen = policy.history();
-            seen.see(&Moment { time_s: 1.0, positions: &positions, commands: &commands, active: &active });
+            seen.see(&Moment {
+                time_s: 1.0,
+                positions: &positions,
+                commands: &commands,
+                active: &active,
+                features: &[],
+            });
             encoder.encode(&window)?;
             ours.encoder.push(began.elapsed().as_secs_f64());
             let began = Instant::now();
@@ -223,7 +229,8 @@ fn made_up(shape: Shape) -> anyhow::Result<Episodes> {
                 (0..shape.channels).map(|channel| (step / 5 + channel) % 7 == 0).collect();
             let (positions, commands, targets) = (at(0), at(1), at(2));
             let time_s = 0.05 * step as f64;
-            let moment = Moment { time_s, positions: &positions, commands: &commands, active: &active };
+            let moment =
+                Moment { time_s, positions: &positions, commands: &commands, active: &active, features: &[] };
             episode.push(shape, &Step { moment, targets: &targets, claims_held: false });
         }
         episodes.push(episode);

@@ -1,24 +1,33 @@
 //! Learns to do what an expert did.
 
+mod encoding;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
-    CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Memory, Moment, POLICY_FILE, Progress, Robot,
-    Run, Start, TrainingDevice,
+    CHECKPOINT_FILE, CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Memory, Moment, POLICY_FILE,
+    Plan, Progress, Robot, Run, Start, TrainingDevice,
 };
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::trial::Outcome;
 use palpate_robot_model::Station;
+use palpate_rollout::features::{FeatureRun, Features};
 use palpate_rollout::task::robot;
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
+use palpate_training::TrainingError;
 use serde::Serialize;
 
+use self::encoding::Encoding;
 use crate::files::{self, Source};
-use crate::{gather, learning};
+use crate::gather::{self, Gathered};
+use crate::learning;
+
+/// The source that an encoder is.
+const ENCODER: &str = "encoder";
 
 #[derive(clap::Args)]
 pub(crate) struct CloneArgs {
@@ -50,6 +59,13 @@ pub(crate) struct CloneArgs {
     /// The policy does not see how far joints are from where they were sent
     #[arg(long)]
     hide_tracking: bool,
+    /// The policy sees the features that --encoder makes
+    #[arg(long)]
+    features: bool,
+    /// What makes features: a file of `export --encoder`, or a pretraining's folder or checkpoint. It becomes part of the
+    /// policy's file
+    #[arg(long, value_name = "FILE")]
+    encoder: Option<PathBuf>,
     /// Learn from the trials that were won, and not from the others
     #[arg(long)]
     only_won: bool,
@@ -107,22 +123,45 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     config.updates = args.updates.unwrap_or(config.updates);
     config.observation.touch &= !args.silence_touch;
     config.observation.tracking &= !args.hide_tracking;
+    config.observation.features |= args.features;
     config.validate()?;
+    let encoder = encoder(args, &config)?;
     files::start_threads(args.threads)?;
     let device = match args.device.as_str() {
         "gpu" => TrainingDevice::gpu()?,
         _ => TrainingDevice::cpu(),
     };
-    let (robot, episodes, sources) = learned_from(args)?;
-    let [train, held_out] = Episodes::new(robot.shape(), episodes)?.split(&config);
-    eprintln!(
+    let gathered = gather::read_all(&args.data)?;
+    let encoding = match encoder {
+        // Refused before minutes are spent on features, and not after.
+        Some(_) if !args.resume && args.out.join(CHECKPOINT_FILE).exists() => {
+            return Err(TrainingError::RunExists(args.out.clone()).into());
+        }
+        Some(path) => Some(Encoding::open(path, &config, &gathered)?),
+        None => None,
+    };
+    let (robot, episodes, mut sources) = learned_from(args, gathered)?;
+    let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
+    let episodes = match &encoding {
+        None => Episodes::new(robot.shape(), episodes)?,
+        Some(encoding) => {
+            sources.insert(ENCODER.to_owned(), encoding.sha256().to_owned());
+            let Some(encoded) = encoding.encode(&robot, episodes, &bar, &cancel)? else {
+                drop(bar);
+                eprintln!("stopped before anything was learned");
+                return Ok(());
+            };
+            encoded
+        }
+    };
+    let [train, held_out] = episodes.split(&config);
+    bar.line(&format!(
         "{} trials with {} steps to learn from, {} held out; learning on {}",
         train.len(),
         train.num_steps(),
         held_out.len(),
         device.name()
-    );
-    let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
+    ));
     let mut watch = |progress: &Progress| learning::tell(progress, &bar, &cancel);
     let start = if args.resume { Start::Resume } else { Start::Fresh };
     let data = Data { robot, train: &train, held_out: &held_out, sources };
@@ -155,11 +194,30 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Where the encoder is, if the policy shall see its features.
+fn encoder<'a>(args: &'a CloneArgs, config: &CloneConfig) -> anyhow::Result<Option<&'a Path>> {
+    match (&args.encoder, config.observation.features) {
+        (Some(path), true) => Ok(Some(path)),
+        (None, false) => Ok(None),
+        (None, true) => bail!(
+            "observation.features is true, but there is no encoder to make features; give --encoder FILE \
+             (`palpate-train encode` pretrains one), or set observation.features to false"
+        ),
+        (Some(path), false) => bail!(
+            "--encoder is {path:?}, but observation.features is false, so the policy would not see its features; add \
+             --features, or leave --encoder out"
+        ),
+    }
+}
+
 /// The robot, the trials and what they were made from.
-fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeMap<String, String>)> {
+fn learned_from(
+    args: &CloneArgs,
+    gathered: Vec<(String, Gathered)>,
+) -> anyhow::Result<(Robot, Vec<Episode>, BTreeMap<String, String>)> {
     let mut robot: Option<Robot> = None;
     let (mut episodes, mut sources) = (Vec::new(), BTreeMap::new());
-    for (path, gathered) in gather::read_all(&args.data)? {
+    for (path, gathered) in gathered {
         let of_file = gathered.record.robot();
         match &robot {
             None => robot = Some(of_file),
@@ -172,8 +230,8 @@ fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeM
         let is_kept = |outcome: Outcome| {
             outcome == Outcome::Success || !(args.only_won || outcome == Outcome::EmergencyStop)
         };
-        let kept = gathered.episodes.into_iter().filter(|(outcome, _)| is_kept(*outcome));
-        episodes.extend(kept.map(|(_, episode)| episode));
+        let kept = gathered.trials.into_iter().filter(|trial| is_kept(trial.outcome));
+        episodes.extend(kept.map(|trial| trial.episode));
     }
     let robot = robot.context("--data names no folder")?;
     if episodes.len() < 2 {
@@ -182,42 +240,62 @@ fn learned_from(args: &CloneArgs) -> anyhow::Result<(Robot, Vec<Episode>, BTreeM
     Ok((robot, episodes, sources))
 }
 
-/// The policy of a training's folder or of a file, if it is for the robot of `station`; and its file.
+/// A policy that imitates an expert, and what makes the features that it sees.
+pub(crate) struct Imitation {
+    policy: Arc<Cloned>,
+    /// Nothing if it sees none.
+    features: Option<Arc<Features>>,
+}
+
+/// The policy of a training's folder or of a file, if it is for the robot of `station` in `world`; and its file.
 pub(crate) fn open(
     path: &Path,
-    station: &Station,
+    station: &Arc<Station>,
     world: &GraspConfig,
-) -> anyhow::Result<(Arc<Cloned>, Source)> {
+) -> anyhow::Result<(Imitation, Source)> {
     let (file, bytes, policy) = Cloned::read(path)?;
     let source =
         Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
     policy.robot().check(&robot(station, world)).with_context(|| format!("{file:?} does not fit"))?;
-    Ok((Arc::new(policy), source))
+    let features = Features::of_policy(&policy, station, world);
+    let features = features.with_context(|| format!("{file:?} does not fit"))?;
+    Ok((Imitation { policy: Arc::new(policy), features }, source))
 }
 
 /// A policy as what moves the robot in a trial.
 pub(crate) struct Imitator {
     run: Run,
+    features: Option<FeatureRun>,
     station: Arc<Station>,
     /// Why it stopped, if it did: a controller cannot fail.
-    pub(crate) problem: Option<palpate_cloning::CloneError>,
+    pub(crate) problem: Option<anyhow::Error>,
 }
 
 impl Imitator {
-    pub(crate) fn new(policy: Arc<Cloned>, station: Arc<Station>, trial: u64) -> Self {
-        Self { run: Run::new(policy, trial), station, problem: None }
+    pub(crate) fn new(imitation: &Imitation, station: Arc<Station>, trial: u64) -> Self {
+        let run = Run::new(Arc::clone(&imitation.policy), trial);
+        Self { run, features: imitation.features.clone().map(FeatureRun::new), station, problem: None }
     }
-}
 
-impl Controller for Imitator {
-    fn control(&mut self, now: &Observation<'_>) -> Command {
+    fn plan(&mut self, now: &Observation<'_>) -> anyhow::Result<Plan> {
         let moment = Moment {
             time_s: now.time_s,
             positions: now.positions,
             commands: now.commands,
             active: now.active,
+            features: &[],
         };
-        match self.run.next(&moment) {
+        let features = match &mut self.features {
+            Some(features) => features.see(&moment)?,
+            None => Vec::new(),
+        };
+        Ok(self.run.next(&Moment { features: &features, ..moment })?)
+    }
+}
+
+impl Controller for Imitator {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        match self.plan(now) {
             Ok(plan) => {
                 let joints = plan.targets.into_iter().zip(self.station.robot.dofs());
                 let within = joints.map(|(target, joint)| match joint.limits {

@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::Cloned;
 use palpate_grasp::controller::{Command, Controller, Observation, Scripted};
 use palpate_grasp::learn::{Conditions, LearnEnv};
 use palpate_grasp::search::{Belief, Experience, Prior, Searcher, Senses};
@@ -23,7 +22,7 @@ use rayon::prelude::*;
 
 use self::kept::{ArmRecord, Record};
 use self::report::{Arm, Comparison, OfObject};
-use crate::clone::{self, Imitator};
+use crate::clone::{self, Imitation, Imitator};
 use crate::evaluate::EvaluateArgs;
 use crate::files::{self, OpenWorld, Sources};
 use crate::policy::{Policy, Watch};
@@ -130,7 +129,7 @@ enum Ready {
     Scripted(Arc<Script>),
     Searching { expert: Arc<Expert>, experience: Arc<Experience>, prior: Prior },
     Learned { policy: Box<Policy>, opened: OpenTask, tracking_hidden: bool },
-    Cloned(Arc<Cloned>),
+    Cloned(Imitation),
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
@@ -425,9 +424,9 @@ impl Ready {
                 Ok((ending, searcher.beliefs))
             }
             Self::Cloned(policy) => {
-                let mut imitator = Imitator::new(Arc::clone(policy), Arc::clone(scene.station()), trial);
+                let mut imitator = Imitator::new(policy, Arc::clone(scene.station()), trial);
                 let ending = conduct(&mut imitator, see)?;
-                imitator.problem.map_or(Ok((ending, Vec::new())), |problem| Err(problem.into()))
+                imitator.problem.map_or(Ok((ending, Vec::new())), Err)
             }
             Self::Learned { policy, opened, tracking_hidden } => {
                 let mut env = LearnEnv::for_trials(Arc::clone(&opened.task))?;

@@ -1,4 +1,5 @@
-//! Pretrains the tactile encoder on demonstrations, and scores what its decoder then knows of what nothing was felt of.
+//! Pretrains the tactile encoder on demonstrations and trials of an expert, and scores what its decoder then knows of what
+//! nothing was felt of.
 
 mod reader;
 mod samples;
@@ -16,7 +17,7 @@ use crate::{files, learning};
 
 #[derive(clap::Args)]
 pub(crate) struct EncodeArgs {
-    /// Folders of demonstrations
+    /// Folders of demonstrations, or of trials of the searching expert (`gather`)
     #[arg(long, required = true, num_args = 1.., value_name = "FOLDER")]
     demos: Vec<PathBuf>,
     /// How to learn: `quick` or `paper`

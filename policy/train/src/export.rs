@@ -48,12 +48,19 @@ fn export_policy(path: &Path, out: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn export_encoder(path: &Path, out: &Path) -> anyhow::Result<()> {
+/// The encoder of a pretraining's folder, of a checkpoint or of an exported file.
+pub(crate) fn encoder(path: &Path) -> anyhow::Result<Encoder> {
     let file = if path.is_dir() { path.join(CHECKPOINT_FILE) } else { path.to_owned() };
     let bytes = std::fs::read(&file).with_context(|| {
-        format!("failed to read {file:?}; --encoder is a pretraining's folder or checkpoint")
+        format!(
+            "failed to read {file:?}; --encoder is a pretraining's folder, a checkpoint or an exported encoder"
+        )
     })?;
-    let encoder = Encoder::from_bytes(&file, &bytes)?;
+    Ok(Encoder::from_bytes(&file, &bytes)?)
+}
+
+fn export_encoder(path: &Path, out: &Path) -> anyhow::Result<()> {
+    let encoder = encoder(path)?;
     let bytes = encoder.to_bytes()?;
     write_in_one_move(out, &bytes)?;
     eprintln!(

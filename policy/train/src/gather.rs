@@ -6,11 +6,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context as _, bail};
+use nalgebra::Isometry3;
 use palpate_cloning::{Episode, Moment, Robot, Step};
-use palpate_grasp::Protocol;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::search::{Prior, Searcher, Senses};
-use palpate_grasp::trial::{Known, Outcome, Score, conduct};
+use palpate_grasp::trial::{Known, Outcome, Score, conduct_seen};
+use palpate_grasp::{GraspEnv, Protocol};
 use palpate_rollout::task::robot;
 use palpate_sim::job::{Cancel, Progress as _};
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
@@ -23,6 +24,8 @@ use crate::files::{self, Source, Sources};
 use crate::search::{CLOSINGS, Expert, SEARCH};
 use crate::{SceneArgs, compare};
 
+/// The tensor that says where objects were.
+const OBJECT_POSES: &str = "object_poses";
 /// What the names of all files end with.
 const ENDING: &str = ".safetensors.zst";
 const ZSTD_LEVEL: i32 = 6;
@@ -75,6 +78,16 @@ impl Record {
         format!("{} trials on {}, protocol {}, seed {}", self.count, self.object, self.protocol, self.seed)
     }
 
+    /// Object, seed and protocol: files that share these have trials in common.
+    pub(crate) fn key(&self) -> (&str, u64, Option<&str>) {
+        (&self.object, self.seed, Some(&self.protocol))
+    }
+
+    /// Every file that the trials were made from.
+    pub(crate) fn sources(&self) -> &[Source] {
+        &self.sources
+    }
+
     /// Whose trials these are.
     pub(crate) fn robot(&self) -> Robot {
         Robot {
@@ -88,10 +101,21 @@ impl Record {
 /// One file.
 pub(crate) struct Gathered {
     pub(crate) record: Record,
-    /// By trial.
-    pub(crate) episodes: Vec<(Outcome, Episode)>,
+    /// By number.
+    pub(crate) trials: Vec<Trial>,
+    /// Whether trials say where the object was; those of earlier versions do not.
+    pub(crate) has_poses: bool,
     /// Of the file before it was compressed.
     pub(crate) sha256: String,
+}
+
+/// One trial.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Trial {
+    pub(crate) outcome: Outcome,
+    pub(crate) episode: Episode,
+    /// base_from_object, `[steps, 7]`: x, y, z, then the quaternion, w first; nothing in files of earlier versions.
+    pub(crate) object_poses: Vec<f32>,
 }
 
 pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
@@ -136,24 +160,29 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             }
             done.fetch_add(args.count, Ordering::Relaxed);
             bar.line(&format!("{}: {} trials are there already", record.object, record.count));
-            report.add(&record.object, score_of(&found.episodes));
+            report.add(&record.object, score_of(&found.trials));
             continue;
         }
-        let trial = |trial: u64| -> anyhow::Result<Option<(Outcome, Episode)>> {
+        let trial = |trial: u64| -> anyhow::Result<Option<Trial>> {
             if Cancel::is_cancelled(&cancel) {
                 return Ok(None);
             }
             let prior = Prior { half_width_m: protocol.half_width_m, shape: None };
             let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(&experience), &prior);
             let mut recorder = Recorder { controller: searcher, robot: &robot, episode: Episode::default() };
-            let ending = conduct(&scene, &mut recorder, Known::ROBOT, args.seed, trial)?;
+            let mut object_poses = Vec::new();
+            let mut see = |env: &GraspEnv| object_poses.extend(pose(&env.world().base_from_object()));
+            let ending = conduct_seen(&scene, &mut recorder, Known::ROBOT, args.seed, trial, &mut see)?;
+            let episode = recorder.episode;
+            // What came of the last step is nobody's beginning.
+            object_poses.truncate(POSE * episode.len());
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             bar.report(done as f64 / all as f64, "trials");
-            Ok(Some((ending.outcome, recorder.episode)))
+            Ok(Some(Trial { outcome: ending.outcome, episode, object_poses }))
         };
         let trials: Option<Vec<_>> =
             (0..args.count).into_par_iter().map(trial).collect::<anyhow::Result<_>>()?;
-        let Some(episodes) = trials else {
+        let Some(trials) = trials else {
             drop(bar);
             eprintln!(
                 "stopped; the same command goes on after the objects that are in {}",
@@ -161,8 +190,8 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             );
             return Ok(());
         };
-        let score = score_of(&episodes);
-        let bytes = to_bytes(&record, &episodes)?;
+        let score = score_of(&trials);
+        let bytes = to_bytes(&record, &trials)?;
         files::write_in_one_move(&path, &bytes)?;
         let line = format!("{name}: {} of {} held, {} kB", score.successes, score.trials, bytes.len() / 1000);
         if args.scene.json {
@@ -208,8 +237,17 @@ impl Report {
     }
 }
 
-fn score_of(episodes: &[(Outcome, Episode)]) -> Score {
-    Score::of(&episodes.iter().map(|(outcome, _)| *outcome).collect::<Vec<_>>())
+fn score_of(trials: &[Trial]) -> Score {
+    Score::of(&trials.iter().map(|trial| trial.outcome).collect::<Vec<_>>())
+}
+
+/// Numbers of a pose.
+const POSE: usize = 7;
+
+/// x, y, z, then the quaternion, w first.
+fn pose(pose: &Isometry3<f64>) -> [f32; POSE] {
+    let (t, q) = (pose.translation, pose.rotation);
+    [t.x, t.y, t.z, q.w, q.i, q.j, q.k].map(|value| value as f32)
 }
 
 /// Writes down what a controller knows and does.
@@ -227,6 +265,7 @@ impl<C: Controller> Controller for Recorder<'_, C> {
             positions: now.positions,
             commands: now.commands,
             active: now.active,
+            features: &[],
         };
         let step = Step { moment, targets: &command.targets, claims_held: command.claims_held };
         self.episode.push(self.robot.shape(), &step);
@@ -234,28 +273,29 @@ impl<C: Controller> Controller for Recorder<'_, C> {
     }
 }
 
-/// A safetensors file, compressed as a whole: `frames`, `targets` and `times_s` of all steps one after the other,
-/// `first_steps` where each trial begins, and how it ended.
-fn to_bytes(record: &Record, episodes: &[(Outcome, Episode)]) -> anyhow::Result<Vec<u8>> {
-    let column = |of: &dyn Fn(&Episode) -> &[f32]| -> Vec<u8> {
-        episodes.iter().flat_map(|(_, episode)| of(episode)).flat_map(|value| value.to_le_bytes()).collect()
+/// A safetensors file, compressed as a whole: `frames`, `targets`, `times_s` and `object_poses` of all steps one after the
+/// other, `first_steps` where each trial begins, and how it ended.
+fn to_bytes(record: &Record, trials: &[Trial]) -> anyhow::Result<Vec<u8>> {
+    let column = |of: &dyn Fn(&Trial) -> &[f32]| -> Vec<u8> {
+        trials.iter().flat_map(of).flat_map(|value| value.to_le_bytes()).collect()
     };
     let columns = [
-        ("frames", column(&|episode| &episode.frames)),
-        ("targets", column(&|episode| &episode.targets)),
-        ("times_s", column(&|episode| &episode.times_s)),
+        ("frames", column(&|trial| &trial.episode.frames)),
+        ("targets", column(&|trial| &trial.episode.targets)),
+        ("times_s", column(&|trial| &trial.episode.times_s)),
+        (OBJECT_POSES, column(&|trial| &trial.object_poses)),
     ];
     let mut first = 0;
     let mut first_steps: Vec<u8> = 0_u64.to_le_bytes().to_vec();
-    for (_, episode) in episodes {
-        first += episode.len() as u64;
+    for trial in trials {
+        first += trial.episode.len() as u64;
         first_steps.extend(first.to_le_bytes());
     }
     let steps = first as usize;
-    let outcomes: Vec<u8> = episodes.iter().map(|(outcome, _)| code(*outcome)).collect();
+    let outcomes: Vec<u8> = trials.iter().map(|trial| code(trial.outcome)).collect();
     let mut tensors = vec![
-        ("first_steps", TensorView::new(Dtype::U64, vec![episodes.len() + 1], &first_steps)?),
-        ("outcomes", TensorView::new(Dtype::U8, vec![episodes.len()], &outcomes)?),
+        ("first_steps", TensorView::new(Dtype::U64, vec![trials.len() + 1], &first_steps)?),
+        ("outcomes", TensorView::new(Dtype::U8, vec![trials.len()], &outcomes)?),
     ];
     for (name, bytes) in &columns {
         let width = bytes.len() / 4 / steps.max(1);
@@ -307,6 +347,9 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         .map(|bytes| u64::from_le_bytes(*bytes) as usize)
         .collect();
     let outcomes = bytes("outcomes", Dtype::U8)?;
+    let has_poses = file.tensor(OBJECT_POSES).is_ok();
+    let object_poses = if has_poses { floats(OBJECT_POSES)? } else { Vec::new() };
+    let pose_len = if has_poses { POSE } else { 0 };
     let robot = record.robot();
     let (frame_len, action_len) = (2 * robot.joints.len() + robot.channels.len(), robot.joints.len() + 1);
     let steps = times_s.len();
@@ -315,11 +358,12 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         && first_steps.last() == Some(&steps)
         && first_steps.windows(2).all(|pair| pair[0] <= pair[1])
         && frames.len() == steps * frame_len
+        && object_poses.len() == steps * pose_len
         && targets.len() == steps * action_len;
     if !is_whole {
         bail!("its tensors do not have the sizes that its joints, channels and trials say");
     }
-    let mut episodes = Vec::with_capacity(outcomes.len());
+    let mut trials = Vec::with_capacity(outcomes.len());
     for (pair, &outcome) in first_steps.windows(2).zip(outcomes) {
         let outcome = OUTCOMES.get(usize::from(outcome)).context("an outcome is none of the four")?;
         let episode = Episode {
@@ -327,9 +371,16 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
             targets: targets[pair[0] * action_len..pair[1] * action_len].to_vec(),
             times_s: times_s[pair[0]..pair[1]].to_vec(),
         };
-        episodes.push((*outcome, episode));
+        let object_poses = object_poses[pair[0] * pose_len..pair[1] * pose_len].to_vec();
+        trials.push(Trial { outcome: *outcome, episode, object_poses });
     }
-    Ok(Gathered { record, episodes, sha256 })
+    Ok(Gathered { record, trials, has_poses, sha256 })
+}
+
+/// Whether `folder` holds such files.
+pub(crate) fn is_folder(folder: &Path) -> bool {
+    let Ok(entries) = std::fs::read_dir(folder) else { return false };
+    entries.flatten().any(|entry| entry.path().to_string_lossy().ends_with(ENDING))
 }
 
 /// All files of `folders`, in the order of their paths, each with its path.

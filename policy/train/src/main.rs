@@ -17,6 +17,7 @@ mod export_mujoco;
 mod files;
 mod gather;
 mod learning;
+mod origin;
 mod pipeline;
 mod policy;
 mod ppo;

@@ -51,6 +51,11 @@ impl Encoded {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Self { name, dtype: Dtype::F64, shape: vec![values.len()], bytes }
     }
+
+    /// The bytes of another file, as they are.
+    pub fn file(name: String, bytes: &[u8]) -> Self {
+        Self { name, dtype: Dtype::U8, shape: vec![bytes.len()], bytes: bytes.to_vec() }
+    }
 }
 
 /// The file of `tensors` and of the state that `state` makes of their checksums, which it has to hold as `checksums`.
@@ -163,8 +168,21 @@ impl<'a, S: DeserializeOwned> TensorFile<'a, S> {
         Ok(values)
     }
 
+    /// The bytes of the file in the tensor called `name`, however many there are.
+    ///
+    /// # Errors
+    /// See [`TensorFile::floats`].
+    pub fn file(&self, name: &str) -> Result<Vec<u8>, TrainingError> {
+        let len: usize = self.view(name)?.shape().iter().product();
+        Ok(self.bytes(name, Dtype::U8, &[len])?.to_vec())
+    }
+
+    fn view(&self, name: &str) -> Result<TensorView<'a>, TrainingError> {
+        self.tensors.tensor(name).map_err(|_| self.error(format!("it has no tensor {name}")))
+    }
+
     fn bytes(&self, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&[u8], TrainingError> {
-        let view = self.tensors.tensor(name).map_err(|_| self.error(format!("it has no tensor {name}")))?;
+        let view = self.view(name)?;
         if view.dtype() != dtype || view.shape() != shape {
             return Err(self.error(format!(
                 "tensor {name} is {:?} {:?}, expected {dtype:?} {shape:?}",

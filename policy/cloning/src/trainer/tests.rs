@@ -3,7 +3,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::*;
-use crate::episodes::tests::reaching;
+use crate::episodes::tests::{encoded, encoder, features_of, reaching};
 use crate::{
     Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig, Run, Shape, Start,
     Step, TrainingDevice, train,
@@ -55,7 +55,8 @@ fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
     for step in 0..steps {
         let time_s = 0.05 * step as f64;
         let (positions, active) = ([command - 0.1 * pace], [command >= 0.99]);
-        let now = Moment { time_s, positions: &positions, commands: &[command], active: &active };
+        let now =
+            Moment { time_s, positions: &positions, commands: &[command], active: &active, features: &[] };
         let next = run.next(&now).expect("a step");
         (command, claims) = (next.targets[0], next.claims_held);
     }
@@ -139,13 +140,17 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
-    for config in [config(Head::Diffusion), recurrent(Head::Diffusion)] {
+    for config in [config(Head::Diffusion), recurrent(Head::Diffusion), featured(recurrent(Head::Diffusion))]
+    {
         goes_on_to_the_same_bits(&CloneConfig { updates: 60, ..config });
     }
 }
 
 fn goes_on_to_the_same_bits(config: &CloneConfig) {
-    let episodes = reaching(&paces(), 25);
+    let episodes = match config.observation.features {
+        true => encoded(&paces(), 25, "a"),
+        false => reaching(&paces(), 25),
+    };
     let [learned, held_out] = episodes.split(config);
     let folder = tempfile::tempdir().expect("a folder");
     let cpu = TrainingDevice::cpu();
@@ -217,10 +222,111 @@ fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     assert!(problem.contains("a policy alone"), "{problem}");
 }
 
+/// A configuration of a policy that sees features.
+fn featured(config: CloneConfig) -> CloneConfig {
+    let observation = ObservationConfig { features: true, ..config.observation };
+    CloneConfig { observation, ..config }
+}
+
+#[test]
+fn a_policy_learns_from_features_with_either_memory_and_head() {
+    let configs = [config(Head::Regression), config(Head::Diffusion), recurrent(Head::Regression)];
+    for config in configs.map(featured) {
+        let (head, memory) = (config.head, config.memory);
+        // Nothing but features says where the joint is and what it feels.
+        let observation = ObservationConfig { touch: false, tracking: false, ..config.observation.clone() };
+        let config = CloneConfig { observation, ..config };
+        let episodes = encoded(&paces(), 25, "a");
+        let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
+        let before = trainer.judge(&episodes).expect("a loss");
+        while trainer.updates() < trainer.config().updates {
+            trainer.update(&episodes).expect("an update");
+        }
+        let after = trainer.judge(&episodes).expect("a loss");
+        assert!(after < 0.5 * before, "{head:?}, {memory:?}: {before} became {after}");
+        let policy = trainer.cloned();
+        assert_eq!(policy.shape().features, 3);
+        let planned = |active: bool| {
+            let mut seen = policy.history();
+            let features = features_of(1.0, active);
+            seen.see(&Moment {
+                time_s: 1.0,
+                positions: &[1.0],
+                commands: &[1.0],
+                active: &[active],
+                features: &features,
+            });
+            policy.plan(&seen, &[1.0], [0, 0]).expect("a plan")
+        };
+        assert_ne!(planned(true), planned(false), "{head:?}, {memory:?}: features are seen");
+    }
+}
+
+#[test]
+fn a_policy_brings_its_encoder_along_and_goes_on_with_no_other() {
+    let path = Path::new("policy.safetensors");
+    let config = featured(CloneConfig { updates: 60, ..config(Head::Regression) });
+    let [learned, _] = encoded(&paces(), 25, "a").split(&config);
+    let mut trainer = Trainer::new(config.clone(), robot(), &learned, BTreeMap::new()).expect("it fits");
+    trainer.update(&learned).expect("an update");
+    let (bytes, checkpoint) = (trainer.cloned().to_bytes().expect("a file"), trainer.to_checkpoint());
+    for bytes in [&bytes, &checkpoint] {
+        let read = Cloned::from_bytes(path, bytes).expect("the policy");
+        assert_eq!(read.encoder(), Some(&encoder("a")));
+    }
+    let read = Cloned::from_bytes(path, &bytes).expect("the policy");
+    assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
+    let at = bytes.windows(9).position(|window| window == b"encoder a").expect("its bytes are in the file");
+    let mut altered = bytes.clone();
+    altered[at] ^= 1;
+    let problem = Cloned::from_bytes(path, &altered).expect_err("it was altered").to_string();
+    assert!(problem.contains("tensor encoder does not match its checksum"), "{problem}");
+
+    let going_on = |config: &CloneConfig, episodes: &Episodes| {
+        let [learned, _] = episodes.clone().split(config);
+        let sources = BTreeMap::new();
+        Trainer::from_checkpoint(config.clone(), robot(), &learned, sources, path, &checkpoint)
+            .map(|trainer| trainer.to_checkpoint() == checkpoint)
+            .map_err(|err| err.to_string())
+    };
+    assert_eq!(going_on(&config, &encoded(&paces(), 25, "a")), Ok(true));
+    let problem = going_on(&config, &encoded(&paces(), 25, "b")).expect_err("another encoder");
+    assert!(
+        problem.contains(
+            "made by the encoder with SHA-256 digest of a, those of this call by the encoder with SHA-256 \
+            digest of b"
+        ),
+        "{problem}"
+    );
+    let observation = ObservationConfig { features: false, ..config.observation.clone() };
+    let blind = CloneConfig { observation, ..config };
+    let problem = going_on(&blind, &reaching(&paces(), 25));
+    let problem = problem.expect_err("no encoder");
+    assert!(
+        problem.contains("observation.features is true, that of the configuration is false"),
+        "{problem}"
+    );
+}
+
+#[test]
+fn features_and_configuration_belong_together() {
+    let refused = |config: CloneConfig, episodes: &Episodes| {
+        Trainer::new(config, robot(), episodes, BTreeMap::new()).expect_err("it does not fit").to_string()
+    };
+    assert_eq!(
+        refused(featured(config(Head::Regression)), &reaching(&paces(), 25)),
+        "observation.features is true, but the episodes have no features of an encoder"
+    );
+    assert_eq!(
+        refused(config(Head::Regression), &encoded(&paces(), 25, "a")),
+        "observation.features is false, but the episodes have 3 features in each step"
+    );
+}
+
 /// Twenty episodes of a robot of one joint that waits for four steps and then goes up if it felt something in the first
 /// step, down if not.
 fn told_at_the_beginning() -> Episodes {
-    let shape = Shape { dofs: 1, channels: 1 };
+    let shape = Shape { dofs: 1, channels: 1, features: 0 };
     let episode = |is_up: bool| {
         let mut episode = Episode::default();
         for step in 0..5 {
@@ -229,6 +335,7 @@ fn told_at_the_beginning() -> Episodes {
                 positions: &[0.0],
                 commands: &[0.0],
                 active: &[is_up && step == 0],
+                features: &[],
             };
             let target = if step < 4 {
                 0.0
@@ -264,6 +371,7 @@ fn a_recurrent_policy_does_what_it_was_told_some_frames_ago() {
                     positions: &[0.0],
                     commands: &[0.0],
                     active: &active,
+                    features: &[],
                 });
             }
             policy.plan(&seen, &[0.0], [0, 0]).expect("a plan")[0].targets[0]
@@ -289,7 +397,13 @@ fn what_a_policy_may_not_feel_changes_nothing() {
         Trainer::new(config, robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits").cloned();
     let planned = |position: f64, active: bool| {
         let mut history = policy.history();
-        history.see(&Moment { time_s: 0.1, positions: &[position], commands: &[0.3], active: &[active] });
+        history.see(&Moment {
+            time_s: 0.1,
+            positions: &[position],
+            commands: &[0.3],
+            active: &[active],
+            features: &[],
+        });
         policy.plan(&history, &[0.3], [0, 0]).expect("a plan")
     };
     assert_eq!(planned(0.3, false), planned(0.1, true));

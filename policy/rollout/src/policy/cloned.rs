@@ -4,15 +4,19 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use palpate_cloning::{Cloned, History, Moment};
+use palpate_grasp::GraspConfig;
 use palpate_robot_model::Station;
 
 use super::{Horizon, Policy, Seen, Step, newest};
+use crate::features::{FeatureRun, Features};
 
 /// A policy that imitates an expert: it plans a chunk of steps from a window of what was seen.
 pub struct ClonedPolicy {
     policy: Arc<Cloned>,
     station: Arc<Station>,
     history: History,
+    /// What makes the features that the policy sees, if it sees any.
+    features: Option<FeatureRun>,
     /// Where the robot was sent in each step that the history has not seen yet; the last is where it was sent last.
     commands: VecDeque<Vec<f64>>,
     trial: u64,
@@ -20,10 +24,14 @@ pub struct ClonedPolicy {
 }
 
 impl ClonedPolicy {
-    /// `policy` for the robot of `station`.
-    pub fn new(policy: Arc<Cloned>, station: Arc<Station>) -> Self {
+    /// `policy` for the robot of `station` in `world`.
+    ///
+    /// # Errors
+    /// A policy whose encoder is for another hand, by the name of what differs.
+    pub fn new(policy: Arc<Cloned>, station: Arc<Station>, world: &GraspConfig) -> anyhow::Result<Self> {
+        let features = Features::of_policy(&policy, &station, world)?.map(FeatureRun::new);
         let history = policy.history();
-        Self { policy, station, history, commands: VecDeque::new(), trial: 0, num_seen: 0 }
+        Ok(Self { policy, station, history, features, commands: VecDeque::new(), trial: 0, num_seen: 0 })
     }
 }
 
@@ -35,6 +43,9 @@ impl Policy for ClonedPolicy {
 
     fn begin(&mut self, positions: &[f64]) {
         self.history = self.policy.history();
+        if let Some(features) = &mut self.features {
+            features.begin();
+        }
         self.commands = VecDeque::from([positions.to_vec()]);
         self.num_seen = 0;
         self.trial += 1;
@@ -53,12 +64,18 @@ impl Policy for ClonedPolicy {
                 _ => self.commands.pop_front(),
             };
             let commands = commands.unwrap_or_else(|| now.positions.clone());
-            self.history.see(&Moment {
+            let moment = Moment {
                 time_s: now.time_s,
                 positions: &now.positions,
                 commands: &commands,
                 active: &now.active,
-            });
+                features: &[],
+            };
+            let features = match &mut self.features {
+                Some(features) => features.see(&moment)?,
+                None => Vec::new(),
+            };
+            self.history.see(&Moment { features: &features, ..moment });
             self.num_seen += 1;
         }
         let commands = self.commands.pop_back().unwrap_or_default();

@@ -1,15 +1,17 @@
-//! Folders of demonstrations, verified, and the files that they were made from.
+//! Folders of demonstrations and of trials of an expert, verified, and the files that they were made from.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::slice;
 
 use anyhow::{Context as _, bail};
-use palpate_grasp::GraspConfig;
 use palpate_robot_model::{ObjectModel, Station};
 
-use crate::demos::manifest::Manifest;
+use crate::demos::manifest::{MANIFEST_FILE, Manifest};
 use crate::demos::shard::{self, Columns};
-use crate::files::{Source, sha256, shown};
+use crate::files::sha256;
+use crate::gather::{self, Gathered};
+use crate::origin::{Origin, check_same_world};
 
 /// What was felt and what was there, step by step.
 pub(crate) struct Demonstration {
@@ -39,116 +41,174 @@ pub(crate) struct Demonstrations {
     pub(crate) sources: BTreeMap<String, String>,
 }
 
-/// A folder whose files are yet to be read.
-struct Folder<'a> {
-    path: &'a Path,
-    manifest: Manifest,
+/// Demonstrations that are yet to be made of what was read.
+enum Kept<'a> {
+    /// A folder of `palpate-train demos`, whose files are yet to be read.
+    Demos { path: &'a Path, manifest: Box<Manifest> },
+    /// A file of `palpate-train gather`.
+    Trials { path: PathBuf, gathered: Box<Gathered> },
 }
 
-impl Folder<'_> {
-    /// The bytes of the file at `path`, if it is the one that the demonstrations were made with. `roles` says for what.
-    fn source(&self, roles: &[&str], path: &Path) -> Result<Vec<u8>, String> {
-        let name = shown(path);
-        let is_it = |source: &&Source| roles.contains(&source.role.as_str()) && source.path == name;
-        let source = self.manifest.sources.iter().find(is_it);
-        let source = source.ok_or_else(|| format!("the demonstrations in {:?} did not use it", self.path))?;
-        let bytes = std::fs::read(path)
-            .map_err(|err| format!("{err}; paths are relative to the folder that the command runs in"))?;
-        if sha256(&bytes) != source.sha256 {
-            return Err(format!(
-                "it is another file than when the demonstrations in {:?} were made: SHA-256 {}, not {}",
-                self.path,
-                sha256(&bytes),
-                source.sha256
-            ));
-        }
-        Ok(bytes)
-    }
-
-    fn text(&self, role: &str, path: &Path) -> anyhow::Result<String> {
-        let bytes = self.source(&[role], path).map_err(|problem| anyhow::anyhow!("{path:?}: {problem}"))?;
-        String::from_utf8(bytes).with_context(|| format!("{path:?} is no text"))
-    }
-
-    /// The file that was read first for `role`.
-    fn first(&self, role: &str) -> anyhow::Result<PathBuf> {
-        let source = self.manifest.sources.iter().find(|source| source.role == role);
-        let source = source.with_context(|| format!("{:?}: its manifest names no {role}", self.path))?;
-        Ok(PathBuf::from(&source.path))
-    }
-
-    fn station(&self) -> anyhow::Result<Station> {
-        let path = self.first("station")?;
-        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        let name = path.file_name().and_then(|name| name.to_str()).context("the station is no file")?;
-        Ok(Station::read(name, |name| self.source(&["station"], &folder.join(name)))?)
-    }
-
-    fn hand_root(&self, station: &Station) -> anyhow::Result<usize> {
-        let path = self.first("world")?;
-        let config = GraspConfig::from_toml(&shown(&path), &self.text("world", &path)?, &station.robot)?;
-        station.robot.link_index(&config.hand_root).context("the world's hand_root is a link")
-    }
-
-    fn object(&self) -> anyhow::Result<ObjectModel> {
-        let path = self.first("object")?;
-        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        let read_mesh = |mesh: &str| self.source(&["object"], &folder.join(mesh));
-        Ok(ObjectModel::from_toml(&shown(&path), &self.text("object", &path)?, read_mesh)?)
-    }
-
-    /// Digests of the files that were read for `roles`.
-    fn digests(&self, roles: &[&str]) -> Vec<&str> {
-        let of_role = |source: &&Source| roles.contains(&source.role.as_str());
-        self.manifest.sources.iter().filter(of_role).map(|source| source.sha256.as_str()).collect()
-    }
-
-    /// The demonstrations, of the object numbered `object`.
-    fn read(&self, object: usize, station: &Station) -> anyhow::Result<Vec<Demonstration>> {
-        let columns = Columns::of_tensors(self.manifest.tensors.clone())
-            .with_context(|| format!("{:?}: its manifest does not fit", self.path))?;
-        let joints: Vec<String> = station.robot.dofs().map(|joint| joint.name.clone()).collect();
-        let channels: Vec<String> =
-            station.layout.channels.iter().map(|channel| channel.id.clone()).collect();
-        let named = |tensor: &'static str, segment: &str, expected: &[String]| {
-            let segment = columns.segment(tensor, segment).with_context(|| format!("{:?}", self.path))?;
-            if segment.columns() != expected {
-                bail!(
-                    "{:?}: columns of {tensor} are {:?}, those of the station {expected:?}",
-                    self.path,
-                    segment.columns()
-                );
+impl Kept<'_> {
+    fn origin(&self) -> Origin<'_> {
+        match self {
+            Self::Demos { path, manifest } => {
+                Origin { what: "demonstrations", place: path, sources: &manifest.sources }
             }
-            Ok(segment)
-        };
-        let pose = ["x", "y", "z", "qw", "qx", "qy", "qz"].map(str::to_owned);
-        let read_joints = named("actor_observations", "joint_positions", &joints)?;
-        let exact_joints = named("privileged", "exact_joint_positions", &joints)?;
-        let touch = named("touch", "touch", &channels)?;
-        let poses = named("object_poses", "object_poses", &pose)?;
-        let mut demonstrations = Vec::new();
-        for file in &self.manifest.files {
-            let bytes = file.read(self.path)?;
-            let stored = shard::decode(&columns, &bytes)
-                .with_context(|| format!("{:?}", self.path.join(&file.file)))?;
-            demonstrations.extend(stored.iter().map(|stored| Demonstration {
-                object,
-                seed: self.manifest.settings.seed,
-                trial: stored.trial,
-                read_joints: read_joints.of(stored),
-                exact_joints: exact_joints.of(stored),
-                touch: touch.of(stored).into_iter().map(|active| active > 0.0).collect(),
-                object_poses: poses.of(stored),
-            }));
+            Self::Trials { path, gathered } => {
+                Origin { what: "trials", place: path, sources: gathered.record.sources() }
+            }
         }
-        Ok(demonstrations)
     }
+
+    /// Object, seed and, of trials, protocol: what tells these from others.
+    fn key(&self) -> (&str, u64, Option<&str>) {
+        match self {
+            Self::Demos { manifest, .. } => (&manifest.settings.object, manifest.settings.seed, None),
+            Self::Trials { gathered, .. } => gathered.record.key(),
+        }
+    }
+
+    fn name(&self) -> String {
+        let (object, seed, protocol) = self.key();
+        match protocol {
+            None => format!("{object}, seed {seed}"),
+            Some(protocol) => format!("trials on {object}, protocol {protocol}, seed {seed}"),
+        }
+    }
+
+    /// Of everything that was read.
+    fn digest(&self) -> String {
+        let origin = self.origin();
+        let made_from = origin.digests(&["station", "world", "object"]).into_iter();
+        let digests: Vec<&str> = match self {
+            Self::Demos { manifest, .. } => {
+                made_from.chain(manifest.files.iter().map(|file| file.sha256.as_str())).collect()
+            }
+            Self::Trials { gathered, .. } => made_from.chain([gathered.sha256.as_str()]).collect(),
+        };
+        sha256(digests.concat().as_bytes())
+    }
+
+    /// The demonstrations, of the object numbered `object`, in the order of their trials.
+    fn demonstrations(&self, object: usize, station: &Station) -> anyhow::Result<Vec<Demonstration>> {
+        match self {
+            Self::Demos { path, manifest } => of_demos(path, manifest, object, station),
+            Self::Trials { path, gathered } => of_trials(path, gathered, object, station),
+        }
+    }
+}
+
+/// Names of the joints and of the channels of `station`.
+fn names(station: &Station) -> [Vec<String>; 2] {
+    [
+        station.robot.dofs().map(|joint| joint.name.clone()).collect(),
+        station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),
+    ]
+}
+
+fn of_demos(
+    path: &Path,
+    manifest: &Manifest,
+    object: usize,
+    station: &Station,
+) -> anyhow::Result<Vec<Demonstration>> {
+    let columns = Columns::of_tensors(manifest.tensors.clone())
+        .with_context(|| format!("{path:?}: its manifest does not fit"))?;
+    let [joints, channels] = names(station);
+    let named = |tensor: &'static str, segment: &str, expected: &[String]| {
+        let segment = columns.segment(tensor, segment).with_context(|| format!("{path:?}"))?;
+        if segment.columns() != expected {
+            bail!(
+                "{path:?}: columns of {tensor} are {:?}, those of the station {expected:?}",
+                segment.columns()
+            );
+        }
+        Ok(segment)
+    };
+    let pose = ["x", "y", "z", "qw", "qx", "qy", "qz"].map(str::to_owned);
+    let read_joints = named("actor_observations", "joint_positions", &joints)?;
+    let exact_joints = named("privileged", "exact_joint_positions", &joints)?;
+    let touch = named("touch", "touch", &channels)?;
+    let poses = named("object_poses", "object_poses", &pose)?;
+    let mut demonstrations = Vec::new();
+    for file in &manifest.files {
+        let bytes = file.read(path)?;
+        let stored =
+            shard::decode(&columns, &bytes).with_context(|| format!("{:?}", path.join(&file.file)))?;
+        demonstrations.extend(stored.iter().map(|stored| Demonstration {
+            object,
+            seed: manifest.settings.seed,
+            trial: stored.trial,
+            read_joints: read_joints.of(stored),
+            exact_joints: exact_joints.of(stored),
+            touch: touch.of(stored).into_iter().map(|active| active > 0.0).collect(),
+            object_poses: poses.of(stored),
+        }));
+    }
+    demonstrations.sort_by_key(|one| one.trial);
+    Ok(demonstrations)
+}
+
+fn of_trials(
+    path: &Path,
+    gathered: &Gathered,
+    object: usize,
+    station: &Station,
+) -> anyhow::Result<Vec<Demonstration>> {
+    let robot = gathered.record.robot();
+    let [joints, channels] = names(station);
+    if robot.joints != joints || robot.channels != channels {
+        bail!("{path:?}: its joints or channels are not those of the station that it names");
+    }
+    if !gathered.has_poses {
+        bail!(
+            "{path:?} does not say where the object was, as files of earlier versions do not; gather these trials again, \
+             into another folder"
+        );
+    }
+    let (_, seed, _) = gathered.record.key();
+    let demonstration = |(trial, one): (u64, &gather::Trial)| {
+        // Nothing is between the joints and what is read of them there.
+        let mut read_joints = Vec::with_capacity(one.episode.len() * joints.len());
+        let mut touch = Vec::with_capacity(one.episode.len() * channels.len());
+        for frame in one.episode.frames.chunks_exact(robot.shape().frame_len()) {
+            let (commands, rest) = frame.split_at(joints.len());
+            let (errors, active) = rest.split_at(joints.len());
+            read_joints.extend(commands.iter().zip(errors).map(|(command, error)| command - error));
+            touch.extend(active.iter().map(|&active| active > 0.0));
+        }
+        Demonstration {
+            object,
+            seed,
+            trial,
+            exact_joints: read_joints.clone(),
+            read_joints,
+            touch,
+            object_poses: one.object_poses.clone(),
+        }
+    };
+    Ok((0..).zip(&gathered.trials).map(demonstration).collect())
 }
 
 impl Demonstration {
     pub(crate) fn num_steps(&self) -> usize {
         self.object_poses.len() / 7
     }
+}
+
+/// What is in `folder`.
+fn open(folder: &Path) -> anyhow::Result<Vec<Kept<'_>>> {
+    if folder.join(MANIFEST_FILE).is_file() || !gather::is_folder(folder) {
+        let manifest = Box::new(Manifest::read(folder)?);
+        return Ok(vec![Kept::Demos { path: folder, manifest }]);
+    }
+    let trials = gather::read_all(slice::from_ref(&folder.to_owned()))?;
+    let kept = |(path, gathered): (String, Gathered)| Kept::Trials {
+        path: PathBuf::from(path),
+        gathered: Box::new(gathered),
+    };
+    Ok(trials.into_iter().map(kept).collect())
 }
 
 /// Reads all `folders`.
@@ -158,31 +218,26 @@ impl Demonstration {
 pub(crate) fn read(folders: &[PathBuf]) -> anyhow::Result<Demonstrations> {
     let mut opened = Vec::new();
     for path in folders {
-        opened.push(Folder { path, manifest: Manifest::read(path)? });
+        opened.extend(open(path)?);
     }
-    let key = |folder: &Folder| (folder.manifest.settings.object.clone(), folder.manifest.settings.seed);
-    opened.sort_by_key(key);
-    if let Some(pair) = opened.windows(2).find(|pair| key(&pair[0]) == key(&pair[1])) {
-        let (object, seed) = key(&pair[0]);
-        bail!(
-            "{:?} and {:?} both hold demonstrations of {object:?} with the seed {seed}; leave one out",
-            pair[0].path,
-            pair[1].path
-        );
+    opened.sort_by(|one, other| one.key().cmp(&other.key()));
+    if let Some(pair) = opened.windows(2).find(|pair| pair[0].key() == pair[1].key()) {
+        let [first, second] = [&pair[0], &pair[1]].map(|kept| kept.origin().place);
+        let held = match pair[0].key() {
+            (object, seed, None) => format!("demonstrations of {object:?} with the seed {seed}"),
+            (_, _, Some(_)) => pair[0].name(),
+        };
+        bail!("{first:?} and {second:?} both hold {held}; leave one out");
     }
-    let first = opened.first().context("--demos names no folder")?;
-    for (roles, what) in [(["station"], "station"), (["world"], "grasp world")] {
-        let expected = first.digests(&roles);
-        if let Some(other) = opened.iter().find(|folder| folder.digests(&roles) != expected) {
-            bail!("{:?} and {:?} were made with different files of the {what}", first.path, other.path);
-        }
-    }
+    let first = opened.first().context("--demos names no folder")?.origin();
+    check_same_world(opened.iter().map(Kept::origin))?;
     let station = first.station()?;
-    let hand_root = first.hand_root(&station)?;
+    let world = first.world(&station)?;
+    let hand_root = station.robot.link_index(&world.hand_root).context("the world's hand_root is a link")?;
     let (mut objects, mut demonstrations): (Vec<ObjectModel>, Vec<Demonstration>) = (Vec::new(), Vec::new());
     let mut sources = BTreeMap::new();
-    for folder in &opened {
-        let object = folder.object()?;
+    for kept in &opened {
+        let object = kept.origin().object()?;
         let idx = match objects.iter().position(|known| known.id == object.id) {
             Some(idx) => idx,
             None => {
@@ -190,14 +245,8 @@ pub(crate) fn read(folders: &[PathBuf]) -> anyhow::Result<Demonstrations> {
                 objects.len() - 1
             }
         };
-        let mut of_folder = folder.read(idx, &station)?;
-        of_folder.sort_by_key(|one| one.trial);
-        demonstrations.extend(of_folder);
-        let files = folder.manifest.files.iter().map(|file| file.sha256.as_str());
-        let digests: Vec<&str> =
-            folder.digests(&["station", "world", "object"]).into_iter().chain(files).collect();
-        let (object, seed) = key(folder);
-        sources.insert(format!("{object}, seed {seed}"), sha256(digests.concat().as_bytes()));
+        demonstrations.extend(kept.demonstrations(idx, &station)?);
+        sources.insert(kept.name(), kept.digest());
     }
     Ok(Demonstrations { station, hand_root, objects, demonstrations, sources })
 }

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
 use palpate_encoder::{Dataset, EncoderConfig, Sample, history_steps};
 use palpate_robot_model::Robot;
+use palpate_rollout::features::Taxels;
 use rand::{RngExt, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest as _, Sha256};
@@ -13,8 +14,7 @@ use super::surface::{Surface, share_out};
 /// Everything that samples are made from.
 pub(crate) struct World {
     data: Demonstrations,
-    /// Link and place in it of each channel's taxel.
-    taxels: Vec<(usize, Point3<f64>)>,
+    taxels: Taxels,
     /// Link and place in it of each point of the hand.
     hand_points: Vec<(usize, Point3<f64>)>,
     /// Points of each object, in its frame.
@@ -33,12 +33,7 @@ fn generator(seed: u64, what: &str) -> ChaCha8Rng {
 impl World {
     /// Draws the points of hand and objects.
     pub(crate) fn new(data: Demonstrations, config: &EncoderConfig) -> anyhow::Result<Self> {
-        let layout = &data.station.layout;
-        let taxel = |channel: &palpate_robot_model::Channel| {
-            let patch = &layout.patches[channel.patch];
-            (patch.link, patch.taxels_in_link[channel.taxel])
-        };
-        let taxels = layout.channels.iter().map(taxel).collect();
+        let taxels = Taxels::new(&data.station, data.hand_root);
         let hand_points = hand_points(&data.station.robot, data.hand_root, config)?;
         let points = |object: &palpate_robot_model::ObjectModel| {
             let mut rng = generator(config.seed, &format!("points of {}", object.id));
@@ -73,8 +68,7 @@ impl World {
 
     fn sample(&self, one: &Demonstration, step: usize) -> Sample {
         let robot = &self.data.station.robot;
-        let (joints, channels) = (robot.num_dofs(), self.taxels.len());
-        let mut frames = Vec::new();
+        let (joints, channels) = (robot.num_dofs(), self.taxels.num_channels());
         let mut input: Vec<f32> = Vec::with_capacity(self.history * channels * 4);
         let mut last = None;
         for step in history_steps(step, self.history) {
@@ -83,14 +77,12 @@ impl World {
                 continue;
             }
             last = Some(step);
-            kinematics(robot, &one.read_joints[step * joints..][..joints], &mut frames);
-            let hand_from_base = frames[self.data.hand_root].inverse();
-            for ((link, place), &active) in self.taxels.iter().zip(&one.touch[step * channels..]) {
-                let place = hand_from_base * (frames[*link] * place);
-                input.extend([place.x as f32, place.y as f32, place.z as f32, f32::from(u8::from(active))]);
-            }
+            let active = one.touch[step * channels..][..channels].iter().copied();
+            let read_joints = &one.read_joints[step * joints..][..joints];
+            self.taxels.push_frame(robot, read_joints, active, &mut input);
         }
         let exact = &one.exact_joints[step * joints..][..joints];
+        let mut frames = Vec::new();
         kinematics(robot, exact, &mut frames);
         let hand_from_base = frames[self.data.hand_root].inverse();
         let hand_from_object = hand_from_base * pose(&one.object_poses[7 * step..7 * step + 7]);
@@ -172,7 +164,7 @@ impl Dataset for Samples<'_> {
     }
 
     fn num_channels(&self) -> usize {
-        self.world.taxels.len()
+        self.world.taxels.num_channels()
     }
 
     fn num_joints(&self) -> usize {

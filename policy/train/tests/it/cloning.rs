@@ -75,6 +75,93 @@ fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
     assert_eq!(compared["controls"].as_object().map(serde_json::Map::len), Some(6), "{compared}");
 }
 
+/// An encoder as small.
+const ENCODER: &str = "epochs = 1\nbatch_size = 8\ncheckpoint_updates = 50\nhistory = 3\nframe_stride = 8\n\
+    held_out_share = 0.4\nhand_points = 8\nobject_points = 8\n\
+    [network]\nwidth = 6\nheads = 2\nlayers = 1\nfeed_forward = 8\npoints_per_query = 8\n";
+
+/// The file of gathered trials at `path` without what earlier versions did not keep.
+fn without_poses(path: &Path) -> Vec<u8> {
+    let bytes = zstd::decode_all(&*std::fs::read(path).expect("a file")).expect("compressed");
+    let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
+    let file = safetensors::SafeTensors::deserialize(&bytes).expect("tensors");
+    let kept = file.tensors().into_iter().filter(|(name, _)| name != "object_poses");
+    let bytes = safetensors::serialize(kept, header.metadata().clone()).expect("a file");
+    zstd::encode_all(&*bytes, 3).expect("compressed")
+}
+
+#[test]
+fn a_policy_takes_the_features_of_an_encoder_that_learned_from_the_same_trials() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let (gathered, encoder, exported) = (path("gathered"), path("encoder"), path("encoder.safetensors"));
+    printed(&["gather", "--objects", "cube", "--count", "4", "--out", text(&gathered)]);
+    let (config, encoder_config) = (path("tiny.toml"), path("encoder.toml"));
+    std::fs::write(&config, CONFIG.replace("stride = 4", "stride = 4\nfeatures = true")).expect("a file");
+    std::fs::write(&encoder_config, ENCODER).expect("a file");
+    let encode = ["encode", "--demos", text(&gathered), "--config", text(&encoder_config), "--json", "--out"];
+    let pretrained: Value =
+        serde_json::from_str(&printed(&[&encode[..], &[text(&encoder)]].concat())).expect("a report");
+    assert!(pretrained["train_samples"].as_u64() > Some(8), "{pretrained}");
+    assert!(pretrained["held_out"]["position_cm"].is_f64(), "{pretrained}");
+    printed(&["export", "--encoder", text(&encoder), "--out", text(&exported)]);
+
+    // The folder of a pretraining is as good as what is exported, and any number of threads.
+    let clone = |out: &str, encoder: &Path, threads: &str, more: &[&str]| -> Vec<String> {
+        let out = path(out);
+        let fixed = ["clone", "--data", text(&gathered), "--config", text(&config), "--out", text(&out)];
+        let given = ["--encoder", text(encoder), "--threads", threads];
+        [&fixed[..], &given, more].concat().into_iter().map(str::to_owned).collect()
+    };
+    let call = |args: &[String]| printed(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let refuse = |args: &[String]| refused(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    call(&clone("one", &encoder, "1", &[]));
+    call(&clone("two", &exported, "2", &[]));
+    let policy = |out: &str| std::fs::read(path(out).join("policy.safetensors")).expect("a policy");
+    assert!(policy("one") == policy("two"), "other bits");
+    let inside = std::fs::read(&exported).expect("a file");
+    assert!(policy("one").windows(inside.len()).any(|window| window == inside), "it has the encoder inside");
+    call(&clone("one", &exported, "1", &["--resume"]));
+
+    let imitation = format!("clone:{}", text(&path("one")));
+    let evaluate = |threads: &str| -> Value {
+        let args =
+            ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy"];
+        let said = printed(&[&args[..], &[&imitation, "--controls", "--threads", threads]].concat());
+        let mut document: Value = serde_json::from_str(&said).expect("a comparison");
+        document["seconds"] = Value::Null;
+        document
+    };
+    assert_eq!(evaluate("1"), evaluate("2"));
+
+    // Another encoder, and none, and one that nobody looks at.
+    let other = path("other");
+    printed(&[&encode[..], &[text(&other), "--seed", "7"]].concat());
+    let said = refuse(&clone("one", &other, "1", &["--resume"]));
+    assert!(said.contains("its features were made by the encoder with SHA-256"), "{said}");
+    let plain = ["clone", "--data", text(&gathered), "--out", text(&path("three"))].map(str::to_owned);
+    let said = refuse(&[&plain[..], &["--features".to_owned()]].concat());
+    assert!(said.contains("there is no encoder to make features; give --encoder FILE"), "{said}");
+    let said = refuse(&[&plain[..], &["--encoder".to_owned(), text(&encoder).to_owned()]].concat());
+    assert!(said.contains("observation.features is false") && said.contains("add --features"), "{said}");
+    let said = refuse(&clone("three", &config, "1", &[]));
+    assert!(said.contains("not a whole safetensors file"), "{said}");
+    assert!(!path("three").exists(), "nothing was begun");
+
+    // Trials of earlier versions are learned from as before, but no encoder is.
+    let old = path("old");
+    std::fs::create_dir(&old).expect("a folder");
+    let name = "cube.safetensors.zst";
+    std::fs::write(old.join(name), without_poses(&gathered.join(name))).expect("a file");
+    let said = refused(&["encode", "--demos", text(&old), "--out", text(&path("four"))]);
+    assert!(said.contains("does not say where the object was") && said.contains("gather"), "{said}");
+    let mut args = clone("five", &encoder, "1", &[]);
+    args[2] = text(&old).to_owned();
+    call(&args);
+    let said = refused(&["encode", "--demos", text(&gathered), text(&gathered), "--out", text(&path("six"))]);
+    assert!(said.contains("both hold trials on cube, protocol wide, seed 101; leave one out"), "{said}");
+}
+
 #[test]
 fn the_shipped_policy_fits_the_shipped_station() {
     let policy = "clone:assets/policies/imitation/searching.safetensors";
