@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{CloneConfig, Head, Memory};
+use palpate_encoder::EncoderConfig;
 use serde::Deserialize;
 
 use crate::files::{self, Sources};
@@ -24,6 +25,8 @@ pub(super) struct PipelineConfig {
     pub(super) closings: ClosingsConfig,
     /// What policies learn from.
     pub(super) trials: TrialsConfig,
+    /// The encoder whose features policies may see, pretrained on the same trials; absent means none.
+    pub(super) encoder: Option<PretrainingConfig>,
     /// What is learned; the first seed of the first is what everything else is compared with.
     pub(super) policies: Vec<PolicyConfig>,
     /// How policies are scored.
@@ -55,6 +58,18 @@ pub(super) struct TrialsConfig {
 
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
+pub(super) struct PretrainingConfig {
+    /// A preset of `palpate-train encode`, or a file.
+    pub(super) preset: Option<String>,
+    pub(super) config: Option<PathBuf>,
+    /// Absent means the configuration's.
+    pub(super) epochs: Option<u64>,
+    /// Absent means the configuration's.
+    pub(super) seed: Option<u64>,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
 pub(super) struct PolicyConfig {
     /// Letters, digits, "_" and "-".
     pub(super) name: String,
@@ -71,6 +86,9 @@ pub(super) struct PolicyConfig {
     pub(super) silence_touch: bool,
     #[serde(default)]
     pub(super) hide_tracking: bool,
+    /// Whether it sees the features of `encoder`.
+    #[serde(default)]
+    pub(super) features: bool,
     /// One training each.
     pub(super) seeds: Vec<u64>,
 }
@@ -91,6 +109,21 @@ pub(super) struct EvaluationConfig {
     pub(super) truth: Option<PathBuf>,
 }
 
+impl PretrainingConfig {
+    /// How it is learned, in full.
+    pub(super) fn encoder_config(&self) -> anyhow::Result<EncoderConfig> {
+        let mut config = match (&self.preset, &self.config) {
+            (Some(_), Some(_)) => bail!("encoder has a preset and a config; leave one out"),
+            (_, Some(path)) => EncoderConfig::from_toml(&files::shown(path), &files::text(path)?)?,
+            (preset, None) => EncoderConfig::preset(preset.as_deref().unwrap_or("quick"))?,
+        };
+        config.epochs = self.epochs.unwrap_or(config.epochs);
+        config.seed = self.seed.unwrap_or(config.seed);
+        config.validate()?;
+        Ok(config)
+    }
+}
+
 impl PolicyConfig {
     /// How it is learned, in full.
     pub(super) fn clone_config(&self) -> anyhow::Result<CloneConfig> {
@@ -104,6 +137,7 @@ impl PolicyConfig {
         config.head = self.head.unwrap_or(config.head);
         config.memory = self.memory.unwrap_or(config.memory);
         config.updates = self.updates.unwrap_or(config.updates);
+        config.observation.features |= self.features;
         config.validate()?;
         Ok(config)
     }
@@ -148,7 +182,7 @@ impl PipelineConfig {
         if self.policies.is_empty() || self.evaluations.is_empty() {
             bail!("policies and evaluations need at least one entry each");
         }
-        let mut names = BTreeSet::new();
+        let (mut names, mut is_encoder_used) = (BTreeSet::new(), false);
         for policy in &self.policies {
             let name = &policy.name;
             let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
@@ -162,7 +196,23 @@ impl PipelineConfig {
             if seeds.is_empty() || seeds.len() != policy.seeds.len() {
                 bail!("policies: seeds of {name:?} are {:?}, expected one or more, each once", policy.seeds);
             }
-            policy.clone_config().with_context(|| format!("policies: {name:?}"))?;
+            let how = policy.clone_config().with_context(|| format!("policies: {name:?}"))?;
+            if how.observation.features && self.encoder.is_none() {
+                bail!(
+                    "policies: {name:?} sees features, but there is no section [encoder] to make them; add one, or \
+                     leave features out"
+                );
+            }
+            is_encoder_used |= how.observation.features;
+        }
+        if let Some(encoder) = &self.encoder {
+            encoder.encoder_config().context("encoder")?;
+            if !is_encoder_used {
+                bail!(
+                    "encoder: no policy sees its features; add features = true to one of policies, or leave the \
+                     section out"
+                );
+            }
         }
         names.clear();
         for evaluation in &self.evaluations {

@@ -1,17 +1,18 @@
 //! What a pipeline found, as one HTML file without any reference outside itself, as lines for people and as a document.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
 use base64::Engine as _;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use palpate_cloning::POLICY_FILE;
+use palpate_cloning::{METRICS_FILE, POLICY_FILE};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::config::{EvaluationConfig, PipelineConfig};
 use super::manifest::Manifest;
-use super::stages::{EXPERT, Training, comparison, pictures, trainings};
+use super::stages::{EXPERT, Training, comparison, encoder_dir, pictures, trainings};
 use crate::files;
 
 /// Groups of objects, as comparisons name them.
@@ -30,6 +31,7 @@ pub(super) struct Report<'a> {
     manifest: &'a Manifest,
     /// The first policy, relative to the pipeline's folder.
     policy: String,
+    encoder: Option<Encoder>,
     curves: Vec<Curve>,
     evaluations: Vec<Evaluation>,
 }
@@ -46,6 +48,22 @@ struct Point {
     update: u64,
     train: f64,
     held_out: f64,
+}
+
+/// What came of a pretraining.
+struct Encoder {
+    /// The last checkpoint's line of metrics.
+    last: EncoderPoint,
+    /// Names of the policies that see its features.
+    seen_by: Vec<String>,
+}
+
+/// A checkpoint of a pretraining.
+#[derive(Deserialize)]
+struct EncoderPoint {
+    update: u64,
+    /// Losses by name, before their weights, and their weighted sum `total`.
+    held_out: BTreeMap<String, f64>,
 }
 
 /// How policies were scored under one protocol.
@@ -76,12 +94,16 @@ impl<'a> Report<'a> {
     pub(super) fn read(config: &PipelineConfig, manifest: &'a Manifest, out: &Path) -> anyhow::Result<Self> {
         let trainings = trainings(config, out);
         let curves = trainings.iter().map(Curve::read).collect::<anyhow::Result<_>>()?;
+        let encoder = match &config.encoder {
+            Some(_) => Some(Encoder::read(&trainings, out)?),
+            None => None,
+        };
         let read = |evaluation| Evaluation::read(evaluation, &trainings, out);
         let evaluations = config.evaluations.iter().map(read).collect::<anyhow::Result<_>>()?;
         let first = trainings.first().map(|training| training.folder.join(POLICY_FILE));
         let first = first.as_deref().and_then(|path| path.strip_prefix(out).ok());
         let policy = first.map(files::shown).unwrap_or_default();
-        Ok(Self { manifest, policy, curves, evaluations })
+        Ok(Self { manifest, policy, encoder, curves, evaluations })
     }
 
     /// In a few lines.
@@ -96,7 +118,8 @@ impl<'a> Report<'a> {
         self.evaluations.iter().map(line).collect::<Vec<_>>().join("\n")
     }
 
-    /// As JSON: won and tried by evaluation, arm and group of objects, the first policy's file, and seconds by stage.
+    /// As JSON: won and tried by evaluation, arm and group of objects, the first policy's file, seconds by stage, and the
+    /// encoder's held-out losses if there is one.
     pub(super) fn document(&self) -> Value {
         let of_arm = |arm: &Arm| {
             let groups = GROUPS.iter().filter_map(|group| {
@@ -114,6 +137,7 @@ impl<'a> Report<'a> {
             "policy": self.policy,
             "evaluations": self.evaluations.iter().map(of_evaluation).collect::<serde_json::Map<_, _>>(),
             "stage_seconds": seconds.collect::<serde_json::Map<_, _>>(),
+            "encoder": self.encoder.as_ref().map(Encoder::document),
         })
     }
 
@@ -132,6 +156,7 @@ impl<'a> Report<'a> {
                     main {
                         h1 { "From sensor model to scored policies" }
                         @for evaluation in &self.evaluations { (evaluation.section()) }
+                        @if let Some(encoder) = &self.encoder { (encoder.section()) }
                         h2 { "How policies learned" }
                         p { "Mean squared error (of actions, or of noise for diffusion), on a logarithmic scale: solid on held-out "
                             "trials, dotted on the trials that are learned from." }
@@ -194,6 +219,43 @@ impl<'a> Report<'a> {
                     text x=(width - right + 8.0) y=(top + 12.0 + 16.0 * idx as f64) fill=(colour) { (curve.name) }
                 }
             }
+        }
+    }
+}
+
+impl Encoder {
+    fn read(trainings: &[Training<'_>], out: &Path) -> anyhow::Result<Self> {
+        let path = encoder_dir(out).join(METRICS_FILE);
+        let text = files::text(&path)?;
+        let last = text.lines().last().with_context(|| format!("{path:?} has no line of metrics"))?;
+        let last = serde_json::from_str(last)
+            .with_context(|| format!("the last line of {path:?} is no line of metrics"))?;
+        let mut seen_by = Vec::new();
+        for training in trainings {
+            if training.policy.clone_config()?.observation.features {
+                seen_by.push(training.name());
+            }
+        }
+        Ok(Self { last, seen_by })
+    }
+
+    fn document(&self) -> Value {
+        json!({ "updates": self.last.update, "held_out": self.last.held_out, "seen_by": self.seen_by })
+    }
+
+    fn section(&self) -> Markup {
+        html! {
+            h2 { "Encoder" }
+            p {
+                "Pretrained on the trials that policies learn from, " (self.last.update) " updates. Its features are seen by "
+                (self.seen_by.join(", ")) ". Held-out losses before their weights, and their weighted sum (total):"
+            }
+            div.wide { table {
+                thead { tr { @for name in self.last.held_out.keys() { th { (name) } } } }
+                tbody { tr {
+                    @for loss in self.last.held_out.values() { td.number { (format!("{loss:.4}")) } }
+                } }
+            } }
         }
     }
 }

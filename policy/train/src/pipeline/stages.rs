@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use palpate_cloning::{Head, Memory, POLICY_FILE};
+use palpate_cloning::{CHECKPOINT_FILE, Head, Memory, POLICY_FILE};
 
 use super::PipelineArgs;
 use super::config::{EvaluationConfig, PipelineConfig, PolicyConfig};
@@ -20,7 +20,16 @@ mod core_s {
     pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
     /// What an update takes longer where the policy's memory is recurrent.
     pub(super) const RECURRENT_MORE: f64 = 0.03;
+    /// A sample of an encoder's update, by the preset `quick`.
+    pub(super) const ENCODER_SAMPLE: f64 = 0.002;
+    /// The features of one step, by the same encoder.
+    pub(super) const FEATURES_STEP: f64 = 0.0005;
+    /// Steps of a trial for each second of the longest one: many are won before.
+    pub(super) const STEPS_PER_S: f64 = 15.0;
 }
+
+/// The stage that pretrains the encoder, and its folder.
+pub(super) const ENCODER: &str = "encoder";
 
 /// One stage.
 #[derive(Debug)]
@@ -101,6 +110,11 @@ pub(super) fn trainings<'a>(config: &'a PipelineConfig, out: &Path) -> Vec<Train
     config.policies.iter().flat_map(of_policy).collect()
 }
 
+/// Folder of the pretraining of the encoder.
+pub(super) fn encoder_dir(out: &Path) -> PathBuf {
+    out.join(ENCODER)
+}
+
 /// The searching expert, as `palpate-train evaluate` names it.
 pub(super) const EXPERT: &str = "search";
 
@@ -138,6 +152,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         is_parallel: true,
     }];
     let (trials, trials_dir) = (&config.trials, out.join("trials"));
+    let all_trials = count(&trials.objects)? * trials.count as f64;
     stages.push(Stage {
         name: "trials".to_owned(),
         command: Command::of("gather")
@@ -153,9 +168,33 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         files: own(model),
         results: vec![trials_dir.clone()],
         writes: vec![trials_dir.clone()],
-        core_s: core_s::TRIAL * count(&trials.objects)? * trials.count as f64,
+        core_s: core_s::TRIAL * all_trials,
         is_parallel: true,
     });
+    let (_, protocol) = compare::protocol(&trials.protocol, &files::Sources::default())?;
+    let steps = core_s::STEPS_PER_S * protocol.episode_s * all_trials;
+    let encoder_dir = encoder_dir(out);
+    if let Some(encoder) = &config.encoder {
+        let how = encoder.encoder_config()?;
+        stages.push(Stage {
+            name: ENCODER.to_owned(),
+            command: Command::of("encode")
+                .with("demos", &trials_dir)
+                .maybe("preset", encoder.preset.as_ref())
+                .maybe("config", encoder.config.as_ref())
+                .with("epochs", how.epochs.to_string())
+                .with("seed", how.seed.to_string())
+                .flag("resume", true)
+                .with("out", &encoder_dir)
+                .0,
+            needs: vec!["trials".to_owned()],
+            files: own(encoder.config.as_ref()),
+            results: vec![encoder_dir.join(CHECKPOINT_FILE)],
+            writes: vec![encoder_dir.clone()],
+            core_s: core_s::ENCODER_SAMPLE * how.epochs as f64 * steps / how.frame_stride as f64,
+            is_parallel: true,
+        });
+    }
     let trainings = trainings(config, out);
     for training in &trainings {
         let how = training.policy.clone_config()?;
@@ -167,6 +206,8 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
             Memory::Window => 0.0,
             Memory::Recurrent => core_s::RECURRENT_MORE,
         };
+        let features = how.observation.features;
+        let features_core_s = if features { core_s::FEATURES_STEP * steps } else { 0.0 };
         let memory = training.policy.memory.map(|memory| match memory {
             Memory::Window => "window",
             Memory::Recurrent => "recurrent",
@@ -183,15 +224,21 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .with("seed", training.seed.to_string())
                 .flag("silence-touch", training.policy.silence_touch)
                 .flag("hide-tracking", training.policy.hide_tracking)
+                .flag("features", features)
+                .maybe("encoder", features.then_some(&encoder_dir))
                 .with("device", &args.device)
                 .flag("resume", true)
                 .with("out", &training.folder)
                 .0,
-            needs: vec!["trials".to_owned()],
+            needs: if features {
+                vec!["trials".to_owned(), ENCODER.to_owned()]
+            } else {
+                vec!["trials".to_owned()]
+            },
             files: own(training.policy.config.as_ref()),
             results: vec![training.folder.join(POLICY_FILE)],
             writes: vec![training.folder.clone()],
-            core_s: (update_core_s + more_core_s) * how.updates as f64,
+            core_s: (update_core_s + more_core_s) * how.updates as f64 + features_core_s,
             is_parallel: false,
         });
     }

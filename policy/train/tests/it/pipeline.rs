@@ -95,6 +95,49 @@ fn what_has_not_changed_is_not_made_again() {
     assert_eq!(made.map(bytes), before, "other bytes");
 }
 
+/// An encoder as small.
+const TINY_ENCODER: &str = "epochs = 1\nbatch_size = 8\nhistory = 3\nframe_stride = 8\nheld_out_share = 0.4\n\
+    hand_points = 8\nobject_points = 8\n\
+    [network]\nwidth = 6\nheads = 2\nlayers = 1\nfeed_forward = 8\npoints_per_query = 8\n";
+
+#[test]
+fn policies_may_see_the_features_of_an_encoder_that_is_a_stage() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("a path").to_owned();
+    let (file, out) = (path("pipeline.toml"), path("out"));
+    std::fs::write(path("tiny.toml"), TINY).expect("a file");
+    std::fs::write(path("encoder.toml"), TINY_ENCODER).expect("a file");
+    let (tiny, encoder) = (path("tiny.toml"), path("encoder.toml"));
+    let policy = |name: &str, more: &str| {
+        format!("[[policies]]\nname = {name:?}\nconfig = {tiny:?}\nseeds = [0]\n{more}")
+    };
+    let text = format!(
+        "[closings]\nobjects = \"cube\"\ncount = 12\nseed = 3\n\
+         [trials]\nobjects = \"cube\"\ncount = 4\nprotocol = \"wide\"\nseed = 101\n\
+         [encoder]\nconfig = {encoder:?}\nseed = 0\n{}{}\
+         [[evaluations]]\nprotocol = \"wide\"\nobjects = \"cube\"\ntrials = 1\n",
+        policy("plain", ""),
+        policy("feeling", "features = true\n"),
+    );
+    std::fs::write(&file, text).expect("a file");
+    let call = ["--config", &file, "--out", &out];
+    let planned = pipeline(&[&call[..], &["--plan"]].concat()).expect("a plan");
+    let line = planned.lines().find(|line| line.starts_with("encoder ")).expect("its line");
+    assert!(line.contains("palpate-train encode"), "{planned}");
+    let line = planned.lines().find(|line| line.starts_with("feeling_0 ")).expect("its line");
+    assert!(line.contains("--features --encoder"), "{planned}");
+    let said = pipeline(&[&call[..], &["--events"]].concat()).expect("it runs");
+    let events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let report = events.filter(|event| event["event"] == "report").last().expect("a report");
+    let encoder = &report["report"]["encoder"];
+    assert_eq!(encoder["seen_by"], serde_json::json!(["feeling_0"]), "{report}");
+    assert!(encoder["held_out"]["total"].is_f64(), "{report}");
+    let page = std::fs::read_to_string(Path::new(&out).join("report.html")).expect("text");
+    assert!(page.contains("<h2>Encoder</h2>") && page.contains("palpate-train encode"));
+    let said = pipeline(&call).expect("it runs");
+    assert_eq!(said.matches("it is left as it is").count(), 6, "{said}");
+}
+
 #[test]
 fn what_is_wrong_with_a_pipeline_is_named_before_anything_starts() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -113,6 +156,9 @@ fn what_is_wrong_with_a_pipeline_is_named_before_anything_starts() {
         ("truth = \"assets/truth/demo.toml\"", "", "\"wide\" is there twice"),
         ("assets/truth/demo.toml", "assets/truth/none.toml", "there is no such file"),
         ("protocol = \"wide\"\nseed", "protocol = \"wild\"\nseed", "trials.protocol"),
+        ("seeds = [0, 1]", "seeds = [0, 1]\nfeatures = true", "there is no section [encoder]"),
+        ("[[policies]]", "[encoder]\n[[policies]]", "encoder: no policy sees its features"),
+        ("[[policies]]", "[encoder]\nepochs = 0\n[[policies]]", "epochs is 0, expected 1 or more"),
     ] {
         assert!(whole.contains(from), "{from}");
         std::fs::write(&file, whole.replacen(from, to, 1)).expect("a file");
