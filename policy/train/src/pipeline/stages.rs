@@ -23,7 +23,7 @@ mod core_s {
     /// A sample of an encoder's update, by the preset `quick`.
     pub(super) const ENCODER_SAMPLE: f64 = 0.002;
     /// The features of one step, by the same encoder.
-    pub(super) const FEATURES_STEP: f64 = 0.0005;
+    pub(super) const FEATURES_STEP: f64 = 0.0004;
     /// Steps of a trial for each second of the longest one: many are won before.
     pub(super) const STEPS_PER_S: f64 = 15.0;
 }
