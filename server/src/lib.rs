@@ -32,6 +32,7 @@ mod error;
 mod http;
 mod hub;
 pub mod jobs;
+mod manual;
 mod retention;
 mod serve;
 mod state;

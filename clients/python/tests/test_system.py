@@ -44,6 +44,15 @@ def test_a_session_is_listed_checked_deleted_and_restored(p: Palpate) -> None:
         session.take("take-99")
 
 
+def test_the_manual_can_be_read(p: Palpate) -> None:
+    docs = {doc.name: doc for doc in p.docs()}
+    assert docs["learning"].title == "Learning"
+    assert docs["learning"].sentence
+    assert p.doc("learning").startswith("# Learning\n")
+    with pytest.raises(PalpateError, match="no document 'nothing'|no document \"nothing\"; there are api"):
+        p.doc("nothing")
+
+
 def test_folders_and_zips_are_uploaded(p: Palpate, recorded: Path, tmp_path: Path) -> None:
     copy = p.upload(recorded, "copy")
     assert copy.summary.takes == len(list(recorded.glob("take-*.mcap")))

@@ -43,6 +43,7 @@ use super::{
     info(title = "Palpate", description = ABOUT, version = "1"),
     tags(
         (name = "studio", description = "What runs, and this document."),
+        (name = "docs", description = "The manual: what people read, as Markdown."),
         (name = "trash", description = "What was deleted and can be taken out again."),
         (name = "sessions", description = "Recorded takes: in by upload, out as traces, to the trash and back."),
         (name = "models", description = "Saved sensor models."),
@@ -395,6 +396,8 @@ fn parameters_in(path: &str) -> Vec<Parameter> {
     let parameter = |name: &str| {
         let description = match name {
             "file" => "Name of the file, e.g. `report.json` of a job.".to_owned(),
+            "doc" => "Name of the document, e.g. `learning`.".to_owned(),
+            "picture" => "Name of the picture, e.g. `hand.png`.".to_owned(),
             "trial" => "Number of the trial, from 1.".to_owned(),
             "person" => "Name of the person.".to_owned(),
             "token" => "Number of the token.".to_owned(),

@@ -475,4 +475,17 @@ const EXAMPLES: &[Example] = &[
         curl: r#"curl -X POST "$PALPATE_URL/api/v1/logout""#,
         status: 204,
     },
+    Example { method: "GET", path: "/docs", curl: r#"curl "$PALPATE_URL/api/v1/docs""#, status: 200 },
+    Example {
+        method: "GET",
+        path: "/docs/{doc}",
+        curl: r#"curl "$PALPATE_URL/api/v1/docs/learning""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
+        path: "/docs/pictures/{picture}",
+        curl: r#"curl -O "$PALPATE_URL/api/v1/docs/pictures/hand.png""#,
+        status: 200,
+    },
 ];

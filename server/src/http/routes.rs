@@ -3,6 +3,7 @@
 mod calibrations;
 mod campaigns;
 mod diagnoses;
+mod docs;
 mod health;
 mod jobs;
 mod lineage;
@@ -215,6 +216,9 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::GET, "/tokens", OWN, get(people::tokens)),
         route(Method::POST, "/tokens", OWN, post(people::create_token)),
         route(Method::DELETE, "/tokens/{token}", OWN, delete(people::revoke_token)),
+        route(Method::GET, "/docs", VIEW, get(docs::list)),
+        route(Method::GET, "/docs/{doc}", VIEW, get(docs::text)),
+        route(Method::GET, "/docs/pictures/{picture}", VIEW, get(docs::picture)),
         route(Method::GET, "/openapi.json", VIEW, get(openapi)),
     ];
     if with_emulator {

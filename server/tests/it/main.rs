@@ -9,6 +9,7 @@ mod cli;
 mod client_paths;
 mod data_folder;
 mod diagnoses;
+mod docs;
 mod document;
 mod foxglove;
 mod gate;

@@ -190,6 +190,8 @@ fn table(state: &AppState) -> Vec<(Route, String)> {
                 "primitive",
                 "person",
                 "campaign",
+                "doc",
+                "picture",
             ] {
                 filled = filled.replace(&format!("{{{name}}}"), "no-such-thing");
             }

@@ -2,6 +2,7 @@
 
 mod campaigns;
 mod diagnosis;
+mod docs;
 mod jobs;
 mod lineage;
 mod live;
@@ -16,6 +17,7 @@ use std::collections::BTreeMap;
 
 pub use campaigns::*;
 pub use diagnosis::*;
+pub use docs::*;
 pub use jobs::*;
 pub use lineage::*;
 pub use live::*;

@@ -2,11 +2,12 @@
 //!
 //! [`proto`] holds what is compact and binary (takes, traces, the stream socket), [`foxglove`] the messages that stock
 //! viewers know, [`descriptor_set`] the descriptions of both that go into recordings, [`api`] the JSON of the HTTP API and
-//! of the command line, [`bits`] the packing of activations, [`wording`] what documents say in words. Pure; runs in the
-//! browser.
+//! of the command line, [`bits`] the packing of activations, [`wording`] what documents say in words, [`markdown`] how
+//! headings of the manual are found and addressed. Pure; runs in the browser.
 
 pub mod api;
 pub mod bits;
+pub mod markdown;
 mod schema;
 pub mod wording;
 

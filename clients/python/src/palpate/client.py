@@ -16,6 +16,7 @@ import httpx
 from palpate.connection import Connection
 from palpate.documents import (
     CheckReport,
+    DocSummary,
     Info,
     LiveDocument,
     ModelSummary,
@@ -104,6 +105,16 @@ class Palpate:
     def station(self) -> Station:
         """The live station."""
         return Station(self.connection.json("GET", "/station"))
+
+    # The manual
+
+    def docs(self) -> list[DocSummary]:
+        """The documents of the manual, by name."""
+        return decode(list[DocSummary], self.connection.json("GET", "/docs"))
+
+    def doc(self, name: str) -> str:
+        """A document as Markdown, e.g. `learning`."""
+        return self.connection.request("GET", "/docs/{doc}", doc=name).text
 
     # Sessions
 

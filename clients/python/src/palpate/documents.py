@@ -193,6 +193,15 @@ class TrashEntry:
 
 
 @dataclass(frozen=True)
+class DocSummary:
+    """A document of the manual. `title` is its first heading, `sentence` the first one below it."""
+
+    name: str
+    title: str
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Metrics:
     """How well simulated events match real ones; None where there is nothing to average over."""
 
