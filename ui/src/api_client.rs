@@ -165,6 +165,10 @@ pub enum Request {
         /// What.
         act: JobAct,
     },
+    /// The documents of the manual.
+    Docs,
+    /// The Markdown of one of them.
+    Doc(String),
     /// Who asks, and what they may.
     Me,
     /// People who may log in.
@@ -362,6 +366,8 @@ impl Request {
                     JobAct::Delete => delete(path),
                 }
             }
+            Self::Docs => get("/docs".into()),
+            Self::Doc(name) => get(format!("/docs/{}", segment(name))),
             Self::Me => get("/me".into()),
             Self::People => get("/people".into()),
             Self::AddPerson(body) => post("/people".into(), json(body)),

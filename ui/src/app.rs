@@ -2,7 +2,7 @@
 
 mod bars;
 mod frame_rate;
-mod glossary;
+mod help;
 mod lag;
 mod name;
 mod notes;
@@ -22,7 +22,7 @@ use crate::{
     api_client::Api,
     commands::Command,
     playback::{HandSource, ModelRef, Playback},
-    route::{Route, Screen},
+    route::{HelpPlace, Route, Screen},
     screens::{self, PickedFile, ScreenContext},
     store::{Connection, Store},
     surface::Surface,
@@ -90,6 +90,8 @@ pub struct StudioApp {
     last_armed_s: f64,
     surface: Option<Surface>,
     overlays: overlays::Overlays,
+    help: Option<help::HelpState>,
+    library: help::Library,
     strip: strip::StripState,
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
@@ -134,6 +136,8 @@ impl StudioApp {
             last_armed_s: f64::NEG_INFINITY,
             surface,
             overlays: overlays::Overlays::default(),
+            help: None,
+            library: help::Library::default(),
             strip: strip::StripState::default(),
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),
@@ -152,7 +156,7 @@ impl StudioApp {
         app.store.ask_info();
         app.store.control.operator = app.platform.saved_operator();
         app.last_hash = app.platform.hash();
-        app.apply_route(Route::from_hash(&app.last_hash.clone()));
+        app.apply_hash(&app.last_hash.clone());
         app
     }
 
@@ -191,8 +195,12 @@ impl StudioApp {
         }
         let counts = self.store.control.lease() != 0 && self.platform.is_watched();
         self.frame_rate.frame(now_s, counts);
-        let mut commands =
-            if self.overlays.palette_is_open() { Vec::new() } else { Command::pressed(&ctx, commandable) };
+        let reads = self.help.is_some();
+        let mut commands = if self.overlays.palette_is_open() {
+            Vec::new()
+        } else {
+            Command::pressed(&ctx, commandable, reads)
+        };
         commands.extend(self.overlays.take_chosen());
         if let Some(place) = self.overlays.take_place() {
             go_to = Some(place);
@@ -208,9 +216,10 @@ impl StudioApp {
             self.ask_for_control();
         }
         let places = if self.overlays.palette_is_open() { self.places() } else { Vec::new() };
-        if let Some(words) = screens::asked_help(&ctx) {
-            self.overlays.open_glossary(words);
+        if let Some(place) = screens::help::asked(&ctx) {
+            self.open_help(place);
         }
+        self.help_ui(&ctx);
         self.overlays.ui(&ctx, commandable, &places);
         self.take_over_ui(&ctx);
         self.name_ui(&ctx);
@@ -314,7 +323,18 @@ impl StudioApp {
         let hash = self.platform.hash();
         if hash != self.last_hash {
             self.last_hash.clone_from(&hash);
-            self.apply_route(Route::from_hash(&hash));
+            self.apply_hash(&hash);
+        }
+    }
+
+    /// Help lies over the screen that was open; every other address is a screen's.
+    fn apply_hash(&mut self, hash: &str) {
+        match HelpPlace::from_hash(hash) {
+            Some(place) => self.show_help(place),
+            None => {
+                self.help = None;
+                self.apply_route(Route::from_hash(hash));
+            }
         }
     }
 
@@ -349,11 +369,15 @@ impl StudioApp {
         let hash = route.to_string();
         self.platform.push_hash(&hash);
         self.last_hash = self.platform.hash();
+        self.help = None;
         self.apply_route(route);
     }
 
     /// Keeps the address bar saying what is on the screen: a new take is a step for "back", a new time is not.
     fn write_address_bar(&mut self, now_s: f64) {
+        if self.help.is_some() {
+            return;
+        }
         let shows_take = matches!(self.route.screen, Screen::Hand | Screen::Timelines);
         let route = if shows_take {
             Route {
@@ -391,7 +415,8 @@ impl StudioApp {
         let shown: Vec<&str> = shown.into_iter().flatten().collect();
         let place = if shown.is_empty() { String::new() } else { format!(" \u{b7} {}", shown.join(" ")) };
         let screen = if self.route.lost.is_some() { "Not found" } else { self.route.screen.label() };
-        let title = format!("{screen}{place} \u{2013} Palpate");
+        let shown = self.help_title().unwrap_or_else(|| format!("{screen}{place}"));
+        let title = format!("{shown} \u{2013} Palpate");
         if title != self.title {
             self.platform.set_title(&title);
             self.title = title;
@@ -408,9 +433,12 @@ impl StudioApp {
             Command::NextFrame => self.step_frame(1),
             Command::ToggleTheme => self.toggle_theme(ctx),
             Command::Shortcuts => self.overlays.toggle_shortcuts(),
-            Command::Glossary => self.overlays.open_glossary(""),
+            Command::Help => self.open_help(HelpPlace::default()),
             Command::CopyLink => ctx.copy_text(self.platform.address()),
-            Command::Palette => self.overlays.open_palette(),
+            Command::Palette => {
+                self.close_help();
+                self.overlays.open_palette();
+            }
             Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
                 self.timelines.push_command(command);
             }

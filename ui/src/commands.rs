@@ -43,8 +43,8 @@ pub enum Command {
     ToggleTheme,
     /// The list of shortcuts.
     Shortcuts,
-    /// What words mean.
-    Glossary,
+    /// The manual, and what words mean.
+    Help,
     /// The address of what is on the screen, to the clipboard.
     CopyLink,
     /// The command palette.
@@ -83,7 +83,7 @@ impl Command {
         Self::NextTake,
         Self::ToggleTheme,
         Self::Shortcuts,
-        Self::Glossary,
+        Self::Help,
         Self::CopyLink,
         Self::Palette,
     ];
@@ -120,7 +120,7 @@ impl Command {
             Self::NextTake => "Next take",
             Self::ToggleTheme => "Light or dark theme",
             Self::Shortcuts => "Show keyboard shortcuts",
-            Self::Glossary => "Help: what words mean",
+            Self::Help => "Help: documents and what words mean",
             Self::CopyLink => "Copy link",
             Self::Palette => "Find a command",
         }
@@ -166,7 +166,6 @@ impl Command {
             | Self::Arm
             | Self::Disarm
             | Self::Tare
-            | Self::Glossary
             | Self::CopyLink => None,
             Self::PreviousFrame => plain(Key::Comma),
             Self::NextFrame => plain(Key::Period),
@@ -177,6 +176,7 @@ impl Command {
             Self::NextTake => plain(Key::PageDown),
             Self::ToggleTheme => plain(Key::T),
             Self::Shortcuts => plain(Key::Questionmark),
+            Self::Help => plain(Key::F1),
             Self::Palette => Some(KeyboardShortcut::new(Modifiers::COMMAND, Key::K)),
         }
     }
@@ -213,8 +213,9 @@ impl Command {
             })
     }
 
-    /// The commands whose keys were pressed in this frame. Plain keys belong to a text field while one has the focus.
-    pub fn pressed(ctx: &egui::Context, commandable: bool) -> Vec<Self> {
+    /// The commands whose keys were pressed in this frame. Plain keys belong to a text field while one has the focus, and to
+    /// Help while it is open and somebody `reads`.
+    pub fn pressed(ctx: &egui::Context, commandable: bool, reads: bool) -> Vec<Self> {
         let typing = ctx.text_edit_focused();
         // A focused button takes the space bar for itself.
         let focused = ctx.memory(|memory| memory.focused().is_some());
@@ -224,7 +225,9 @@ impl Command {
                 .filter(|command| *command != Self::Stop && command.is_offered(commandable))
                 .filter(|command| {
                     let Some(shortcut) = command.shortcut() else { return false };
-                    let taken = typing || (focused && shortcut.logical_key == Key::Space);
+                    let is_help = shortcut.logical_key == Key::F1;
+                    let taken =
+                        reads || (typing && !is_help) || (focused && shortcut.logical_key == Key::Space);
                     if taken && shortcut.modifiers.is_none() {
                         return false;
                     }

@@ -289,6 +289,75 @@ impl fmt::Display for Route {
     }
 }
 
+/// What Help shows, over whatever screen: `#/help/learning?section=memory`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct HelpPlace {
+    /// Document, by name; `None` for what words mean.
+    pub doc: Option<String>,
+    /// Its heading, by address ([`palpate_wire::markdown::slug`]).
+    pub section: Option<String>,
+    /// Words to look for.
+    pub words: Option<String>,
+}
+
+impl HelpPlace {
+    /// The beginning of the document called `name`.
+    pub fn doc(name: impl Into<String>) -> Self {
+        Self { doc: Some(name.into()), ..Self::default() }
+    }
+
+    /// A place that has `words` looked for.
+    pub fn words(words: impl Into<String>) -> Self {
+        Self { words: Some(words.into()), ..Self::default() }
+    }
+
+    /// The same, at the heading with the address `section`.
+    #[must_use]
+    pub fn at(mut self, section: Option<impl Into<String>>) -> Self {
+        self.section = section.map(Into::into);
+        self
+    }
+
+    /// Reads a hash, with or without `#`; `None` if it is no place of Help.
+    pub fn from_hash(hash: &str) -> Option<Self> {
+        let hash = hash.trim_start_matches('#').trim_start_matches('/');
+        let (path, query) = hash.split_once('?').unwrap_or((hash, ""));
+        let mut segments = path.split('/').map(decode);
+        if segments.next()? != HELP {
+            return None;
+        }
+        let some = |text: String| Some(text).filter(|text| !text.is_empty());
+        let mut place = Self { doc: segments.next().and_then(some), ..Self::default() };
+        for (key, value) in query.split('&').filter_map(|pair| pair.split_once('=')) {
+            match key {
+                "section" => place.section = some(decode(value)),
+                "words" => place.words = some(decode(value)),
+                _ => {}
+            }
+        }
+        Some(place)
+    }
+}
+
+impl fmt::Display for HelpPlace {
+    /// The hash, with `#`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "#/{HELP}")?;
+        if let Some(doc) = &self.doc {
+            write!(f, "/{}", encode(doc))?;
+        }
+        let pairs = [("section", &self.section), ("words", &self.words)];
+        let given = pairs.into_iter().filter_map(|(key, value)| Some((key, value.as_ref()?)));
+        for (idx, (key, value)) in given.enumerate() {
+            write!(f, "{}{key}={}", if idx == 0 { '?' } else { '&' }, encode(value))?;
+        }
+        Ok(())
+    }
+}
+
+/// What stands where other addresses name a screen.
+const HELP: &str = "help";
+
 fn encode(text: &str) -> String {
     utf8_percent_encode(text, RESERVED).to_string()
 }
@@ -330,6 +399,16 @@ mod tests {
         }
     }
 
+    #[test]
+    fn help_is_no_screen_and_screens_are_not_help() {
+        let place = HelpPlace::from_hash("#/help/learning?section=memory&x=1");
+        assert_eq!(place, Some(HelpPlace::doc("learning").at(Some("memory"))));
+        assert_eq!(HelpPlace::from_hash("#/help/"), Some(HelpPlace::default()));
+        for hash in ["", "#/home", "#/helper", "#/home/help"] {
+            assert_eq!(HelpPlace::from_hash(hash), None, "{hash}");
+        }
+    }
+
     fn id() -> impl Strategy<Value = Option<String>> {
         // `.+` and not a list of friendly characters: ids are folder names that people chose.
         proptest::option::of(".{1,12}")
@@ -349,6 +428,12 @@ mod tests {
                 lost: None,
             };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);
+        }
+
+        #[test]
+        fn every_place_of_help_survives_its_hash(doc in id(), section in id(), words in id()) {
+            let place = HelpPlace { doc, section, words };
+            prop_assert_eq!(HelpPlace::from_hash(&place.to_string()), Some(place));
         }
 
         #[test]

@@ -6,6 +6,7 @@ pub mod controls;
 pub mod copy_as;
 pub mod diagnose;
 pub mod hand;
+pub mod help;
 pub mod home;
 pub mod jobs;
 pub mod models;
@@ -17,6 +18,7 @@ pub mod settings;
 pub mod timelines;
 pub mod trials;
 
+pub use help::{help_ui, said_ui, topic_heading_ui, topic_ui};
 use palpate_robot_model::Station;
 pub use palpate_wire::wording::words;
 
@@ -260,24 +262,6 @@ pub fn heading_ui(ui: &mut egui::Ui, text: impl Into<egui::RichText>) -> egui::R
     response
 }
 
-/// A button that opens Help at `words`: what stands beside it is explained there.
-pub fn help_ui(ui: &mut egui::Ui, words: &'static str) {
-    let button = ui.small_button("?").on_hover_text(format!("What does \u{201c}{words}\u{201d} mean?"));
-    controls::name_button(&button, &format!("What does {words} mean?"));
-    if button.clicked() {
-        ui.data_mut(|data| data.insert_temp(help_id(), words));
-    }
-}
-
-/// What [`help_ui`] was asked since the last call.
-pub(crate) fn asked_help(ctx: &egui::Context) -> Option<&'static str> {
-    ctx.data_mut(|data| data.remove_temp(help_id()))
-}
-
-fn help_id() -> egui::Id {
-    egui::Id::unique("help asked for")
-}
-
 /// A line that screen readers speak when it comes up or changes: at once if it is `urgent`.
 pub fn announced_ui(ui: &mut egui::Ui, text: impl Into<egui::RichText>, urgent: bool) -> egui::Response {
     let text = text.into();
@@ -298,7 +282,7 @@ pub fn announce(response: &egui::Response, words: &str, urgent: bool) {
 pub fn empty_ui(ui: &mut egui::Ui, title: &str, text: &str, button: &str) -> bool {
     centered(ui, |ui| {
         heading_ui(ui, title);
-        ui.label(text);
+        said_ui(ui, text);
         ui.add_space(8.0);
         ui.button(button).clicked()
     })
@@ -317,7 +301,7 @@ pub fn failed_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, what: &str, why:
     let mismatch = cx.palette.mismatch;
     let again = centered(ui, |ui| {
         heading_ui(ui, egui::RichText::new(format!("\u{26a0} {what}")).color(mismatch));
-        ui.label(for_people(why));
+        said_ui(ui, for_people(why));
         ui.add_space(8.0);
         ui.button("Try again").clicked()
     });

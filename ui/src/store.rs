@@ -5,6 +5,7 @@
 
 mod campaigns;
 pub mod control;
+mod docs;
 mod jobs;
 mod live;
 pub mod notice;
@@ -31,8 +32,8 @@ use palpate_wire::{
 use prost::Message as _;
 
 use self::{
-    campaigns::CampaignTable, control::ControlLink, jobs::JobTable, notice::Notice, people::PeopleTable,
-    runs::RunTable, touch_history::TouchHistory,
+    campaigns::CampaignTable, control::ControlLink, docs::DocTable, jobs::JobTable, notice::Notice,
+    people::PeopleTable, runs::RunTable, touch_history::TouchHistory,
 };
 
 use crate::{
@@ -150,6 +151,8 @@ pub struct Store {
     pub campaigns: CampaignTable,
     /// Jobs of every kind.
     pub jobs: JobTable,
+    /// The manual.
+    pub docs: DocTable,
     /// People, tokens, storage and the audit log.
     pub people: PeopleTable,
     /// What the live station and its twin felt in the last seconds.
@@ -352,6 +355,7 @@ impl Store {
         self.campaigns.retry_failed();
         self.jobs.retry_failed();
         self.people.retry_failed();
+        self.docs.retry_failed();
         self.calibrations.retry_failed();
         self.diagnoses.retry_failed();
         self.details.values_mut().for_each(reset);
@@ -373,6 +377,7 @@ impl Store {
         outbox.extend(self.campaigns.take_outbox());
         outbox.extend(self.jobs.take_outbox());
         outbox.extend(self.people.take_outbox());
+        outbox.extend(self.docs.take_outbox());
         outbox
     }
 
@@ -460,6 +465,8 @@ impl Store {
             Request::JobLog(id) => self.jobs.receive_log(id, result),
             Request::JobMetrics(id) => self.jobs.receive_metrics(id, result),
             Request::Kinds => self.jobs.receive_kinds(result),
+            Request::Docs => self.docs.receive_list(result),
+            Request::Doc(name) => self.docs.receive_text(name, result),
             Request::SubmitJob(_) => self.jobs.receive_submitted(result),
             Request::ActOnJob { job, act } => self.jobs.receive_acted(job, act, result),
             request @ (Request::Me

@@ -6,7 +6,7 @@ use palpate_wire::api::Source;
 use super::{StudioApp, stop};
 use crate::{
     playback::HandSource,
-    route::{Route, Screen},
+    route::{HelpPlace, Route, Screen},
     screens::{announced_ui, words},
     store::{Connection, Loadable},
     theme::Palette,
@@ -107,11 +107,12 @@ impl StudioApp {
     fn page_ui(&mut self, ui: &mut egui::Ui) {
         let dark = Palette::of(ui.ctx().theme()).dark;
         let size = [ui.available_width(), 32.0];
-        let help =
-            ui.add_sized(size, egui::Button::new("Help  ?")).on_hover_text("What words mean, and keys");
+        let help = ui
+            .add_sized(size, egui::Button::new("Help  F1"))
+            .on_hover_text("Documents, what words mean, and keys");
         help.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Help"));
         if help.clicked() {
-            self.overlays.open_glossary("");
+            self.open_help(HelpPlace::default());
         }
         let commands = ui.add_sized(size, egui::Button::new("Find  Ctrl+K"));
         commands.widget_info(|| {

@@ -1,17 +1,30 @@
-//! What lies over the screens: help (what words mean, the list of shortcuts) and the palette. `Esc` closes each.
+//! What lies over the screens besides Help: the list of shortcuts and the palette. `Esc` closes each.
 
 use egui::{Align2, Key, RichText, Vec2};
 
-use super::{glossary, stop};
+use super::stop;
 use crate::{commands::Command, route::Route, screens::heading_ui, theme::Palette};
 
-/// A dialog at most `width` wide below the bar: it scrolls rather than reach over STOP. It hangs from its top, because
-/// a window of another size has not told its height yet when it is opened again, and its middle would be elsewhere.
+/// A dialog at most `width` wide below the bar: it scrolls rather than reach over STOP.
 pub(super) fn dialog<R>(
     ctx: &egui::Context,
     id: &str,
     width: f32,
     contents: impl FnOnce(&mut egui::Ui) -> R,
+) -> egui::ModalResponse<R> {
+    modal(ctx, id, width, |ui, height| {
+        egui::ScrollArea::vertical().max_height(height).show(ui, contents).inner
+    })
+}
+
+/// A dialog at most `width` wide below the bar, whose contents keep to the height that they are given. It hangs from its
+/// top, because a window of another size has not told its height yet when it is opened again, and its middle would be
+/// elsewhere.
+pub(super) fn modal<R>(
+    ctx: &egui::Context,
+    id: &str,
+    width: f32,
+    contents: impl FnOnce(&mut egui::Ui, f32) -> R,
 ) -> egui::ModalResponse<R> {
     let screen = ctx.content_rect();
     let below = screen.with_min_y(stop::stop_rect(screen).bottom() + stop::GAP);
@@ -20,7 +33,7 @@ pub(super) fn dialog<R>(
     egui::Modal::new(id).area(area).show(ctx, |ui| {
         // Less the frame's margins.
         ui.set_width(width.min(below.width() - 24.0));
-        egui::ScrollArea::vertical().max_height(below.height() - 24.0).show(ui, contents).inner
+        contents(ui, below.height() - 24.0)
     })
 }
 
@@ -28,7 +41,6 @@ pub(super) fn dialog<R>(
 #[derive(Debug, Default)]
 pub(super) struct Overlays {
     shortcuts_open: bool,
-    glossary: Option<glossary::GlossaryState>,
     palette: Option<PaletteState>,
     chosen: Option<Command>,
     place: Option<Route>,
@@ -91,15 +103,12 @@ impl Overlays {
         self.shortcuts_open = !self.shortcuts_open;
     }
 
-    /// Opens the glossary at the words that have `words`.
-    pub(super) fn open_glossary(&mut self, words: &str) {
+    pub(super) fn close_shortcuts(&mut self) {
         self.shortcuts_open = false;
-        self.glossary = Some(glossary::GlossaryState::new(words));
     }
 
     pub(super) fn open_palette(&mut self) {
         self.shortcuts_open = false;
-        self.glossary = None;
         self.palette = Some(PaletteState::default());
     }
 
@@ -116,16 +125,6 @@ impl Overlays {
     pub(super) fn ui(&mut self, ctx: &egui::Context, commandable: bool, places: &[Place]) {
         if self.shortcuts_open {
             self.shortcuts_ui(ctx, commandable);
-        }
-        if let Some(state) = &mut self.glossary {
-            match glossary::glossary_ui(ctx, state) {
-                glossary::Answer::Stay => {}
-                glossary::Answer::Close => self.glossary = None,
-                glossary::Answer::Shortcuts => {
-                    self.glossary = None;
-                    self.shortcuts_open = true;
-                }
-            }
         }
         if self.palette.is_some() {
             self.palette_ui(ctx, commandable, places);

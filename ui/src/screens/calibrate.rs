@@ -112,7 +112,7 @@ fn choose_ui(
     sessions: &[palpate_wire::api::SessionSummary],
 ) {
     ui.add_space(4.0);
-    heading_ui(ui, "1  Choose");
+    super::topic_heading_ui(ui, "1  Choose", Screen::Calibrate);
     let session = session_ui(ui, cx, sessions, Screen::Calibrate);
     ui.label("Search");
     ui.radio_value(&mut state.use_grid, false, "Exact: best of all thresholds")

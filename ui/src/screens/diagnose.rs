@@ -150,7 +150,7 @@ fn choose_ui(
     sessions: &[SessionSummary],
 ) {
     ui.add_space(4.0);
-    heading_ui(ui, "1  Choose");
+    super::topic_heading_ui(ui, "1  Choose", Screen::Diagnose);
     let session = session_ui(ui, cx, sessions, Screen::Diagnose);
     start_from_ui(ui, cx, state);
     ui.horizontal(|ui| {

@@ -16,9 +16,9 @@ use self::next::{CampaignFacts, Facts, SessionFacts, Step};
 use super::{
     ScreenContext,
     control::wording::{link_word, phase_color, phase_mark_ui, phase_word},
-    duration_text,
+    duration_text, heading_ui,
     jobs::{NEW, working_now},
-    progress_bar,
+    progress_bar, topic_heading_ui,
 };
 use crate::{
     playback::HandSource,
@@ -32,6 +32,8 @@ const TWO_COLUMNS: f32 = 900.0;
 const MAX_WIDTH: f32 = 1240.0;
 /// Width of the button that does what is next, points.
 const PRIMARY_WIDTH: f32 = 320.0;
+/// Heading of the first card, which stands for that of the screen.
+const NEXT: &str = "What next";
 /// Lists show so many entries; their screens have the rest.
 const MAX_LISTED: usize = 5;
 
@@ -75,8 +77,11 @@ fn card(
 ) {
     egui::Frame::group(ui.style()).fill(cx.palette.surface).inner_margin(12).show(ui, |ui| {
         ui.set_width(ui.available_width());
-        let heading = ui.heading(title);
-        heading.widget_info(|| egui::WidgetInfo::labeled(Accessible::Heading, true, title));
+        if title == NEXT {
+            topic_heading_ui(ui, title, Screen::Home);
+        } else {
+            heading_ui(ui, title);
+        }
         // Columns would stretch whatever stands in them.
         ui.with_layout(egui::Layout::top_down(egui::Align::Min), |ui| contents(ui, cx));
     });
@@ -105,7 +110,7 @@ fn missing_ui<T>(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, what: &str, list
 }
 
 fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HomeState) {
-    card(ui, cx, "What next", |ui, cx| {
+    card(ui, cx, NEXT, |ui, cx| {
         let facts = match facts(cx) {
             Loadable::Ready(facts) => facts,
             other => {

@@ -11,7 +11,7 @@ use palpate_wire::api::{Job, JobState};
 use super::{
     ScreenContext,
     controls::{combo_ui, may_start_jobs_ui, option_ui},
-    copy_as, duration_text, empty_ui, failed_ui, loading_ui, progress_bar,
+    copy_as, duration_text, empty_ui, failed_ui, heading_ui, loading_ui, progress_bar, topic_ui,
 };
 use crate::{
     api_client::JobAct,
@@ -56,7 +56,7 @@ pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSt
     }
     if jobs.is_empty() {
         let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
-            this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind.";
+            this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind: docs/jobs.md.";
         if empty_ui(ui, "No job yet", text, "Start a job") {
             *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
         }
@@ -114,7 +114,8 @@ fn list_ui(
 ) {
     ui.add_space(4.0);
     ui.horizontal_wrapped(|ui| {
-        ui.heading("Jobs");
+        heading_ui(ui, "Jobs");
+        topic_ui(ui, Screen::Jobs);
         if ui.button("Start a job").clicked() {
             *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
         }

@@ -47,7 +47,7 @@ pub fn models_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
     two_parts_ui(ui, "models_list", ["All", "Chosen"], asked.as_deref(), |ui, part| match part {
         Part::Choice => {
             ui.add_space(4.0);
-            heading_ui(ui, "Models and policies");
+            super::topic_heading_ui(ui, "Models and policies", Screen::Models);
             for (sort, heading) in LISTED {
                 let mut artifacts = listed(sort).peekable();
                 if artifacts.peek().is_none() {

@@ -13,7 +13,7 @@ use super::{
     controls::{combo_ui, option_ui},
     empty_ui, failed_ui,
     hand::ObjectView,
-    heading_ui, loading_ui,
+    heading_ui, loading_ui, said_ui, topic_heading_ui, topic_ui,
 };
 use crate::{
     route::{Route, Screen},
@@ -31,6 +31,9 @@ const GROUPS: [(Option<&str>, &str); 3] = [
 const NARROW: f32 = 820.0;
 /// Height of the picture there, points.
 const PICTURE_HEIGHT: f32 = 300.0;
+
+/// Room for the `?` beside the box of objects there, points.
+const HELP_WIDTH: f32 = 48.0;
 
 /// What the operator chose on this screen.
 #[derive(Default)]
@@ -64,7 +67,7 @@ pub fn objects_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Obj
     egui::Panel::left("objects_list").resizable(false).exact_size(292.0).show(ui, |ui| {
         egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             ui.add_space(4.0);
-            heading_ui(ui, "Objects");
+            topic_heading_ui(ui, "Objects", Screen::Objects);
             for (group, heading) in GROUPS {
                 let members = || objects.iter().filter(|object| group_of(object) == group);
                 if members().next().is_some() {
@@ -105,15 +108,20 @@ fn narrow_ui(
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         let mut chosen = shown.id.clone();
-        combo_ui(ui, "Object", entry_text(shown).0, ui.available_width() - 16.0, |ui| {
-            for (group, heading) in GROUPS {
-                let mut members = objects.iter().filter(|object| group_of(object) == group).peekable();
-                if members.peek().is_some() {
-                    ui.label(RichText::new(heading).color(cx.palette.text_weak));
+        ui.horizontal(|ui| {
+            let width = ui.available_width() - 16.0 - HELP_WIDTH;
+            combo_ui(ui, "Object", entry_text(shown).0, width, |ui| {
+                for (group, heading) in GROUPS {
+                    let mut members = objects.iter().filter(|object| group_of(object) == group).peekable();
+                    if members.peek().is_some() {
+                        ui.label(RichText::new(heading).color(cx.palette.text_weak));
+                    }
+                    members.for_each(|object| {
+                        option_ui(ui, &mut chosen, object.id.clone(), entry_text(object).0);
+                    });
                 }
-                members
-                    .for_each(|object| option_ui(ui, &mut chosen, object.id.clone(), entry_text(object).0));
-            }
+            });
+            topic_ui(ui, Screen::Objects);
         });
         if chosen != shown.id {
             *cx.go_to = Some(Route { object: Some(chosen), ..Route::to(Screen::Objects) });
@@ -270,8 +278,8 @@ fn unusable_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, object: &ObjectEnt
         ui.set_max_width(560.0);
         let title = format!("\u{26a0} Object {} cannot be used", object.id);
         heading_ui(ui, RichText::new(title).color(cx.palette.mismatch));
-        ui.label(problem);
-        ui.label("Mend the file, then look again; docs/objects.md shows how object files look.");
+        said_ui(ui, problem);
+        said_ui(ui, "Mend the file, then look again; docs/objects.md shows how object files look.");
         ui.add_space(8.0);
         if ui.button("Look again").clicked() {
             cx.store.ask_objects_again();

@@ -110,7 +110,8 @@ impl Scene<'_> {
 pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut RecordState) {
     if !cx.store.is_commandable() {
         let text = "Recording needs a live station: start `palpate serve --station FILE` on the machine that its \
-                    devices are connected to, or `palpate serve --emulate` to try it without hardware.";
+                    devices are connected to, or `palpate serve --emulate` to try it without hardware. docs/hardware.md says \
+                    how a station is set up.";
         if empty_ui(ui, "No live station", text, "Look at recordings") {
             cx.go_to_screen(Screen::Sessions);
         }

@@ -47,7 +47,7 @@ pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Se
         |ui, part| match part {
             Part::Choice => {
                 ui.add_space(4.0);
-                heading_ui(ui, "Sessions");
+                super::topic_heading_ui(ui, "Sessions", Screen::Sessions);
                 undo_ui(ui, cx);
                 for session in sessions.iter() {
                     entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));

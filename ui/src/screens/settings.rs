@@ -7,7 +7,7 @@ mod tokens;
 
 use palpate_wire::api::{Me, Via};
 
-use super::{ScreenContext, failed_ui, heading_ui, loading_ui};
+use super::{ScreenContext, failed_ui, loading_ui, topic_heading_ui};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
@@ -35,7 +35,7 @@ pub fn settings_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Se
     let part = cx.route.part.clone().unwrap_or_default();
     let part = PARTS.iter().map(|(slug, _)| *slug).find(|slug| *slug == part).unwrap_or("people");
     ui.add_space(4.0);
-    heading_ui(ui, "Settings");
+    topic_heading_ui(ui, "Settings", Screen::Settings);
     me_ui(ui, cx, &me);
     ui.horizontal_wrapped(|ui| {
         for (slug, label) in PARTS {

@@ -14,7 +14,7 @@ use palpate_wire::api::{Campaign, CampaignSummary, Role, Scope, TrialState};
 use super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui, progress_bar,
+    empty_ui, failed_ui, loading_ui, progress_bar, said_ui, topic_heading_ui, topic_ui,
 };
 use crate::{
     route::{Route, Screen},
@@ -77,11 +77,11 @@ pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Tria
     let asked = cx.route.campaign.clone();
     let Some(shown) = asked.or_else(|| campaigns.first().map(|campaign| campaign.id.clone())) else {
         let text = "A campaign tries policies on the hand, object by object, from the same starts for each. People score \
-            every trial, also from another room; success rates with intervals and comparisons come out.";
+            every trial, also from another room; success rates with intervals and comparisons come out: docs/campaigns.md.";
         if !plans(cx) {
             egui::CentralPanel::default().show(ui, |ui| {
                 ui.heading("No campaign yet");
-                ui.label(text);
+                said_ui(ui, text);
                 ui.label("Operators plan campaigns.");
             });
             return;
@@ -101,7 +101,7 @@ pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Tria
     egui::Panel::left("campaigns_list").resizable(false).exact_size(260.0).show(ui, |ui| {
         egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             ui.add_space(4.0);
-            ui.heading("Campaigns");
+            topic_heading_ui(ui, "Campaigns", Screen::Trials);
             for campaign in campaigns.iter() {
                 entry_ui(ui, cx, campaign, campaign.id == shown);
             }
@@ -147,7 +147,11 @@ fn narrow_list_ui(
         let part = Part::of(cx);
         *cx.go_to = Some(to(&chosen, part));
     }
-    plans(cx) && ui.button("Plan a campaign").clicked()
+    ui.horizontal_wrapped(|ui| {
+        topic_ui(ui, Screen::Trials);
+        plans(cx) && ui.button("Plan a campaign").clicked()
+    })
+    .inner
 }
 
 fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &CampaignSummary, is_chosen: bool) {

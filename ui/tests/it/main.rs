@@ -5,6 +5,7 @@ mod calibrate;
 mod diagnose;
 mod fixture;
 mod frame;
+mod help;
 mod home;
 mod jobs;
 mod live;

@@ -5,7 +5,7 @@ use palpate_wire::proto::{DeviceStatus, MotorStatus, TaxelWarning, device_status
 
 use super::wording::link_word;
 use crate::{
-    screens::{ScreenContext, controls::name_button},
+    screens::{ScreenContext, controls::name_button, help::Topic, topic_ui},
     store::control::Holder,
     theme::Palette,
 };
@@ -19,6 +19,10 @@ pub fn devices_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
         ui.label("This station reports nothing about its devices.");
         return;
     };
+    ui.horizontal_wrapped(|ui| {
+        ui.label(RichText::new("Wiring, names, faults").color(cx.palette.text_weak));
+        topic_ui(ui, Topic::Devices);
+    });
     if state.devices.is_empty() {
         ui.label("No device has reported yet.");
     }

@@ -17,7 +17,7 @@ use crate::{
     screens::{
         ScreenContext,
         controls::{compared_ui, diagnosed_ui},
-        duration_text,
+        duration_text, topic_ui,
     },
     theme::{Palette, taxel_scale_ui},
 };
@@ -32,6 +32,7 @@ pub(super) fn controls_ui(
 ) {
     ui.horizontal_wrapped(|ui| {
         ui.label(RichText::new(&shot.banner.source).strong().size(16.0).color(shot.banner.color));
+        topic_ui(ui, Screen::Hand);
         // An empty label would put what follows over what is before.
         if !shot.banner.about.is_empty() {
             ui.label(&shot.banner.about);

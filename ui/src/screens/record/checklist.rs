@@ -5,7 +5,8 @@ use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepStat
 
 use super::{Scene, plan_label};
 use crate::{
-    screens::{ScreenContext, duration_text, progress_bar},
+    route::Screen,
+    screens::{ScreenContext, duration_text, progress_bar, topic_ui},
     theme::Palette,
 };
 
@@ -23,7 +24,10 @@ pub(super) fn checklist_ui(
     let session = scene.session;
     let document = cx.store.recording();
     ui.add_space(4.0);
-    ui.label(RichText::new(&session.session).strong().size(16.0));
+    ui.horizontal_wrapped(|ui| {
+        ui.label(RichText::new(&session.session).strong().size(16.0));
+        topic_ui(ui, Screen::Record);
+    });
     let plan = document.ready().map_or(session.plan.as_str(), |document| plan_label(document, &session.plan));
     let by = if session.operator.is_empty() { String::new() } else { format!(", by {}", session.operator) };
     ui.label(RichText::new(format!("{plan}{by}")).color(cx.palette.text_weak));

@@ -5,10 +5,11 @@ use palpate_wire::api::{PlanSummary, RecordingDocument, StartRecording, WantedTa
 
 use super::step::{decides_ui, primary_button_ui, take_control_ui};
 use crate::{
+    route::Screen,
     screens::{
         ScreenContext,
         controls::{combo_ui, name_button, option_ui},
-        duration_text, heading_ui, words,
+        duration_text, heading_ui, topic_ui, words,
     },
     store::control::Holder,
 };
@@ -34,6 +35,7 @@ pub(super) fn start_ui(
     ui.vertical_centered(|ui| {
         ui.set_max_width(ui.available_width().min(520.0));
         heading_ui(ui, "Record a calibration session");
+        topic_ui(ui, Screen::Record);
         ui.label(
             "A plan is a list of takes: in each, the robot touches one object in one way while everything is recorded. \
              This page leads through them, checks every take, and can be left and taken up again at any time.",

@@ -15,7 +15,7 @@ use palpate_wire::{
 use super::super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui,
+    empty_ui, failed_ui, loading_ui, topic_ui,
 };
 use crate::{
     playback::HandSource,
@@ -100,6 +100,7 @@ pub(super) fn live_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut
         ui.selectable_value(&mut state.order, Order::ByPatch, "By patch");
         ui.selectable_value(&mut state.order, Order::WorstFirst, "Worst first")
             .on_hover_text("Taxels that agree least with the simulator come first");
+        topic_ui(ui, Screen::Timelines);
     });
     state_ui(ui, cx, &station, &twin, &lanes);
     warnings_ui(ui, cx, &station, &warnings);

@@ -5,9 +5,10 @@ use egui::RichText;
 use super::{ScreenContext, ShownChannels, TimelinesState};
 use crate::{
     commands::Command,
+    route::Screen,
     screens::{
         controls::{combo_ui, compared_ui, diagnosed_ui, name_button, option_ui, speed_ui},
-        duration_text, words,
+        duration_text, topic_ui, words,
     },
 };
 
@@ -52,6 +53,7 @@ pub(super) fn toolbar_ui(
                 ui.ctx().request_repaint();
             }
         }
+        topic_ui(ui, Screen::Timelines);
     });
 }
 
