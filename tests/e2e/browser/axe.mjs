@@ -49,11 +49,13 @@ const screens = {
   tokens: "#/settings?part=tokens",
   storage: "#/settings?part=storage",
   "audit log": "#/settings?part=audit",
+  help: "#/help",
+  "help, a document": "#/help/recordings",
   "no screen": "#/bananas",
 };
 
 /** Screens whose elements are others on a phone. */
-const NARROW = new Set(["home", "hand, live", "record", "timelines", "diagnose", "trials"]);
+const NARROW = new Set(["home", "hand, live", "record", "timelines", "diagnose", "trials", "help, a document"]);
 
 const found = [];
 

@@ -18,6 +18,7 @@ const screens = {
   objects: "#/objects",
   record: "#/record",
   settings: "#/settings?part=audit",
+  help: "#/help/learning",
 };
 
 // A finished run makes Calibrate and Timelines worth looking at.

@@ -231,3 +231,20 @@ fn comments_fit_beside_each_other_on_a_screen() {
         }
     }
 }
+
+#[test]
+fn documents_that_sources_name_exist() {
+    for path in shipped_sources() {
+        let text = std::fs::read_to_string(&path).expect("a source file");
+        let shipped = text.split("#[cfg(test)]").next().unwrap_or_default();
+        for (at, _) in shipped.match_indices("docs/") {
+            let name = &shipped[at + "docs/".len()..];
+            let end =
+                name.find(|letter: char| !letter.is_ascii_lowercase() && letter != '_').unwrap_or(name.len());
+            if end > 0 && name[end..].starts_with(".md") {
+                let file = root().join(format!("docs/{}.md", &name[..end]));
+                assert!(file.exists(), "{} names docs/{}.md, which is not there", shown(&path), &name[..end]);
+            }
+        }
+    }
+}
