@@ -49,7 +49,7 @@ def test_the_manual_can_be_read(p: Palpate) -> None:
     assert docs["learning"].title == "Learning"
     assert docs["learning"].sentence
     assert p.doc("learning").startswith("# Learning\n")
-    with pytest.raises(PalpateError, match="no document 'nothing'|no document \"nothing\"; there are api"):
+    with pytest.raises(PalpateError, match=r'no document "nothing"; there are api'):
         p.doc("nothing")
 
 
