@@ -147,8 +147,8 @@ fn skill(
 /// A row of a table of closings.
 type Row<'a> = &'a dyn Fn(&Closing) -> Vec<f32>;
 
-/// Tensors of a file, a row a closing. `felt` holds what was felt while the hand closed, then while it lifted; of each
-/// touch, then tracking.
+/// Tensors of a file, a row a closing: shape, whether it won, places of the object (before, at the glance, closed, in the
+/// end), and what was felt up to the glance, while the hand closed, and while it lifted, of each touch and tracking.
 fn to_bytes(closings: &Closings, record: &ClosingsRecord) -> anyhow::Result<Vec<u8>> {
     let rows = &closings.closings;
     let flat = |row: Row<'_>| -> Vec<u8> {
@@ -157,9 +157,12 @@ fn to_bytes(closings: &Closings, record: &ClosingsRecord) -> anyhow::Result<Vec<
     let width = |row: Row<'_>| rows.first().map_or(0, |closing| row(closing).len());
     let shapes: Vec<u8> = rows.iter().flat_map(|closing| (closing.shape as u32).to_le_bytes()).collect();
     let won: Vec<u8> = rows.iter().map(|closing| u8::from(closing.won)).collect();
-    let places: Row<'_> = &|closing| [closing.start_m, closing.closed_m, closing.end_m].concat();
-    let columns: [(&str, Row<'_>); 5] = [
+    let places: Row<'_> =
+        &|closing| [closing.start_m, closing.glanced_m, closing.closed_m, closing.end_m].concat();
+    let columns: [(&str, Row<'_>); 7] = [
         ("places_m", places),
+        ("glance.touch", &|closing| closing.glance.touch.clone()),
+        ("glance.tracking", &|closing| closing.glance.tracking.clone()),
         ("closing.touch", &|closing| closing.closing.touch.clone()),
         ("closing.tracking", &|closing| closing.closing.tracking.clone()),
         ("lifting.touch", &|closing| closing.lifting.touch.clone()),
@@ -209,32 +212,34 @@ fn from_bytes(bytes: &[u8]) -> anyhow::Result<(Closings, ClosingsRecord)> {
         .map(|shape| shape as usize)
         .collect();
     let places = floats("places_m")?;
-    let [closing_touch, closing_tracking, lifting_touch, lifting_tracking] =
-        ["closing.touch", "closing.tracking", "lifting.touch", "lifting.tracking"].map(floats);
-    let tables =
-        [&closing_touch, &closing_tracking, &lifting_touch, &lifting_tracking].map(|table| match table {
-            Ok(table) => Some(table.len()),
-            Err(_) => None,
-        });
-    let (closing_touch, closing_tracking) = (closing_touch?, closing_tracking?);
-    let (lifting_touch, lifting_tracking) = (lifting_touch?, lifting_tracking?);
+    let felt = |moment: &str| -> anyhow::Result<Vec<Felt>> {
+        let (touch, tracking) = (floats(&format!("{moment}.touch"))?, floats(&format!("{moment}.tracking"))?);
+        if touch.len() != tracking.len() {
+            bail!("{moment}.touch and {moment}.tracking have {} and {} rows", touch.len(), tracking.len());
+        }
+        Ok(touch.into_iter().zip(tracking).map(|(touch, tracking)| Felt { touch, tracking }).collect())
+    };
+    let (glance, closing, lifting) = (felt("glance")?, felt("closing")?, felt("lifting")?);
     let rows = shapes.len();
-    if won.data().len() != rows || places.len() != rows || tables.iter().any(|table| *table != Some(rows)) {
+    let lengths = [won.data().len(), places.len(), glance.len(), closing.len(), lifting.len()];
+    if lengths.iter().any(|length| *length != rows) {
         bail!("its tensors have different numbers of rows");
     }
     let mut closings = Vec::with_capacity(rows);
-    for row in 0..rows {
-        let [x0, y0, x1, y1, x2, y2] = places[row][..] else {
-            bail!("places_m has {} columns, expected 6", places[row].len())
+    for (row, ((glance, closing), lifting)) in glance.into_iter().zip(closing).zip(lifting).enumerate() {
+        let [x0, y0, x1, y1, x2, y2, x3, y3] = places[row][..] else {
+            bail!("places_m has {} columns, expected 8", places[row].len())
         };
         closings.push(Closing {
             shape: shapes[row],
             start_m: [x0, y0],
-            closed_m: [x1, y1],
-            end_m: [x2, y2],
+            glanced_m: [x1, y1],
+            closed_m: [x2, y2],
+            end_m: [x3, y3],
             won: won.data()[row] != 0,
-            closing: Felt { touch: closing_touch[row].clone(), tracking: closing_tracking[row].clone() },
-            lifting: Felt { touch: lifting_touch[row].clone(), tracking: lifting_tracking[row].clone() },
+            glance,
+            closing,
+            lifting,
         });
     }
     Ok((Closings { objects: record.objects.clone(), window_m: record.window_m, closings }, record))

@@ -18,7 +18,7 @@ mod searcher;
 mod simulate;
 mod skill;
 
-pub use belief::{Attempt, Belief};
+pub use belief::{Attempt, Belief, Moment};
 pub use config::SearchConfig;
 pub use experience::{Closing, Closings, Experience, Senses};
 pub use felt::Felt;

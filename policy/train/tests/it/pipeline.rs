@@ -127,8 +127,8 @@ fn policies_may_see_the_features_of_an_encoder_that_is_a_stage() {
     let line = planned.lines().find(|line| line.starts_with("feeling_0 ")).expect("its line");
     assert!(line.contains("--features --encoder"), "{planned}");
     let said = pipeline(&[&call[..], &["--events"]].concat()).expect("it runs");
-    let events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-    let report = events.filter(|event| event["event"] == "report").last().expect("a report");
+    let mut events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let report = events.rfind(|event| event["event"] == "report").expect("a report");
     let encoder = &report["report"]["encoder"];
     assert_eq!(encoder["seen_by"], serde_json::json!(["feeling_0"]), "{report}");
     assert!(encoder["held_out"]["total"].is_f64(), "{report}");

@@ -22,6 +22,17 @@ pub struct Belief {
     gone: f64,
 }
 
+/// How far a try has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// The hand has begun to close.
+    Glanced,
+    /// It has closed.
+    Closed,
+    /// It has lifted.
+    Lifted,
+}
+
 /// A try, weighed by what it felt like: closings that it may have been one of, and places that it did not reach.
 #[derive(Clone, Debug)]
 pub struct Attempt {
@@ -133,16 +144,25 @@ impl Belief {
         best
     }
 
+    /// A try at `place_m` that felt like this up to the glance.
+    pub fn glance(&self, experience: &Experience, place_m: [f64; 2], felt: &Felt) -> Attempt {
+        self.attempt_alike(experience, place_m, &experience.alike_glance(felt))
+    }
+
     /// A try at `place_m` that felt like this while the hand closed: Bayes' rule with every simulated closing as a sample of
     /// p(felt, place afterwards, success | place before).
     pub fn attempt(&self, experience: &Experience, place_m: [f64; 2], felt: &Felt) -> Attempt {
+        self.attempt_alike(experience, place_m, &experience.alike_closing(felt))
+    }
+
+    /// A try at `place_m` that was `alike` each closing.
+    fn attempt_alike(&self, experience: &Experience, place_m: [f64; 2], alike: &[f64]) -> Attempt {
         let closings = &experience.closings;
-        let alike = experience.alike_closing(felt);
         let window_cells = (2.0 * closings.window_m / CELL_M).powi(2);
         let mut weights: Vec<f64> = closings
             .closings
             .iter()
-            .zip(&alike)
+            .zip(alike)
             .map(|(closing, alike)| {
                 let at = moved(place_m, closing.start_m);
                 let each = window_cells / experience.of_shape[closing.shape] as f64;
@@ -314,12 +334,16 @@ impl Attempt {
         lost.normalised_or(self)
     }
 
-    /// Where the object is after the closing, or after the lift if it was `lifted`.
-    pub fn belief(&self, experience: &Experience, lifted: bool) -> Belief {
+    /// Where the object is at that `moment` of the try.
+    pub fn belief(&self, experience: &Experience, moment: Moment) -> Belief {
         let mut near = Belief { mass: vec![0.0; self.far.mass.len()], gone: 0.0, ..self.far.clone() };
         for (closing, weight) in experience.closings.closings.iter().zip(&self.weights) {
             if *weight > NOTHING {
-                let by_m = if lifted { closing.end_m } else { closing.closed_m };
+                let by_m = match moment {
+                    Moment::Glanced => closing.glanced_m,
+                    Moment::Closed => closing.closed_m,
+                    Moment::Lifted => closing.end_m,
+                };
                 near.add(closing.shape, moved(self.place_m, by_m), *weight);
             }
         }

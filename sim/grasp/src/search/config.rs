@@ -28,6 +28,9 @@ pub struct SearchConfig {
     pub close_s: f64,
     /// Time between closed and judged by what is felt, s.
     pub squeeze_s: f64,
+    /// Share of the closing at which the hand may give up what it does not expect to hold, above 0 and at most 1; without
+    /// it, it closes whatever it feels.
+    pub glance: Option<f64>,
     /// Longest time for which a digit that feels something waits for its opposite, s; 0 never waits.
     pub wait_s: f64,
     /// Tracking error of a joint from which on a digit counts as stopped by something, rad or m.
@@ -83,6 +86,9 @@ impl SearchConfig {
             return Err(format!(
                 "places are {step_m} m apart within {reach_m} m, expected at most 100 steps"
             ));
+        }
+        if let Some(glance) = self.glance.filter(|glance| !(*glance > 0.0 && *glance <= 1.0)) {
+            return Err(format!("glance is {glance}, expected a share above zero and at most 1"));
         }
         if !(self.claim_from > 0.0 && self.claim_from <= 1.0) {
             return Err(format!("claim_from is {}, expected a probability above zero", self.claim_from));

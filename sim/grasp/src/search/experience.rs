@@ -11,12 +11,16 @@ pub struct Closing {
     pub shape: usize,
     /// Where the object was before, along x and y of the base, seen from the hand's place, m.
     pub start_m: [f32; 2],
+    /// Where it was at the glance, when the hand had closed so far, m.
+    pub glanced_m: [f32; 2],
     /// Where it was when the hand had closed, m.
     pub closed_m: [f32; 2],
     /// Where it was in the end, m.
     pub end_m: [f32; 2],
     /// Whether it was lifted and held.
     pub won: bool,
+    /// What was felt up to the glance.
+    pub glance: Felt,
     /// What was felt while the hand closed.
     pub closing: Felt,
     /// What was felt while it lifted.
@@ -74,6 +78,7 @@ pub struct Experience {
     /// Closings near the edge of the window.
     pub(super) at_edge: Vec<usize>,
     /// What was felt, each number over its standard deviation, by closing and then number; of the senses that count.
+    glance: Table,
     closing: Table,
     lifting: Table,
     /// Chance of success by shape, then x, then y of the object seen from the hand.
@@ -122,7 +127,7 @@ impl Experience {
                 )));
             };
             *count += 1;
-            for felt in [&closing.closing, &closing.lifting] {
+            for felt in [&closing.glance, &closing.closing, &closing.lifting] {
                 let found = [felt.touch.len(), felt.tracking.len()];
                 if found != num_felt {
                     return Err(error(format!(
@@ -130,8 +135,8 @@ impl Experience {
                     )));
                 }
             }
-            let places = [closing.start_m, closing.closed_m, closing.end_m];
-            let felt = [&closing.closing, &closing.lifting];
+            let places = [closing.start_m, closing.glanced_m, closing.closed_m, closing.end_m];
+            let felt = [&closing.glance, &closing.closing, &closing.lifting];
             let mut numbers = places
                 .iter()
                 .flatten()
@@ -150,6 +155,7 @@ impl Experience {
         let at_edge =
             (0..closings.closings.len()).filter(|&idx| is_at_edge(&closings.closings[idx])).collect();
         let mut this = Self {
+            glance: Table::of(&closings.closings, senses, |closing| &closing.glance),
             closing: Table::of(&closings.closings, senses, |closing| &closing.closing),
             lifting: Table::of(&closings.closings, senses, |closing| &closing.lifting),
             success: success(&closings, num_shapes, steps),
@@ -160,6 +166,7 @@ impl Experience {
             at_edge,
             steps,
         };
+        this.glance.bandwidth = this.best_bandwidth(&this.glance, |closing| closing.glanced_m);
         this.closing.bandwidth = this.best_bandwidth(&this.closing, |closing| closing.closed_m);
         this.lifting.bandwidth = this.best_bandwidth(&this.lifting, |closing| closing.end_m);
         Ok(this)
@@ -170,9 +177,9 @@ impl Experience {
         &self.closings.objects
     }
 
-    /// Bandwidths of the kernels over what is felt while the hand closes and while it lifts.
-    pub fn bandwidths(&self) -> [f64; 2] {
-        [self.closing.bandwidth, self.lifting.bandwidth]
+    /// Bandwidths of the kernels over what is felt up to the glance, while the hand closes, and while it lifts.
+    pub fn bandwidths(&self) -> [f64; 3] {
+        [self.glance.bandwidth, self.closing.bandwidth, self.lifting.bandwidth]
     }
 
     /// The chance that a try holds an object of `shape` that lies (x, y) cells from the hand's place; 0 beyond the window.
@@ -191,7 +198,12 @@ impl Experience {
         (2.0 * self.closings.window_m).powi(2) * won.count() as f64 / self.of_shape[shape] as f64
     }
 
-    /// How alike each closing is to what was `felt` while the hand closed, the most alike 1.
+    /// How alike each closing is to what was `felt` up to the glance, the most alike 1.
+    pub(super) fn alike_glance(&self, felt: &Felt) -> Vec<f64> {
+        self.glance.alike(self.senses, felt)
+    }
+
+    /// The same while the hand closed.
     pub(super) fn alike_closing(&self, felt: &Felt) -> Vec<f64> {
         self.closing.alike(self.senses, felt)
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::skill::{Stage, Try};
-use super::{Attempt, Belief, Experience, Skill};
+use super::{Attempt, Belief, Experience, Moment, Skill};
 use crate::controller::{Command, Controller, Observation};
 
 /// How far a belief's grid reaches beyond the region that objects start in, m: what is pushed further is gone.
@@ -87,15 +87,27 @@ impl Searcher {
         Try::new(&self.skill, now.commands, place, now.time_s)
     }
 
+    /// Whether to go on closing after a glance that felt so, rather than to go elsewhere at once.
+    fn goes_on(&self, attempt: &Attempt, place: usize, now: &Observation<'_>) -> bool {
+        let left_s = self.skill.episode_s - now.time_s;
+        let rest_s = self.skill.rest_s();
+        let in_time = left_s >= rest_s + self.skill.lift_s(place) + self.skill.hold_s;
+        let held = if in_time { attempt.held(&self.experience) } else { 0.0 };
+        let missed = attempt.lost(&self.experience).belief(&self.experience, Moment::Closed);
+        let after = self.chance_elsewhere(&missed, now.commands, left_s - rest_s);
+        let here = attempt.belief(&self.experience, Moment::Glanced);
+        held + (1.0 - held) * after >= self.chance_elsewhere(&here, now.commands, left_s)
+    }
+
     /// Whether to lift after a closing that felt so, rather than to go elsewhere.
     fn lifts(&self, attempt: &Attempt, place: usize, now: &Observation<'_>) -> bool {
         let left_s = self.skill.episode_s - now.time_s;
         let lift_s = self.skill.lift_s(place) + self.skill.hold_s;
         let held = attempt.held(&self.experience);
-        let elsewhere = attempt.lost(&self.experience).belief(&self.experience, false);
+        let elsewhere = attempt.lost(&self.experience).belief(&self.experience, Moment::Closed);
         // What an empty lift leaves time for.
         let after = self.chance_elsewhere(&elsewhere, now.commands, left_s - lift_s);
-        let here = attempt.belief(&self.experience, false);
+        let here = attempt.belief(&self.experience, Moment::Closed);
         held + (1.0 - held) * after >= self.chance_elsewhere(&here, now.commands, left_s)
     }
 }
@@ -109,17 +121,24 @@ impl Controller for Searcher {
                 State::Thinking => self.state = State::Trying(self.begin(now)),
                 State::Trying(mut one) => {
                     let (stage, targets) = one.go_on(&self.skill, now);
+                    let place_m = self.skill.places()[one.place].at_m;
+                    if let Stage::Glanced(felt) = &stage {
+                        let attempt = self.belief.glance(&self.experience, place_m, felt);
+                        if !self.goes_on(&attempt, one.place, now) {
+                            self.belief = attempt.belief(&self.experience, Moment::Glanced);
+                            continue;
+                        }
+                    }
                     let Stage::Closed(felt) = stage else {
                         self.state = State::Trying(one);
                         return Command { targets, claims_held: false };
                     };
-                    let place_m = self.skill.places()[one.place].at_m;
                     let attempt = self.belief.attempt(&self.experience, place_m, &felt);
                     if self.lifts(&attempt, one.place, now) {
                         one.lift(&self.skill, now.commands, now.time_s);
                         self.state = State::Lifting(one, attempt);
                     } else {
-                        self.belief = attempt.belief(&self.experience, false);
+                        self.belief = attempt.belief(&self.experience, Moment::Closed);
                     }
                 }
                 State::Lifting(mut lift, attempt) => {
@@ -130,7 +149,7 @@ impl Controller for Searcher {
                     };
                     let attempt = attempt.lifted(&self.experience, &felt);
                     let held = attempt.held(&self.experience);
-                    let belief = attempt.lost(&self.experience).belief(&self.experience, true);
+                    let belief = attempt.lost(&self.experience).belief(&self.experience, Moment::Lifted);
                     let elsewhere = self.chance_elsewhere(&belief, now.commands, left_s);
                     let after = self.chance_elsewhere(&belief, now.commands, left_s - self.skill.hold_s);
                     if held + (1.0 - held) * after >= elsewhere {
@@ -147,7 +166,7 @@ impl Controller for Searcher {
                         self.state = State::Holding { lift, attempt, until_s };
                         return Command { targets, claims_held: false };
                     }
-                    let lost = attempt.lost(&self.experience).belief(&self.experience, true);
+                    let lost = attempt.lost(&self.experience).belief(&self.experience, Moment::Lifted);
                     if !self.skill.one_claim {
                         // A held object would have ended the trial.
                         self.belief = lost;

@@ -64,9 +64,11 @@ fn one(
     let mut closing = Closing {
         shape,
         start_m,
+        glanced_m: start_m,
         closed_m: start_m,
         end_m: start_m,
         won: false,
+        glance: empty(skill.num_felt()),
         closing: empty(skill.num_felt()),
         lifting: empty(skill.num_felt()),
     };
@@ -83,6 +85,10 @@ fn one(
         };
         let (stage, targets) = one.go_on(skill, &now);
         match stage {
+            Stage::Glanced(felt) => {
+                closing.glance = felt;
+                closing.glanced_m = place_of(&env);
+            }
             Stage::Closed(felt) => {
                 one.lift(skill, now.commands, now.time_s);
                 closing.closing = felt;

@@ -184,6 +184,11 @@ impl Skill {
         way.last().map_or(0.0, |(at_s, _)| *at_s) + self.config.close_s + self.config.squeeze_s
     }
 
+    /// The time from the glance to the judgement about a closing, s, when nothing stops a digit.
+    pub(super) fn rest_s(&self) -> f64 {
+        (1.0 - self.config.glance.unwrap_or(1.0)) * self.config.close_s + self.config.squeeze_s
+    }
+
     /// The time of a lift at `place`, s.
     pub(super) fn lift_s(&self, place: usize) -> f64 {
         let place = &self.places[place];
@@ -208,6 +213,7 @@ enum Phase {
         /// For how long each has waited, s.
         waited_s: Vec<f64>,
         gripping: bool,
+        glanced: bool,
         closed_s: Option<f64>,
     },
     Lifting(Vec<(f64, Vec<f64>)>),
@@ -218,6 +224,8 @@ enum Phase {
 pub(super) enum Stage {
     /// Something is under way.
     Moving,
+    /// The hand has closed as far as it looks whether that is worth going on with, and felt this; it says so once.
+    Glanced(Felt),
     /// The hand has closed, and felt this.
     Closed(Felt),
     /// The hand is up, and feels this since it began to lift; it says so at every step from then on.
@@ -255,6 +263,7 @@ impl Try {
                 progress: vec![0.0; skill.num_digits],
                 waited_s: vec![0.0; skill.num_digits],
                 gripping: false,
+                glanced: false,
                 closed_s: None,
             };
         }
@@ -265,7 +274,7 @@ impl Try {
                 let stage = if is_up { Stage::Lifted(self.feeling.felt()) } else { Stage::Moving };
                 (stage, between(way, next_s))
             }
-            Phase::Closing { progress, waited_s, gripping, closed_s } => {
+            Phase::Closing { progress, waited_s, gripping, glanced, closed_s } => {
                 let contacts = Feeling::contacts(skill, now);
                 let others = contacts.iter().enumerate().any(|(digit, on)| *on && digit != skill.opposing);
                 *gripping |= contacts[skill.opposing] && others;
@@ -289,7 +298,14 @@ impl Try {
                 }
                 let is_judged =
                     closed_s.is_some_and(|at_s| now.time_s >= at_s + skill.config.squeeze_s - half_step_s);
-                let stage = if is_judged { Stage::Closed(self.feeling.felt()) } else { Stage::Moving };
+                let mean = progress.iter().sum::<f64>() / progress.len().max(1) as f64;
+                let glances = !*glanced && skill.config.glance.is_some_and(|glance| mean >= glance);
+                *glanced |= glances;
+                let stage = match (is_judged, glances) {
+                    (true, _) => Stage::Closed(self.feeling.felt()),
+                    (false, true) => Stage::Glanced(self.feeling.felt()),
+                    (false, false) => Stage::Moving,
+                };
                 (stage, targets)
             }
             Phase::Going(way) => (Stage::Moving, between(way, next_s)),

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::experience::{Closing, Closings, Experience};
-use super::{Belief, Felt, Senses};
+use super::{Belief, Felt, Moment, Senses};
 use crate::GraspError;
 
 const WINDOW_M: f64 = 0.12;
@@ -35,9 +35,11 @@ fn closings() -> Closings {
                 closings.push(Closing {
                     shape,
                     start_m,
+                    glanced_m: start_m,
                     closed_m: start_m,
                     end_m: start_m,
                     won,
+                    glance: felt.clone(),
                     lifting: felt.clone(),
                     closing: felt,
                 });
@@ -88,8 +90,8 @@ proptest! {
             for attempt in [&attempt, &lifted] {
                 prop_assert!((-1e-9..=1.0 + 1e-9).contains(&attempt.held(&experience)));
             }
-            prop_assert!(is_distribution(&attempt.belief(&experience, false)));
-            belief = lifted.lost(&experience).belief(&experience, true);
+            prop_assert!(is_distribution(&attempt.belief(&experience, Moment::Closed)));
+            belief = lifted.lost(&experience).belief(&experience, Moment::Lifted);
             prop_assert!(is_distribution(&belief));
         }
     }
@@ -103,7 +105,7 @@ proptest! {
         let before = even(&experience);
         let attempt = before.attempt(&experience, [x - off_x, y - off_y], &felt);
         let held = attempt.held(&experience);
-        let after = attempt.belief(&experience, false);
+        let after = attempt.belief(&experience, Moment::Closed);
         let (prior, posterior) = (before.within([x, y], 0.03), after.within([x, y], 0.03));
         prop_assert!(posterior > 0.8 && posterior > prior, "{prior} {posterior}");
         // At the edge of what is grasped it cannot be sure.
@@ -116,7 +118,7 @@ proptest! {
     #[test]
     fn who_has_no_senses_learns_the_same_from_everything(one in any_felt(), other in any_felt(), x in -0.1..0.1) {
         let experience = experience(Senses::NONE);
-        let after = |felt: &Felt| even(&experience).attempt(&experience, [x, 0.0], felt).belief(&experience, false);
+        let after = |felt: &Felt| even(&experience).attempt(&experience, [x, 0.0], felt).belief(&experience, Moment::Closed);
         prop_assert_eq!(after(&one), after(&other));
         // And nothing moves, so that only the blur is new, and the window's edge, which cuts through cells.
         let mean_m = after(&one).mean_m();
@@ -146,7 +148,7 @@ fn what_is_next_to_impossible_teaches_nothing() {
     let lifted = attempt.lifted(&experience, &nothing);
     for attempt in [&attempt, &lifted] {
         assert!((0.0..=1.0 + 1e-9).contains(&attempt.held(&experience)));
-        assert!(is_distribution(&attempt.belief(&experience, true)));
+        assert!(is_distribution(&attempt.belief(&experience, Moment::Lifted)));
     }
 }
 
@@ -157,7 +159,7 @@ fn a_try_that_felt_nothing_moves_the_belief_away_from_its_place() {
     let (nothing, _) = outcome(0, 1.0, 1.0);
     let attempt = before.attempt(&experience, [0.0, 0.0], &nothing);
     assert!(attempt.held(&experience) < 1e-3);
-    let after = attempt.belief(&experience, false);
+    let after = attempt.belief(&experience, Moment::Closed);
     assert!(before.within([0.0, 0.0], 0.03) > 0.09 && after.within([0.0, 0.0], 0.03) < 1e-3);
     // The next try is expected to be better elsewhere, which it was not before.
     let success = |belief: &Belief, at_m| belief.success(&experience, at_m);
@@ -171,7 +173,7 @@ fn objects_beyond_the_window_stay_where_they_are_believed_to_be() {
     let experience = experience(Senses::BOTH);
     let far = even(&experience).told([0.16, 0.0]);
     let (nothing, _) = outcome(0, 1.0, 1.0);
-    let after = far.attempt(&experience, [-0.05, 0.0], &nothing).belief(&experience, false);
+    let after = far.attempt(&experience, [-0.05, 0.0], &nothing).belief(&experience, Moment::Closed);
     assert!(after.within([0.16, 0.0], 0.02) > 0.999);
 }
 
