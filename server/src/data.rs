@@ -1,5 +1,6 @@
 //! The data folder: sessions, models, objects, runs and imports, as plain files.
 
+pub(crate) mod archive;
 pub mod bars;
 pub(crate) mod cache;
 pub mod files;

@@ -6,6 +6,7 @@ mod control_socket;
 mod docs;
 mod document;
 mod door;
+mod download;
 mod etag;
 mod examples;
 mod extract;

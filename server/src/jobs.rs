@@ -6,6 +6,7 @@ pub(crate) mod kinds;
 mod legacy;
 pub(crate) mod lineage;
 pub(crate) mod runs;
+pub(crate) mod tables;
 pub(crate) mod trainer;
 pub(crate) mod way_in;
 mod work;

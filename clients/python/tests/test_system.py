@@ -70,6 +70,23 @@ def test_folders_and_zips_are_uploaded(p: Palpate, recorded: Path, tmp_path: Pat
     copy.delete()
 
 
+def test_a_session_is_taken_away_and_brought_back(p: Palpate, recorded: Path, tmp_path: Path) -> None:
+    session = p.session("small")
+    archive = session.download(tmp_path)
+    assert archive == tmp_path / "small.zip"
+    back = p.upload(archive, "back")
+    assert back.summary.frames == session.summary.frames
+    back.delete()
+    take = session.takes[0].download(tmp_path / "first.mcap")
+    assert take.read_bytes() == (recorded / f"{session.takes[0].id}.mcap").read_bytes()
+    with pytest.raises(PalpateError) as caught:
+        p.connection.download("GET", "/sessions/{session}/session.zip", tmp_path / "none.zip", session="nope")
+    assert caught.value.status == 404
+    with pytest.raises(PalpateError, match="failed to write"):
+        session.download(tmp_path / "no folder" / "small.zip")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["first.mcap", "small.zip"]
+
+
 def test_a_take_is_arrays_and_a_replay_fits_to_it(p: Palpate) -> None:
     take = p.session("small").takes[0]
     trace = take.trace()

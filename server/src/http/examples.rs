@@ -67,6 +67,18 @@ const EXAMPLES: &[Example] = &[
     },
     Example {
         method: "GET",
+        path: "/sessions/{session}/session.zip",
+        curl: r#"curl -o bench.zip "$PALPATE_URL/api/v1/sessions/bench/session.zip""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
+        path: "/sessions/{session}/takes/{take}/take.mcap",
+        curl: r#"curl -o take-01.mcap "$PALPATE_URL/api/v1/sessions/bench/takes/take-01/take.mcap""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
         path: "/sessions/{session}/station",
         curl: r#"curl -o station.json "$PALPATE_URL/api/v1/sessions/bench/station""#,
         status: 200,
@@ -110,6 +122,12 @@ const EXAMPLES: &[Example] = &[
     },
     Example {
         method: "GET",
+        path: "/jobs/{job}/metrics.csv",
+        curl: r#"curl -o metrics.csv "$PALPATE_URL/api/v1/jobs/run-1/metrics.csv""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
         path: "/jobs/{job}/events",
         curl: r#"curl -N "$PALPATE_URL/api/v1/jobs/run-1/events""#,
         status: 200,
@@ -130,6 +148,12 @@ const EXAMPLES: &[Example] = &[
         method: "GET",
         path: "/calibrations/{run}/report.html",
         curl: r#"curl -o report.html "$PALPATE_URL/api/v1/calibrations/run-1/report.html""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
+        path: "/calibrations/{run}/tables/{file}",
+        curl: r#"curl -o metrics.csv "$PALPATE_URL/api/v1/calibrations/run-1/tables/metrics.csv""#,
         status: 200,
     },
     Example {
@@ -258,6 +282,12 @@ const EXAMPLES: &[Example] = &[
         method: "GET",
         path: "/diagnoses/{run}/report.html",
         curl: r#"curl -o diagnosis.html "$PALPATE_URL/api/v1/diagnoses/diagnosis-1/report.html""#,
+        status: 200,
+    },
+    Example {
+        method: "GET",
+        path: "/diagnoses/{run}/tables/{file}",
+        curl: r#"curl -o effects.csv "$PALPATE_URL/api/v1/diagnoses/diagnosis-1/tables/effects.csv""#,
         status: 200,
     },
     Example {

@@ -16,6 +16,7 @@ use serde::{Deserialize as _, Serialize, de::DeserializeOwned};
 use super::{
     board::Jobs,
     kinds::{HTML_FILE, JobKind, MODEL_FILE, REPORT_FILE},
+    tables::Tables,
 };
 use crate::{Error, data::files};
 
@@ -133,6 +134,20 @@ impl<'a, K: RunKind> Runs<'a, K> {
             id: id.to_owned(),
             hint: "a run has a report once it is done",
         })
+    }
+
+    /// The table `name` of the report of run `id`, as CSV.
+    pub(crate) fn table(&self, id: &str, name: String) -> Result<String, Error>
+    where
+        K::Report: Tables,
+    {
+        let run = self.get(id)?;
+        let Some(report) = run.report else {
+            let (what, state) = (K::WHAT, run.state.name());
+            return Err(Error::Conflict(format!("{what} {id:?} is {state}; it has tables once it is done")));
+        };
+        let missing = || Err(Error::NotFound { what: "table", id: name.clone(), hint: K::Report::NAMES });
+        report.csv(&name).unwrap_or_else(missing)
     }
 
     /// Notes under which id the model of run `id` was saved.

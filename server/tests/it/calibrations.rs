@@ -48,6 +48,22 @@ async fn calibration_is_started_watched_saved_and_kept() {
     assert!(html.header(header::CONTENT_TYPE).starts_with("text/html"));
     assert!(String::from_utf8_lossy(&html.body).contains("taps"));
 
+    let table = async |name: &str| get(&app, &format!("/api/v1/calibrations/{}/tables/{name}", run.id)).await;
+    let metrics = table("metrics.csv").await;
+    assert!(metrics.header(header::CONTENT_TYPE).starts_with("text/csv"));
+    let metrics = String::from_utf8_lossy(&metrics.body).into_owned();
+    // Both models on all takes, on held-out ones, by stream, take and channel, below the header.
+    let groups = 2 + report.by_modality.len() + NUM_TAKES + NUM_CHANNELS;
+    assert_eq!(metrics.lines().count(), 1 + 2 * groups, "{metrics}");
+    assert!(metrics.contains("\nheld-out take,take-03,calibrated,"), "{metrics}");
+    let l1 = report.calibrated.l1.to_string();
+    let line = metrics.lines().find(|line| line.starts_with("all takes,,calibrated,")).unwrap();
+    assert_eq!(line.split(',').nth(7), Some(l1.as_str()), "{metrics}");
+    let intervals = String::from_utf8_lossy(&table("intervals.csv").await.body).into_owned();
+    assert!(intervals.starts_with("model,metric,low,high\n"), "{intervals}");
+    let detail = table("numbers.csv").await.problem(404);
+    assert!(detail.contains("metrics.csv"), "{detail}");
+
     let save = format!("/api/v1/calibrations/{}/save", run.id);
     post(&app, &save, &json!({"name": " ... "})).await.problem(400);
     let mut saved = Vec::new();

@@ -230,7 +230,7 @@ async fn fifth_upload_at_once_is_asked_to_come_later() {
         send(&app, "POST", "/api/v1/sessions?name=fifth", Some(("application/zip", archive))).await
     };
     let answer = upload().await;
-    assert!(answer.problem(503).contains("4 uploads are under way already"));
+    assert!(answer.problem(503).contains("4 archives are being unpacked or packed already"));
     assert_eq!(answer.header(header::RETRY_AFTER), "10");
     for upload in slow {
         upload.abort();

@@ -66,6 +66,15 @@ async fn what_is_named_is_added_and_taken_out_again_byte_for_byte() {
     assert!(html.header(header::CONTENT_TYPE).starts_with("text/html"));
     let html = String::from_utf8_lossy(&html.body).into_owned();
     assert!(html.contains("session bench") && html.contains("<h2>Find"));
+    let table = async |name: &str| {
+        let answer = get(&app, &format!("/api/v1/diagnoses/{}/tables/{name}", run.id)).await;
+        assert!(answer.header(header::CONTENT_TYPE).starts_with("text/csv"));
+        String::from_utf8_lossy(&answer.body).into_owned()
+    };
+    assert_eq!(table("waterfall.csv").await.lines().count(), 1 + report.waterfall.len());
+    assert_eq!(table("metrics.csv").await.lines().count(), 1 + report.metrics.len());
+    let parameters = report.effects.iter().map(|effect| effect.parameters.len()).sum::<usize>();
+    assert_eq!(table("effects.csv").await.lines().count(), 1 + parameters);
 
     // Before and after are there to be compared without anything being saved.
     let (old, new) = (
@@ -176,6 +185,8 @@ async fn diagnosis_is_cancelled_while_it_waits_and_while_it_runs() {
     let detail = post(&app, &save, &json!({"name": "x"})).await.problem(409);
     assert!(detail.contains("cancelled"), "{detail}");
     get(&app, &format!("/api/v1/diagnoses/{}/report.html", ids[0])).await.problem(404);
+    let detail = get(&app, &format!("/api/v1/diagnoses/{}/tables/effects.csv", ids[0])).await.problem(409);
+    assert!(detail.contains("cancelled"), "{detail}");
     get(&app, &format!("/api/v1/sessions/bench/takes/take-01/replay?model=diagnosis:{}", ids[0]))
         .await
         .problem(409);

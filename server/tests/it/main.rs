@@ -11,6 +11,7 @@ mod data_folder;
 mod diagnoses;
 mod docs;
 mod document;
+mod downloads;
 mod foxglove;
 mod gate;
 mod jobs;

@@ -373,6 +373,10 @@ class Session:
         """Rates, gaps, clocks and coverage."""
         return decode(CheckReport, self._palpate.connection.json("GET", "/sessions/{session}/check", session=self.id))
 
+    def download(self, to: str | os.PathLike[str] = ".") -> Path:
+        """Writes the session as a zip archive to a file or into a folder; `upload` takes it in again, at any studio."""
+        return self._palpate.connection.download("GET", "/sessions/{session}/session.zip", to, session=self.id)
+
     def delete(self) -> None:
         """Moves the session to the trash; `restore_session` of the client takes it out again."""
         self._palpate.connection.request("DELETE", "/sessions/{session}", session=self.id)
@@ -390,6 +394,12 @@ class Take:
 
     def __repr__(self) -> str:
         return f"<{self.id} of {self.session.id}: {self.summary.primitive} on {self.summary.object}>"
+
+    def download(self, to: str | os.PathLike[str] = ".") -> Path:
+        """Writes the MCAP file of the take to a file or into a folder."""
+        return self._palpate.connection.download(
+            "GET", "/sessions/{session}/takes/{take}/take.mcap", to, session=self.session.id, take=self.id
+        )
 
     def trace(self) -> Trace:
         """What was recorded, as arrays. Takes never change, so that it is fetched once."""

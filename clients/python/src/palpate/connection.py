@@ -5,13 +5,14 @@ from __future__ import annotations
 import atexit
 import contextlib
 import json
+import os
 import re
 import ssl
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 import httpx
 import websockets.exceptions
@@ -24,6 +25,8 @@ MAX_TRIES = 6
 """A GET that the studio is too busy for is sent at most so often."""
 MAX_WAIT_S = 60.0
 """A Retry-After beyond this is not waited for, s."""
+ARCHIVE_TIMEOUT_S = 600.0
+"""A studio may pack a long session for so long before the first byte comes, s."""
 CLOSE_S = 1.0
 """A studio that does not say goodbye is not waited for any longer, s."""
 _OPEN: set[ClientConnection] = set()
@@ -129,6 +132,35 @@ class Connection:
             raise problem(response.status_code, response.reason_phrase, response.content)
         return response
 
+    def download(self, method: str, path: str, to: str | os.PathLike[str], **ids: str) -> Path:
+        """Writes the answer to the file `to` as it comes in, and gives its path.
+
+        A folder gets a file of the name that the studio says. On an error nothing is left, and a file of that name is
+        as it was. `method` is GET: it names the route.
+        """
+        assert method == "GET"
+        try:
+            timeout = httpx.Timeout(ARCHIVE_TIMEOUT_S, connect=10.0)
+            with self._client.stream(method, fill(path, ids), timeout=timeout) as response:
+                if response.is_error:
+                    raise problem(response.status_code, response.reason_phrase, response.read())
+                target = Path(to)
+                if target.is_dir():
+                    target /= _file_name(response)
+                part = target.with_name(f".{target.name}.part")
+                try:
+                    with part.open("wb") as file:
+                        for piece in response.iter_bytes():
+                            file.write(piece)
+                    part.replace(target)
+                except OSError as error:
+                    raise PalpateError("Not written", f"failed to write {str(target)!r}: {error.strerror}") from error
+                finally:
+                    part.unlink(missing_ok=True)
+        except httpx.TransportError as error:
+            raise self._unreachable(error) from error
+        return target
+
     def json(self, method: str, path: str, **arguments: Any) -> Any:  # noqa: ANN401
         """`request` for an answer in JSON; None where the answer is empty."""
         response = self.request(method, path, **arguments)
@@ -197,6 +229,12 @@ def _trust(ca_file: str | Path | None) -> ssl.SSLContext:
                 "No certificate", f"failed to read certificates in PEM from {str(ca_file)!r}: {error}"
             ) from error
     return context
+
+
+def _file_name(response: httpx.Response) -> str:
+    """The plain name of the file that an answer is to be kept as."""
+    _, _, name = response.headers.get("Content-Disposition", "").partition("filename*=UTF-8''")
+    return Path(unquote(name)).name or "download"
 
 
 def fill(path: str, ids: Mapping[str, str]) -> str:

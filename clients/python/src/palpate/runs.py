@@ -56,6 +56,7 @@ class Run(Generic[R]):
     CANCEL: ClassVar[tuple[str, str]]
     SAVE: ClassVar[tuple[str, str]]
     HTML: ClassVar[tuple[str, str]]
+    TABLE: ClassVar[tuple[str, str]]
 
     def __init__(self, palpate: Palpate, document: dict[str, Any]) -> None:
         self._palpate = palpate
@@ -113,6 +114,13 @@ class Run(Generic[R]):
         self._read(self._palpate.connection.json(*self.CANCEL, run=self.id))
         return self
 
+    def table(self, name: str) -> str:
+        """Numbers of the report as CSV.
+
+        `name` is `metrics.csv`; of a calibration also `intervals.csv`, of a diagnosis `effects.csv` or `waterfall.csv`.
+        """
+        return self._palpate.connection.request(*self.TABLE, run=self.id, file=name).text
+
     def html(self) -> str:
         """The report as one self-contained page."""
         return self._palpate.connection.request(*self.HTML, run=self.id).text
@@ -134,6 +142,7 @@ class CalibrationRun(Run[CalibrationReport]):
     CANCEL = ("POST", "/calibrations/{run}/cancel")
     SAVE = ("POST", "/calibrations/{run}/save")
     HTML = ("GET", "/calibrations/{run}/report.html")
+    TABLE = ("GET", "/calibrations/{run}/tables/{file}")
 
     def save(self, name: str) -> Model:
         """Keeps the calibrated model under a name for people, of which its id is made."""
@@ -149,6 +158,7 @@ class DiagnosisRun(Run[DiagnosisReport]):
     CANCEL = ("POST", "/diagnoses/{run}/cancel")
     SAVE = ("POST", "/diagnoses/{run}/save")
     HTML = ("GET", "/diagnoses/{run}/report.html")
+    TABLE = ("GET", "/diagnoses/{run}/tables/{file}")
 
     def save(self, name: str | None = None, *, to: str | None = None, effects: list[int] | None = None) -> Model:
         """Keeps the model with the named effects as a new one, or adds them to the model with id `to`.

@@ -11,7 +11,8 @@ use std::{
 
 use crate::Error;
 
-/// Uploads that may be under way at once. Each keeps a thread busy and up to 4.5 GB of the disk.
+/// Uploads, and sessions that are packed to be sent, that may be under way at once. Each keeps a thread busy and up to 4.5 GB
+/// of the disk.
 const MAX_UPLOADS: usize = 4;
 /// Free space that uploads leave, bytes: a session that is being recorded writes to the same disk, and its takes end when
 /// that is full.
@@ -38,7 +39,7 @@ impl Slots {
         match self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more) {
             Ok(_) => Ok(Slot { taken: self.taken.clone() }),
             Err(_) => Err(Error::Busy(format!(
-                "{MAX_UPLOADS} uploads are under way already; try again when one has ended"
+                "{MAX_UPLOADS} archives are being unpacked or packed already; try again when one is done"
             ))),
         }
     }
@@ -110,7 +111,8 @@ mod tests {
         for _ in 0..2 {
             let err = slots.take().unwrap_err();
             assert!(
-                matches!(err, Error::Busy(_)) && err.to_string().contains("4 uploads are under way"),
+                matches!(err, Error::Busy(_))
+                    && err.to_string().contains("4 archives are being unpacked or packed"),
                 "{err}"
             );
         }

@@ -147,3 +147,23 @@ pub(super) async fn save(
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
     state.run(Kind::Read, move |state| Ok(Html(state.calibrations().html(&id)?))).await
 }
+
+/// Answers with numbers of a calibration as a table: `metrics.csv` (both models, on all takes, by sensor type, take and
+/// channel) or `intervals.csv` (95 % intervals).
+#[utoipa::path(
+    get,
+    path = "/calibrations/{run}/tables/{file}",
+    tag = "calibrations",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "text/csv"),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
+pub(super) async fn table(
+    State(state): State<Arc<AppState>>,
+    Ids((id, file)): Ids<(String, String)>,
+) -> Answer<Response> {
+    let text = state.run(Kind::Compute, move |state| state.calibrations().table(&id, file)).await?;
+    Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], text).into_response())
+}

@@ -148,3 +148,22 @@ pub(super) async fn save(
 pub(super) async fn report(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Html<String>> {
     state.run(Kind::Read, move |state| Ok(Html(state.diagnoses().html(&id)?))).await
 }
+
+/// Answers with numbers of a diagnosis as a table: `effects.csv`, `metrics.csv` or `waterfall.csv`.
+#[utoipa::path(
+    get,
+    path = "/diagnoses/{run}/tables/{file}",
+    tag = "diagnoses",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "text/csv"),
+        Refusal<404>,
+        Refusal<409>,
+    ),
+)]
+pub(super) async fn table(
+    State(state): State<Arc<AppState>>,
+    Ids((id, file)): Ids<(String, String)>,
+) -> Answer<Response> {
+    let text = state.run(Kind::Compute, move |state| state.diagnoses().table(&id, file)).await?;
+    Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], text).into_response())
+}

@@ -4,23 +4,18 @@ use std::{sync::Arc, time::Duration};
 
 use axum::{
     Json,
-    body::Bytes,
     extract::{OriginalUri, State},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderName, StatusCode, header},
     response::{
         IntoResponse, Response, Sse,
         sse::{Event, KeepAlive},
     },
 };
-use base64::Engine as _;
 use palpate_jobs::{ListFilter, Submitted};
 use palpate_people::Principal;
 use palpate_recording::files::{read_file, resolve_in};
-use palpate_wire::api::{
-    Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, ProblemType, Role, Scope,
-};
+use palpate_wire::api::{Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, Role, Scope};
 use serde::Deserialize;
-use sha2::{Digest as _, Sha256};
 use utoipa::IntoParams;
 
 use super::accepted;
@@ -29,18 +24,17 @@ use crate::{
     data::files,
     http::{
         document::{Binary, JobEvent, Refusal},
-        etag,
+        download::Download,
         extract::{Asking, Body, Ids, Key, Owner, Params, check_limit},
         identity,
         pages::page_of,
-        problem::{Answer, problem},
+        problem::Answer,
     },
-    jobs::kinds,
+    jobs::{kinds, tables::curves},
     work::Kind,
 };
 
 const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
-const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 /// A client hears something this often, so that it, and proxies between, take the connection for alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// This much of a log or of metrics is sent, from its end, bytes.
@@ -297,6 +291,28 @@ pub(super) async fn metrics(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
         .await
 }
 
+/// Answers with the curves of a job as a table: a row for each step, a column for each number.
+#[utoipa::path(
+    get,
+    path = "/jobs/{job}/metrics.csv",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "Done.", body = String, content_type = "text/csv"),
+        Refusal<404>,
+    ),
+)]
+pub(super) async fn metrics_csv(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+) -> Answer<Response> {
+    let table = move |state: &AppState| {
+        let job = state.jobs().scheduler().job(&id)?;
+        curves(&state.jobs().scheduler().folder(&job.id).metrics_tail(MAX_FILE_BYTES)?)
+    };
+    let text = state.run(Kind::Compute, table).await?;
+    Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], text).into_response())
+}
+
 /// Answers with a file that a job has left, e.g. `report.json`, `report.html` or `model.toml` (`docs/jobs.md`).
 ///
 /// With `Range: bytes=...` a part of it comes, so that a download that broke off can go on; `If-Range` with the `ETag` of
@@ -343,7 +359,7 @@ pub(super) async fn file(
             }
             resolve_in(folder.path(), &path)?;
             let bytes = read_file(&path, MAX_FILE_BYTES)?;
-            Ok(download(&headers, bytes.into(), content_type(&name)))
+            Download::of_bytes(bytes.into(), content_type(&name)).answer(&headers)
         })
         .await
 }
@@ -397,46 +413,6 @@ pub(super) async fn events(
 /// Changes with what a client must not miss: states and attempts.
 fn event_id(job: &Job) -> String {
     format!("{}-{}", job.attempts, job.state.name())
-}
-
-/// A file in memory as a download: whole, or the part that the request asks for (RFC 9110, 14).
-fn download(asked: &HeaderMap, content: Bytes, content_type: &'static str) -> Response {
-    let tag = etag::of(&content);
-    let is_same = asked.get(header::IF_RANGE).is_none_or(|known| known == tag);
-    let range = asked.get(header::RANGE).filter(|_| is_same).and_then(|range| range.to_str().ok());
-    let len = content.len() as u64;
-    // A header that cannot be read, and one that asks for several parts, are answered by the whole file.
-    let part = range.and_then(|range| http_range_header::parse_range_header(range).ok());
-    let part = match part.map(|parts| parts.validate(len)) {
-        Some(Ok(parts)) if parts.len() == 1 => parts.into_iter().next(),
-        Some(Err(_)) => {
-            let detail = format!("the file has {len} bytes, and none where the header Range asks for them");
-            let mut refused = problem(ProblemType::RangeNotSatisfiable, &detail);
-            if let Ok(size) = HeaderValue::from_str(&format!("bytes */{len}")) {
-                refused.headers_mut().insert(header::CONTENT_RANGE, size);
-            }
-            return refused;
-        }
-        _ => None,
-    };
-    let digest = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(&content));
-    let mut response = match part {
-        Some(part) => {
-            let range = format!("bytes {}-{}/{len}", part.start(), part.end());
-            // It was validated against the length.
-            let bytes = content.slice(*part.start() as usize..=*part.end() as usize);
-            (StatusCode::PARTIAL_CONTENT, [(header::CONTENT_RANGE, range)], bytes).into_response()
-        }
-        None => content.into_response(),
-    };
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
-    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    if let Ok(digest) = HeaderValue::from_str(&format!("sha-256=:{digest}:")) {
-        headers.insert(REPR_DIGEST, digest);
-    }
-    etag::insert(headers, tag);
-    response
 }
 
 fn content_type(name: &str) -> &'static str {

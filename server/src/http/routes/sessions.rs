@@ -22,9 +22,13 @@ use utoipa::IntoParams;
 use super::station_document;
 use crate::{
     AppState, Error,
-    data::{store, upload},
+    data::{
+        archive::{Outgoing, pack},
+        store, upload,
+    },
     http::{
         document::{Binary, Refusal},
+        download::Download,
         extract::{Ids, Page, Params, USUAL_PAGE, check_limit},
         pages::{encode, page_of},
         problem::{Answer, Problem},
@@ -130,6 +134,43 @@ pub(super) async fn station(
     with_store(&state, Kind::Read, move |state| {
         let session = state.store().session(&id)?;
         Ok(Json(station_document(&state.library().take(&session, 0)?.station.files)))
+    })
+    .await
+}
+
+/// Answers with a session as a zip archive: its `session.toml` and the takes that this lists.
+///
+/// Any studio takes the archive in again (`POST /sessions`). With `Range: bytes=...` a part of it comes, so that a download
+/// that broke off can go on.
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/session.zip",
+    tag = "sessions",
+    params(
+        ("Range" = Option<String>, Header, description = "A part, such as `bytes=1000-`"),
+        ("If-Range" = Option<String>, Header, description = "The `ETag` of the archive of which a part is wanted"),
+    ),
+    responses(
+        (status = 200, description = "The archive.", body = Binary, content_type = "application/zip",
+            headers(("Accept-Ranges" = String, description = "`bytes`"))),
+        (status = 206, description = "The part that `Range` asks for.", body = Binary, content_type = "application/zip",
+            headers(("Content-Range" = String, description = "Which part of how many bytes"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<416>,
+        Refusal<422>,
+        Refusal<507>,
+    ),
+)]
+pub(super) async fn packed(
+    State(state): State<Arc<AppState>>,
+    Ids(id): Ids<String>,
+    headers: HeaderMap,
+) -> Answer<Response> {
+    with_store(&state, Kind::Compute, move |state| {
+        let Outgoing { file, version } = pack(state.store(), &state.store().session(&id)?)?;
+        let download = Download::of_file(file, &version, "application/zip");
+        download.map_err(Error::io("read", state.store().root()))?.named(format!("{id}.zip")).answer(&headers)
     })
     .await
 }

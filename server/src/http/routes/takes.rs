@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::{
     extract::State,
-    http::header,
+    http::{HeaderMap, header},
     response::{IntoResponse, Response},
 };
 use palpate_sim::SensorModel;
@@ -14,9 +14,13 @@ use utoipa::IntoParams;
 
 use crate::{
     AppState, Error,
-    data::library::{nominal_model, replay_trace, take_index, take_trace},
+    data::{
+        archive::{Outgoing, open_take},
+        library::{nominal_model, replay_trace, take_index, take_trace},
+    },
     http::{
         document::{Binary, Refusal},
+        download::Download,
         extract::{Ids, Params},
         problem::Answer,
     },
@@ -46,6 +50,44 @@ pub(super) async fn trace(
             Ok(protobuf(&take_trace(&take)))
         })
         .await
+}
+
+/// Answers with a take as it was recorded: an MCAP file, which Foxglove, Rerun and PlotJuggler open (`docs/tools.md`).
+///
+/// With `Range: bytes=...` a part of it comes.
+#[utoipa::path(
+    get,
+    path = "/sessions/{session}/takes/{take}/take.mcap",
+    tag = "sessions",
+    params(
+        ("Range" = Option<String>, Header, description = "A part, such as `bytes=1000-`"),
+        ("If-Range" = Option<String>, Header, description = "The `ETag` of the take of which a part is wanted"),
+    ),
+    responses(
+        (status = 200, description = "The file.", body = Binary, content_type = "application/octet-stream",
+            headers(("Accept-Ranges" = String, description = "`bytes`"))),
+        (status = 206, description = "The part that `Range` asks for.", body = Binary,
+            content_type = "application/octet-stream",
+            headers(("Content-Range" = String, description = "Which part of how many bytes"))),
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<416>,
+        Refusal<422>,
+    ),
+)]
+pub(super) async fn file(
+    State(state): State<Arc<AppState>>,
+    Ids((session, take)): Ids<(String, String)>,
+    headers: HeaderMap,
+) -> Answer<Response> {
+    let open = move |state: &AppState| {
+        let session = state.store().session(&session)?;
+        let Outgoing { file, version } = open_take(&session, take_index(&session, &take)?)?;
+        let download = Download::of_file(file, &version, "application/octet-stream");
+        let name = format!("{}-{take}.mcap", session.id);
+        download.map_err(Error::io("read", &session.dir))?.named(name).answer(&headers)
+    };
+    state.run(Kind::Read, move |state| open(state).map_err(|err| state.store().for_client(err))).await
 }
 
 #[derive(Deserialize, IntoParams)]
