@@ -7,6 +7,7 @@ mod lag;
 mod name;
 mod notes;
 mod overlays;
+mod picture;
 mod stop;
 mod strip;
 
@@ -67,6 +68,8 @@ pub trait Platform {
     fn is_watched(&self) -> bool;
     /// Says what is open where the window says it.
     fn set_title(&mut self, title: &str);
+    /// Keeps `picture` as a PNG file called `file_name`; `false` where that cannot be done.
+    fn save_picture(&mut self, file_name: &str, picture: &egui::ColorImage) -> bool;
     /// Opens the file dialog.
     fn pick_file(&mut self);
     /// Files that were chosen in the file dialog, or dropped on the page, since the last call.
@@ -93,6 +96,7 @@ pub struct StudioApp {
     help: Option<help::HelpState>,
     library: help::Library,
     strip: strip::StripState,
+    picture: picture::PictureState,
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
     lag: lag::Lag,
@@ -139,6 +143,7 @@ impl StudioApp {
             help: None,
             library: help::Library::default(),
             strip: strip::StripState::default(),
+            picture: picture::PictureState::default(),
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),
             lag: lag::Lag::default(),
@@ -206,12 +211,15 @@ impl StudioApp {
             go_to = Some(place);
         }
 
+        // What is asked for in this frame shows the next one, without the menu that it was asked from.
+        let takes_picture = self.picture.is_wanted();
         self.top_bar_ui(ui, now_s);
         self.rail_ui(ui, &mut go_to);
         for command in commands {
             self.run_command(&ctx, command, &mut go_to);
         }
-        egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
+        let screen = egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
+        self.picture_ui(&ctx, screen.response.rect, takes_picture);
         if self.store.control.take_control_wanted() {
             self.ask_for_control();
         }
@@ -435,6 +443,7 @@ impl StudioApp {
             Command::Shortcuts => self.overlays.toggle_shortcuts(),
             Command::Help => self.open_help(HelpPlace::default()),
             Command::CopyLink => ctx.copy_text(self.platform.address()),
+            Command::SavePicture => self.want_picture(ctx),
             Command::Palette => {
                 self.close_help();
                 self.overlays.open_palette();

@@ -47,24 +47,26 @@ pub enum Command {
     Help,
     /// The address of what is on the screen, to the clipboard.
     CopyLink,
+    /// Keeps a picture of what is on the screen.
+    SavePicture,
     /// The command palette.
     Palette,
 }
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 33] = [
         Self::Open(Screen::Home),
         Self::Open(Screen::Hand),
         Self::Open(Screen::Record),
+        Self::Open(Screen::Sessions),
         Self::Open(Screen::Timelines),
+        Self::Open(Screen::Objects),
         Self::Open(Screen::Calibrate),
         Self::Open(Screen::Diagnose),
-        Self::Open(Screen::Sessions),
-        Self::Open(Screen::Objects),
+        Self::Open(Screen::Models),
         Self::Open(Screen::Trials),
         Self::Open(Screen::Jobs),
-        Self::Open(Screen::Models),
         Self::Open(Screen::Settings),
         Self::Stop,
         Self::ResetStop,
@@ -85,6 +87,7 @@ impl Command {
         Self::Shortcuts,
         Self::Help,
         Self::CopyLink,
+        Self::SavePicture,
         Self::Palette,
     ];
 
@@ -122,6 +125,7 @@ impl Command {
             Self::Shortcuts => "Show keyboard shortcuts",
             Self::Help => "Help: documents and what words mean",
             Self::CopyLink => "Copy link",
+            Self::SavePicture => "Save picture of the screen",
             Self::Palette => "Find a command",
         }
     }
@@ -150,23 +154,24 @@ impl Command {
             Self::Open(Screen::Home) => alt(Key::Num1),
             Self::Open(Screen::Hand) => alt(Key::Num2),
             Self::Open(Screen::Record) => alt(Key::Num3),
-            Self::Open(Screen::Timelines) => alt(Key::Num4),
-            Self::Open(Screen::Calibrate) => alt(Key::Num5),
-            Self::Open(Screen::Diagnose) => alt(Key::Num6),
-            Self::Open(Screen::Sessions) => alt(Key::Num7),
-            Self::Open(Screen::Objects) => alt(Key::Num8),
-            Self::Open(Screen::Trials) => alt(Key::Num9),
-            Self::Open(Screen::Jobs) => alt(Key::Num0),
+            Self::Open(Screen::Sessions) => alt(Key::Num4),
+            Self::Open(Screen::Timelines) => alt(Key::Num5),
+            Self::Open(Screen::Objects) => alt(Key::Num6),
+            Self::Open(Screen::Calibrate) => alt(Key::Num7),
+            Self::Open(Screen::Diagnose) => alt(Key::Num8),
+            Self::Open(Screen::Models) => alt(Key::Num9),
+            Self::Open(Screen::Trials) => alt(Key::Num0),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
-            Self::Open(Screen::Models | Screen::Settings)
+            Self::Open(Screen::Jobs | Screen::Settings)
             | Self::ResetStop
             | Self::TakeControl
             | Self::GiveBackControl
             | Self::Arm
             | Self::Disarm
             | Self::Tare
-            | Self::CopyLink => None,
+            | Self::CopyLink
+            | Self::SavePicture => None,
             Self::PreviousFrame => plain(Key::Comma),
             Self::NextFrame => plain(Key::Period),
             Self::PreviousMismatch => plain(Key::OpenBracket),

@@ -54,16 +54,28 @@ impl Screen {
         Self::Home,
         Self::Hand,
         Self::Record,
+        Self::Sessions,
         Self::Timelines,
+        Self::Objects,
         Self::Calibrate,
         Self::Diagnose,
-        Self::Sessions,
-        Self::Objects,
+        Self::Models,
         Self::Trials,
         Self::Jobs,
-        Self::Models,
         Self::Settings,
     ];
+
+    /// What the screen is about; screens of one group stand together in the rail. `None` for those that are about all of
+    /// it.
+    pub fn group(self) -> Option<&'static str> {
+        match self {
+            Self::Hand | Self::Record => Some("Operate"),
+            Self::Sessions | Self::Timelines | Self::Objects => Some("Data"),
+            Self::Calibrate | Self::Diagnose | Self::Models => Some("Simulator"),
+            Self::Trials => Some("Learn"),
+            Self::Home | Self::Jobs | Self::Settings => None,
+        }
+    }
 
     /// The word in the rail.
     pub fn label(self) -> &'static str {

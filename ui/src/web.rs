@@ -3,6 +3,7 @@
 mod control;
 mod fetch;
 mod file_dialog;
+mod picture;
 mod window;
 
 use wasm_bindgen::{JsCast as _, prelude::wasm_bindgen};

@@ -54,6 +54,27 @@ export async function openPage(context) {
   return { page, errors: collectErrors(page) };
 }
 
+/** Goes to an element with Tab, and presses a key there: what somebody without a pointer does. */
+export async function byKeyboard(page, role, name, key = "Enter") {
+  const wanted = page.getByRole(role, { name, exact: true }).first();
+  await wanted.waitFor();
+  for (let presses = 0; presses < 400; presses += 1) {
+    // The canvas keeps the browser's focus and names the element that has its own; text fields take the browser's.
+    const isFocused = await wanted.evaluate((element) => {
+      const active = document.activeElement;
+      return element === active || active?.getAttribute("aria-activedescendant") === element.id;
+    });
+    if (isFocused) {
+      await page.keyboard.press(key);
+      return;
+    }
+    await page.keyboard.press("Tab");
+    // The page draws a frame before its mirror has the focus.
+    await page.waitForTimeout(120);
+  }
+  throw new Error(`Tab never reaches ${role} ${name}`);
+}
+
 /** A request as a page of `on` makes it. */
 export const request = (on, method, path, body) =>
   on.page.evaluate(

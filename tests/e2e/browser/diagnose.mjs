@@ -2,7 +2,7 @@
 // Usage: node diagnose.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
 import { join } from "node:path";
-import { openBrowser } from "./browser.mjs";
+import { byKeyboard, openBrowser } from "./browser.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const { context, page, errors } = await openBrowser();
@@ -49,7 +49,7 @@ await step("one button diagnoses the session from the saved model", async () => 
   await page.goto(`${url}/#/diagnose/demo`);
   await page.getByRole("combobox", { name: "Start from" }).click();
   await page.getByRole("option", { name: "Demo hand" }).click();
-  await button("Start diagnosis").click();
+  await byKeyboard(page, "button", "Start diagnosis");
   await button("Cancel").waitFor();
   await shot("diagnose-running");
   await page.getByText(/^(EXPLAINED|PARTLY EXPLAINED)$/).waitFor();
@@ -74,12 +74,13 @@ await step("the gap shrinks on takes that nothing was fitted to, and the page sa
 });
 
 await step("evidence is one click away", async () => {
-  await page.getByRole("button", { name: /^Evidence for / }).first().click();
+  // With the keyboard also what was out of sight is brought into view.
+  await byKeyboard(page, "button", /^Evidence for /);
   await page.getByText(/the bar is /).first().waitFor();
 });
 
 await step("adding changes the model's file and makes it the model in use", async () => {
-  await button(`Add to ${model}`).click();
+  await byKeyboard(page, "button", `Add to ${model}`);
   await page.getByText(new RegExp(`Added to ${model}`)).waitFor();
   const after = await modelText();
   assert.notEqual(after, before);
@@ -100,7 +101,7 @@ await step("Timelines shows real, before and after", async () => {
 });
 
 await step("undo brings the file back byte for byte", async () => {
-  await button("Undo").click();
+  await byKeyboard(page, "button", "Undo");
   await button(`Add to ${model}`).waitFor();
   assert.equal(await modelText(), before);
 });

@@ -1,11 +1,12 @@
-// An operator records a whole session by the wizard, take by take, and calibrates on it.
+// An operator records a whole session by the wizard, take by take, and calibrates on it, with the keyboard alone.
 // Usage: node record.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
+import { byKeyboard } from "./browser.mjs";
 import { faults, openStation } from "./station.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const station = await openStation(url, shots);
-const { context, page, errors, button, shot, get, until, step } = station;
+const { context, page, errors, shot, get, until, step } = station;
 
 const recording = async () => (await get("recording")).session;
 const phase = async () => (await recording())?.phase;
@@ -13,10 +14,16 @@ const phase = async () => (await recording())?.phase;
 await step("the operator takes control and starts a session", async () => {
   await until("ready", station.allReady);
   await page.goto(`${url}/#/record`);
-  await station.takeControl("Ada");
+  await byKeyboard(page, "button", "Take control");
+  await page.getByRole("textbox", { name: "Your name" }).waitFor();
+  // The field has the focus as soon as it is there.
+  await page.waitForTimeout(500);
+  await page.keyboard.type("Ada", { delay: 60 });
+  await page.keyboard.press("Enter");
+  await page.getByText("You have control").waitFor();
   await page.getByText("Record a calibration session").waitFor();
   await shot("record-start");
-  await button("Start session").click();
+  await byKeyboard(page, "button", "Start session");
   const session = await until("started", (session) => session?.phase === "place_object", recording);
   assert.equal(session.operator, "Ada");
 });
@@ -24,12 +31,14 @@ await step("the operator takes control and starts a session", async () => {
 const { session: id, steps } = await recording();
 assert.equal(steps.length, 9);
 
-/** Presses a button once the page offers it, until the station has taken it in. */
-async function press(name, taken) {
-  await until(`${name} taken in`, (done) => done, async () => {
+/** Presses a key until the station has taken in what it does. */
+async function press(key, taken) {
+  await until(`${key} taken in`, (done) => done, async () => {
     if (await taken()) return true;
-    await button(name).click({ timeout: 3000 }).catch(() => {});
-    await page.waitForTimeout(100);
+    // A button that has the focus would take the key for itself.
+    await page.keyboard.press("Escape");
+    await page.keyboard.press(key);
+    await page.waitForTimeout(300);
     return taken();
   });
 }
@@ -48,17 +57,18 @@ async function recordTake(idx) {
     if (session.steps[idx].state === "accepted") return true;
     switch (session.phase) {
       case "place_object":
-        await press("Object is in place", async () => (await phase()) !== "place_object");
+        await press("Enter", async () => (await phase()) !== "place_object");
         break;
-      case "start_pose": {
-        await station.arm();
-        // The page offers what comes next as its one primary button: first the way to the start, then the motion.
-        const ready = page.getByText("Ready to run");
-        const name = (await ready.count()) > 0 ? "Run" : "Go to start pose";
-        await button(name).click({ timeout: 3000 }).catch(() => {});
-        await page.waitForTimeout(300);
+      case "start_pose":
+        if ((await station.live()).phase === "disarmed") {
+          await byKeyboard(page, "button", "Arm");
+          await page.waitForTimeout(300);
+        } else {
+          // First the way to the start, then the motion.
+          await page.keyboard.press((await page.getByText("Ready to run").count()) > 0 ? "b" : "g");
+          await page.waitForTimeout(300);
+        }
         break;
-      }
       case "running":
         if (idx === 0 && !pictured) {
           pictured = true;
@@ -71,10 +81,10 @@ async function recordTake(idx) {
         if (verdict === null) break;
         if (idx === 0) await shot("record-review");
         if (session.problem === "" && verdict.covered.length > 0) {
-          await press("Accept", taken(idx));
+          await press("Enter", taken(idx));
         } else {
           retries.push(session.problem || verdict.summary);
-          await press("Record again", async () => (await phase()) !== "review");
+          await press("r", async () => (await phase()) !== "review");
         }
         break;
       }
@@ -99,13 +109,13 @@ await step("every take is part of the session, and the session is in order", asy
   assert.equal(listed.takes, steps.length, JSON.stringify(listed));
   const check = await get(`sessions/${id}/check`);
   assert.equal(check.ok, true, JSON.stringify(check));
-  await button("Give back control").click();
+  await byKeyboard(page, "button", "Give back control");
   await until("given back", (state) => state.holder === "" && state.phase === "disarmed");
 });
 
 await step("a calibration on it finishes", async () => {
-  await button("Calibrate on it").click();
-  await button("Start calibration").click();
+  await byKeyboard(page, "button", "Calibrate on it");
+  await byKeyboard(page, "button", "Start calibration");
   const done = (runs) => runs.length > 0 && !["queued", "running"].includes(runs[0].state);
   const [run] = await until("calibrated", done, () => get("calibrations"));
   assert.equal(run.state, "done", JSON.stringify(run));

@@ -1,6 +1,7 @@
 // An operator opens every screen, calibrates by clicking, and sees the metrics improve.
 // Usage: node studio.mjs URL SCREENSHOT_DIR
 import assert from "node:assert/strict";
+import { readFile, writeFile } from "node:fs/promises";
 import { join } from "node:path";
 import { openBrowser } from "./browser.mjs";
 
@@ -23,6 +24,12 @@ async function step(name, run) {
 
 /** The address bar follows what is on the screen. */
 const hash = () => page.evaluate(() => location.hash);
+
+/** The file that the browser keeps when `press` is done. */
+async function kept(press) {
+  const [download] = await Promise.all([page.waitForEvent("download"), press()]);
+  return { name: download.suggestedFilename(), bytes: await readFile(await download.path()) };
+}
 
 await step("the page starts and names its screens", async () => {
   await page.goto(url);
@@ -48,6 +55,17 @@ await step("Sessions shows the ready session, checked and covered", async () => 
   await shot("sessions");
 });
 
+await step("A session and a take are downloaded", async () => {
+  const link = (name) => page.getByRole("link", { name, exact: true });
+  const session = await kept(() => link("Download session").click());
+  assert.equal(session.name, "demo.zip");
+  assert.equal(session.bytes.subarray(0, 2).toString(), "PK");
+  const take = await kept(() => link("Download take-01").click());
+  assert.equal(take.name, "demo-take-01.mcap");
+  assert.equal(take.bytes.subarray(1, 5).toString(), "MCAP");
+  assert.match(await hash(), /^#\/sessions\/demo/, "the page stays");
+});
+
 await step("Hand replays a take", async () => {
   await button("Watch on the hand").click();
   await button("Play").waitFor();
@@ -71,6 +89,12 @@ await step("Timelines shows real and nominal events", async () => {
   await page.keyboard.press("]");
   await page.waitForFunction((old) => location.hash !== old, before);
   await shot("timelines-nominal");
+  const picture = await kept(() => button("Save picture").click());
+  assert.match(picture.name, /^timelines-demo-take-\d+\.png$/);
+  assert.equal(picture.bytes.subarray(1, 4).toString(), "PNG");
+  // One colour all over would be far smaller.
+  assert.ok(picture.bytes.length > 10_000, `${picture.bytes.length} bytes`);
+  await writeFile(join(shots, "kept.png"), picture.bytes);
 });
 
 await step("Calibrate improves onset error, F1 and false positives on held-out takes", async () => {

@@ -7,7 +7,7 @@ use super::{StudioApp, stop};
 use crate::{
     playback::HandSource,
     route::{HelpPlace, Route, Screen},
-    screens::{announced_ui, words},
+    screens::{announced_ui, controls::name_button, words},
     store::{Connection, Loadable},
     theme::Palette,
 };
@@ -20,6 +20,12 @@ const NARROW_RAIL: f32 = 60.0;
 /// Height of a screen's button in the rail, points: as a rule, and where the page is low.
 const ROW: f32 = 40.0;
 const MIN_ROW: f32 = 28.0;
+/// Height of the name of a group of screens, points.
+const GROUP: f32 = 16.0;
+/// Between rows of the rail, points.
+const ROW_GAP: f32 = 2.0;
+/// Names of groups, and gaps where a screen of none follows.
+const NUM_GROUPS: usize = 5;
 /// What the lower end of the rail takes, points.
 const RAIL_FOOT: f32 = 150.0;
 /// Names in the bar have at most so many letters; fewer where there is little room for the three of them.
@@ -57,10 +63,12 @@ impl StudioApp {
             ui.add_space(10.0);
             // All screens are seen at once where their names can be read; on a lower page they scroll.
             let room = (ui.available_height() - RAIL_FOOT).max(ROW);
-            let row = room / Screen::ALL.len() as f32 - ui.spacing().item_spacing.y;
-            egui::ScrollArea::vertical()
-                .max_height(room)
-                .show(ui, |ui| self.screens_ui(ui, false, row.clamp(MIN_ROW, ROW), go_to));
+            let groups = NUM_GROUPS as f32 * (GROUP + ROW_GAP);
+            let row = (room - groups) / Screen::ALL.len() as f32 - ROW_GAP;
+            egui::ScrollArea::vertical().max_height(room).show(ui, |ui| {
+                ui.spacing_mut().item_spacing.y = ROW_GAP;
+                self.screens_ui(ui, false, row.clamp(MIN_ROW, ROW), go_to);
+            });
             ui.with_layout(Layout::bottom_up(Align::Min), |ui| {
                 ui.add_space(10.0);
                 if let Loadable::Ready(info) = &self.store.info {
@@ -75,7 +83,13 @@ impl StudioApp {
     /// Buttons of all screens, each as high as `row`, points.
     fn screens_ui(&mut self, ui: &mut egui::Ui, narrow: bool, row: f32, go_to: &mut Option<Route>) {
         let commandable = self.store.is_commandable();
+        let palette = Palette::of(ui.ctx().theme());
+        let mut group = None;
         for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
+            if screen.group() != group {
+                group = screen.group();
+                group_ui(ui, &palette, group.filter(|_| !narrow));
+            }
             let chosen = self.route.screen == screen && self.route.lost.is_none();
             let text = if narrow {
                 RichText::new(icon(screen)).size(18.0)
@@ -234,14 +248,14 @@ impl StudioApp {
         if shows_take && self.playback.hand_source == HandSource::Live {
             ui.label(RichText::new("Live station").strong());
             ui.separator();
-            self.copy_link_ui(ui);
+            self.take_away_ui(ui);
             return;
         }
         self.session_picker_ui(ui, letters);
         if shows_take || self.playback.take.is_some() {
             self.take_picker_ui(ui, letters);
         }
-        self.copy_link_ui(ui);
+        self.take_away_ui(ui);
         // Timelines and Hand say it a second time, beside their own choice.
         if shows_take && ui.available_width() >= ROOM_FOR_COMPARED {
             ui.separator();
@@ -296,12 +310,21 @@ impl StudioApp {
         }
     }
 
-    /// Puts the address of what is on the screen on the clipboard.
-    fn copy_link_ui(&mut self, ui: &mut egui::Ui) {
-        let button = ui.button("\u{1f517}").on_hover_text("Copy the link to what is on the screen");
-        button.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Button, true, "Copy link"));
-        if button.clicked() {
+    /// Puts the address of what is on the screen on the clipboard, or keeps a picture of it.
+    fn take_away_ui(&mut self, ui: &mut egui::Ui) {
+        let link = ui.button("\u{1f517}").on_hover_text("Copy the link to what is on the screen");
+        name_button(&link, "Copy link");
+        if link.clicked() {
             ui.ctx().copy_text(self.platform.address());
+        }
+        let picture = ui.button("\u{1f4f7}").on_hover_text("Save a picture of the screen (PNG)");
+        name_button(&picture, "Save picture");
+        if picture.clicked() {
+            self.want_picture(ui.ctx());
+        }
+        if let Some(problem) = self.picture_problem() {
+            ui.label(RichText::new("\u{26a0} no picture").color(Palette::of(ui.ctx().theme()).mismatch))
+                .on_hover_text(problem);
         }
     }
 
@@ -415,6 +438,22 @@ fn dot_ui(ui: &mut egui::Ui, word: &str, colour: egui::Color32, live: bool) {
         ui.painter().circle_filled(rect.center(), 5.0, colour);
     } else {
         ui.painter().circle_stroke(rect.center(), 4.5, egui::Stroke::new(1.5, colour));
+    }
+}
+
+/// The name of the group that begins, or a line where there is none to name.
+fn group_ui(ui: &mut egui::Ui, palette: &Palette, group: Option<&str>) {
+    let size = egui::vec2(ui.available_width(), if group.is_some() { GROUP } else { 6.0 });
+    let (rect, _) = ui.allocate_exact_size(size, egui::Sense::hover());
+    match group {
+        Some(group) => {
+            let font = egui::FontId::proportional(12.0);
+            let at = rect.left_bottom() + egui::vec2(4.0, -1.0);
+            ui.painter().text(at, egui::Align2::LEFT_BOTTOM, group, font, palette.text_weak);
+        }
+        None => {
+            ui.painter().hline(rect.x_range(), rect.center().y, egui::Stroke::new(1.0, palette.line));
+        }
     }
 }
 

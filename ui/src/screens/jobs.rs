@@ -221,7 +221,7 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
         copy_as::copy_ui(ui, &copy_as::job(job, copy_as::DATA_FOLDER));
         ui.add_space(8.0);
         if let Loadable::Ready(found) = cx.store.jobs.curves(&job.id) {
-            curves::curves_ui(ui, &cx.palette, &found, &mut state.shows_all_curves);
+            curves::curves_ui(ui, &cx.palette, &job.id, &found, &mut state.shows_all_curves);
             ui.add_space(8.0);
         }
         log_ui(ui, cx, state, job);

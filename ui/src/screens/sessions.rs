@@ -8,8 +8,8 @@ use egui::RichText;
 use palpate_wire::api::{SessionDetail, SessionSummary};
 
 use super::{
-    Part, ScreenContext, duration_text, failed_ui, heading_ui, loading_ui, missing_session_ui, two_parts_ui,
-    words,
+    Part, ScreenContext, controls::file_link_ui, duration_text, failed_ui, heading_ui, loading_ui,
+    missing_session_ui, two_parts_ui, words,
 };
 use crate::{
     route::{Route, Screen},
@@ -158,6 +158,8 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
                 cx.go_to_screen(screen);
             }
         }
+        file_link_ui(ui, "Download", "Download session", "sessions/{}/session.zip", &[id])
+            .on_hover_text("All takes as a zip, which any studio imports");
         if ui.button("Move to trash").on_hover_text("Can be undone").clicked() {
             cx.store.delete_session(id);
             if cx.playback.session.as_deref() == Some(id) {
@@ -176,7 +178,7 @@ fn takes_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &Se
 
 fn table_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &SessionDetail) {
     egui::Grid::new("session_takes").striped(true).min_row_height(22.0).spacing([22.0, 4.0]).show(ui, |ui| {
-        for name in ["Take", "Primitive", "Object", "Frames", "Duration", "Readings", ""] {
+        for name in ["Take", "Primitive", "Object", "Frames", "Duration", "Readings", "File", ""] {
             ui.label(RichText::new(name).strong());
         }
         ui.end_row();
@@ -191,6 +193,9 @@ fn table_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str, detail: &Se
             ui.label(take.frames.to_string());
             ui.label(duration_text(take.duration_s));
             ui.label(if take.has_raw { "raw and events" } else { "events only" });
+            let label = format!("Download {}", take.id);
+            file_link_ui(ui, "MCAP", &label, "sessions/{}/takes/{}/take.mcap", &[id, &take.id])
+                .on_hover_text("For Foxglove, Rerun, PlotJuggler or the mcap package");
             ui.label(if take.accepted { "" } else { "not accepted" });
             ui.end_row();
         }

@@ -129,6 +129,10 @@ impl Platform for BrowserWindow {
         }
     }
 
+    fn save_picture(&mut self, file_name: &str, picture: &egui::ColorImage) -> bool {
+        super::picture::save(file_name, picture)
+    }
+
     fn pick_file(&mut self) {
         self.file_dialog.open();
     }

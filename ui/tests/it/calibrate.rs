@@ -23,7 +23,7 @@ fn metrics(onset_error_ms: f64, f1: f64) -> Metrics {
     Metrics { onset_error_ms: Some(onset_error_ms), f1: Some(f1), fpr: Some(0.042), ..Metrics::default() }
 }
 
-fn run(state: JobState) -> CalibrationRun {
+pub(crate) fn run(state: JobState) -> CalibrationRun {
     let (nominal, calibrated) = (metrics(231.4, 0.642), metrics(88.2, 0.781));
     let theta = |lambda_con_m| ThetaReport { lambda_con_m, alpha_per_m: 120.0, lambda_pre_pa: 300.0 };
     let pair = MetricsPair { nominal: nominal.clone(), calibrated: calibrated.clone() };
@@ -71,7 +71,7 @@ fn run(state: JobState) -> CalibrationRun {
     }
 }
 
-fn answer(api: &SharedApi, request: &Request, run: &CalibrationRun) {
+pub(crate) fn answer(api: &SharedApi, request: &Request, run: &CalibrationRun) {
     api.0.borrow_mut().answer(request, serde_json::to_vec(run).expect("a run is plain data"));
 }
 

@@ -142,7 +142,7 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
     }
 }
 
-fn named() -> DiagnosisReport {
+pub(crate) fn named() -> DiagnosisReport {
     report(
         vec![latency(), backlash()],
         Verdict::PartlyExplained,
@@ -161,7 +161,7 @@ fn request() -> DiagnosisRequest {
     }
 }
 
-fn run(state: JobState, report: Option<DiagnosisReport>) -> DiagnosisRun {
+pub(crate) fn run(state: JobState, report: Option<DiagnosisReport>) -> DiagnosisRun {
     DiagnosisRun {
         id: ID.into(),
         request: request(),
@@ -188,7 +188,7 @@ fn api_with(run: &DiagnosisRun) -> SharedApi {
     api
 }
 
-fn result_page(run: &DiagnosisRun) -> (SharedApi, FakeWindow) {
+pub(crate) fn result_page(run: &DiagnosisRun) -> (SharedApi, FakeWindow) {
     (api_with(run), FakeWindow::at(&format!("#/diagnose/bench-1?run={ID}")))
 }
 

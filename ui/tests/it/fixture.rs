@@ -25,6 +25,7 @@ use palpate_wire::{
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace, control_request},
 };
 use prost::Message as _;
+use raster::Raster;
 
 pub(crate) const FRAMES: usize = 200;
 pub(crate) const FRAME_S: f64 = 0.1;
@@ -77,6 +78,8 @@ pub(crate) struct History {
     pub(crate) operator: String,
     pub(crate) unwatched: bool,
     pub(crate) picked: Vec<PickedFile>,
+    /// Pictures that were kept: name, width and height in pixels.
+    pub(crate) pictures: Vec<(String, [usize; 2])>,
 }
 
 impl FakeWindow {
@@ -153,6 +156,11 @@ impl Platform for FakeWindow {
 
     fn set_title(&mut self, title: &str) {
         self.0.borrow_mut().title = title.to_owned();
+    }
+
+    fn save_picture(&mut self, file_name: &str, picture: &egui::ColorImage) -> bool {
+        self.0.borrow_mut().pictures.push((file_name.to_owned(), picture.size));
+        true
     }
 
     fn pick_file(&mut self) {}
@@ -318,8 +326,12 @@ pub(crate) fn page_of(
     size: [f32; 2],
 ) -> Harness<'static, Option<StudioApp>> {
     let (api, window) = (api.clone(), window.clone());
-    let mut harness =
-        Harness::builder().with_size(size).with_max_steps(60).with_step_dt(0.02).build_ui_state(
+    let mut harness = Harness::builder()
+        .renderer(Raster::default())
+        .with_size(size)
+        .with_max_steps(60)
+        .with_step_dt(0.02)
+        .build_ui_state(
             move |ui, app: &mut Option<StudioApp>| {
                 let app = app.get_or_insert_with(|| {
                     StudioApp::new(ui.ctx(), Box::new(api.clone()), Box::new(window.clone()), None)

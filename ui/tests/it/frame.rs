@@ -1,8 +1,9 @@
 //! Rail, address bar, shortcuts, palette, and what happens when the server is slow, empty or gone.
 
 use egui::{Key, Modifiers, accesskit::Role};
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::{Harness, kittest::Queryable as _};
 use palpate_ui::{
+    StudioApp,
     api_client::{ApiEvent, Request},
     route::Screen,
 };
@@ -318,4 +319,30 @@ fn a_button_that_is_pressed_for_long_is_pressed() {
     harness.event(egui::Event::PointerButton { pos, button, pressed: false, modifiers });
     harness.run_steps(4);
     assert_eq!(app(&harness).screen(), Screen::Jobs);
+}
+
+#[test]
+fn a_picture_shows_the_screen_without_the_bars() {
+    let window = FakeWindow::at("#/timelines/bench-1/take-01");
+    let mut harness = page(&full_api(), &window);
+    let asked = |harness: &Harness<'static, Option<StudioApp>>| {
+        let output = &harness.output().viewport_output[&egui::ViewportId::ROOT];
+        output.commands.iter().find_map(|command| match command {
+            egui::ViewportCommand::Screenshot(callback) => Some(callback.clone()),
+            _ => None,
+        })
+    };
+    harness.get_by_role_and_label(Role::Button, "Save picture").click();
+    let mut wanted = None;
+    for _ in 0..4 {
+        harness.step();
+        wanted = wanted.or_else(|| asked(&harness));
+    }
+    let image = std::sync::Arc::new(egui::ColorImage::filled([1280, 800], egui::Color32::WHITE));
+    wanted.expect("the frame after the press is asked for").complete(image);
+    harness.run_steps(2);
+    let pictures = &window.0.borrow().pictures;
+    let [(name, [width, height])] = &pictures[..] else { panic!("{pictures:?}") };
+    assert_eq!(name, "timelines-bench-1-take-01.png");
+    assert!((1000..1280).contains(width) && (600..800).contains(height), "{width} x {height}");
 }

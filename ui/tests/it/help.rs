@@ -194,7 +194,7 @@ fn keys_of_screens_rest_while_help_is_open() {
     harness.key_press(Key::T);
     harness.run_steps(3);
     assert_eq!(harness.ctx.theme(), before);
-    harness.key_press_modifiers(Modifiers::ALT, Key::Num7);
+    harness.key_press_modifiers(Modifiers::ALT, Key::Num4);
     harness.run_steps(4);
     assert_eq!(app(&harness).screen(), Screen::Sessions, "going to a screen closes it");
     assert!(harness.query_by_label("Close help").is_none());

@@ -28,7 +28,7 @@ pub(crate) fn me(role: May, via: Via) -> Me {
 }
 
 /// A studio with one session, no jobs and no campaigns, seen by somebody of `role`.
-fn studio(role: May) -> SharedApi {
+pub(crate) fn studio(role: May) -> SharedApi {
     let api = full_api();
     {
         let mut fake = api.0.borrow_mut();

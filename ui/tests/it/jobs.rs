@@ -46,7 +46,7 @@ pub(crate) fn job(id: &str, kind: &str, state: JobState) -> Job {
     }
 }
 
-fn with(jobs: Vec<Job>) -> SharedApi {
+pub(crate) fn with(jobs: Vec<Job>) -> SharedApi {
     let api = full_api();
     let body = serde_json::to_vec(&JobPage { jobs, next_cursor: None }).expect("it is plain data");
     api.0.borrow_mut().answer(&Request::Jobs(None), body);

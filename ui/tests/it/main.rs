@@ -12,6 +12,7 @@ mod live;
 mod mirror;
 mod models;
 mod objects;
+mod pictures;
 mod policy;
 mod record;
 mod sessions;

@@ -15,7 +15,7 @@ fn with_lineage(lineage: &serde_json::Value) -> SharedApi {
     api
 }
 
-fn from_takes_to_trials() -> SharedApi {
+pub(crate) fn from_takes_to_trials() -> SharedApi {
     with_lineage(&json!({ "artifacts": [
         { "sort": "session", "id": "bench-1", "name": "bench-1" },
         { "sort": "model", "id": "bench-fit", "name": "Bench fit", "made": "2026-01-01T10:00:00Z", "jobs": ["run-1"],

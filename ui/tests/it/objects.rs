@@ -17,7 +17,7 @@ fn pose(weight: f64, barrier_m: Option<f64>) -> RestPoseDocument {
     }
 }
 
-fn block() -> ObjectEntry {
+pub(crate) fn block() -> ObjectEntry {
     let object_toml = "id = 'block'\nlabel = 'Block'\nshape = { kind = 'box', size_m = [0.08, 0.06, 0.04] }";
     ObjectEntry {
         id: "block".into(),
@@ -37,12 +37,12 @@ fn block() -> ObjectEntry {
     }
 }
 
-fn bad() -> ObjectEntry {
+pub(crate) fn bad() -> ObjectEntry {
     let problem = "bad.toml: line 3, object \"bad\": radius_m is -1, expected a finite number above zero";
     ObjectEntry { id: "bad".into(), own: true, content: Err(problem.into()), takes: Vec::new() }
 }
 
-fn with_objects(objects: &[ObjectEntry]) -> SharedApi {
+pub(crate) fn with_objects(objects: &[ObjectEntry]) -> SharedApi {
     let api = full_api();
     let body = serde_json::to_vec(objects).expect("it is plain data");
     api.0.borrow_mut().answer(&Request::Objects, body);

@@ -12,7 +12,7 @@ use crate::{
     home::me,
 };
 
-fn check() -> CheckReport {
+pub(crate) fn check() -> CheckReport {
     let coverage = |channel: &str, touches_by_half: [usize; 2]| ChannelCoverage {
         channel: channel.into(),
         touches: touches_by_half.iter().sum(),
@@ -171,4 +171,20 @@ fn what_cannot_be_restored_says_why_and_viewers_are_told_who_may() {
     harness.get_by_label("Deleted").click();
     harness.run_steps(20);
     harness.get_by_label("Operators restore what was deleted.");
+}
+
+#[test]
+fn a_session_and_its_takes_can_be_downloaded() {
+    let mut harness = page(&full_api(), &FakeWindow::at("#/sessions/bench-1"));
+    let mut opened = |label: &str| {
+        harness.get_by_role_and_label(Role::Link, label).click();
+        harness.step();
+        harness.output().platform_output.commands.iter().find_map(|command| match command {
+            egui::OutputCommand::OpenUrl(url) => Some(url.url.clone()),
+            _ => None,
+        })
+    };
+    assert_eq!(opened("Download session").as_deref(), Some("/api/v1/sessions/bench%2D1/session.zip"));
+    let take = "/api/v1/sessions/bench%2D1/takes/take%2D02/take.mcap";
+    assert_eq!(opened("Download take-02").as_deref(), Some(take));
 }

@@ -33,7 +33,7 @@ fn token() -> Token {
     }
 }
 
-fn studio(role: May, via: Via) -> SharedApi {
+pub(crate) fn studio(role: May, via: Via) -> SharedApi {
     let api = full_api();
     {
         let mut fake = api.0.borrow_mut();

@@ -19,7 +19,7 @@ use crate::{
     jobs::job,
 };
 
-fn campaign(state: TrialState) -> Campaign {
+pub(crate) fn campaign(state: TrialState) -> Campaign {
     let plan = CampaignPlan {
         name: "First trials".into(),
         policies: vec![CampaignPolicy {
@@ -96,7 +96,7 @@ fn seen(scorer: &str, as_scorer: bool) -> Request {
     Request::Campaign { campaign: "first-trials".into(), scorer: scorer.into(), as_scorer }
 }
 
-fn with(campaign: &Campaign) -> SharedApi {
+pub(crate) fn with(campaign: &Campaign) -> SharedApi {
     let api = full_api();
     let json = |value: &Campaign| serde_json::to_vec(value).expect("it is plain data");
     {

@@ -6,7 +6,7 @@ use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metr
 use super::{CalibrateState, objective, tables};
 use crate::{
     route::Screen,
-    screens::{ScreenContext, heading_ui, help_ui},
+    screens::{ScreenContext, controls::file_link_ui, heading_ui, help_ui},
     store::Loadable,
 };
 
@@ -38,7 +38,7 @@ pub(super) fn results_ui(
         ui.add_space(6.0);
         objective::objective_ui(ui, &cx.palette, report);
         ui.add_space(10.0);
-        metrics_ui(ui, cx, report);
+        metrics_ui(ui, cx, run, report);
         ui.add_space(10.0);
         tables::tables_ui(ui, cx, &mut state.table, &run.request.session, report);
         ui.add_space(12.0);
@@ -170,9 +170,17 @@ impl Row {
     }
 }
 
-fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &CalibrationReport) {
+fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &CalibrationRun, report: &CalibrationReport) {
     let held = report.held_out_takes.join(", ");
-    ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
+    ui.horizontal_wrapped(|ui| {
+        ui.label(RichText::new(format!("On the held-out takes ({held})")).color(cx.palette.text_weak));
+        for (face, label, file) in [
+            ("metrics (CSV)", "Download the metrics", "metrics.csv"),
+            ("intervals (CSV)", "Download the intervals", "intervals.csv"),
+        ] {
+            file_link_ui(ui, face, label, &format!("calibrations/{{}}/tables/{file}"), &[&run.id]);
+        }
+    });
     egui::Grid::new("calibrate_metrics").striped(true).min_row_height(22.0).spacing([28.0, 6.0]).show(
         ui,
         |ui| {
@@ -248,6 +256,7 @@ fn keep_ui(
             cx.go_to_screen(Screen::Timelines);
         }
         ui.hyperlink_to("Open the report", format!("/api/v1/calibrations/{}/report.html", run.id));
+        file_link_ui(ui, "Model (TOML)", "Download the model", "jobs/{}/files/model.toml", &[&run.id]);
     });
     match (&cx.store.saved_model, &run.saved_as) {
         (Loadable::Failed(error), _) => {

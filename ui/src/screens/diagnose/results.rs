@@ -7,7 +7,7 @@ use palpate_wire::{
 };
 
 use super::{DiagnoseState, Start, bars, details, effects, keep, residual_map};
-use crate::screens::{ScreenContext, heading_ui, help_ui};
+use crate::screens::{ScreenContext, controls::file_link_ui, heading_ui, help_ui};
 
 /// True when the operator asks for another run with the choices as they are now.
 pub(super) fn results_ui(
@@ -28,21 +28,26 @@ pub(super) fn results_ui(
     egui::ScrollArea::vertical().id_salt(&run.id).auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         lead_ui(ui, cx, report, start);
-        section(ui, "The gap, step by step", "gap");
+        section(ui, "The gap, step by step", "gap", |ui| {
+            table_ui(ui, "CSV", "Download the gap", "waterfall.csv", run);
+            table_ui(ui, "metrics (CSV)", "Download the metrics", "metrics.csv", run);
+        });
         bars::waterfall_ui(ui, &cx.palette, report, start);
         if !report.effects.is_empty() {
-            section(ui, "What is missing", "effect");
+            section(ui, "What is missing", "effect", |ui| {
+                table_ui(ui, "CSV", "Download the effects", "effects.csv", run);
+            });
             again = effects::effects_ui(ui, cx, state, report);
         }
-        section(ui, "What was tried", "evidence");
+        section(ui, "What was tried", "evidence", |_| ());
         bars::evidence_ui(ui, &cx.palette, report, &mut state.shown.all_candidates);
-        section(ui, "Where simulation and hand disagree", "channel-second");
+        section(ui, "Where simulation and hand disagree", "channel-second", |_| ());
         residual_map::residual_map_ui(ui, cx, &mut state.shown.residual_before, run, report);
-        section(ui, "What stays unexplained", "null session");
+        section(ui, "What stays unexplained", "null session", |_| ());
         details::unexplained_ui(ui, cx, report, &run.request.session);
-        section(ui, "What to record next", "wanted take");
+        section(ui, "What to record next", "wanted take", |_| ());
         details::next_ui(ui, cx, report);
-        section(ui, "How it was judged", "F1");
+        section(ui, "How it was judged", "F1", |_| ());
         details::metrics_ui(ui, cx, report, start);
         ui.add_space(12.0);
     });
@@ -50,12 +55,19 @@ pub(super) fn results_ui(
 }
 
 /// A heading, with help about the `word` that what is below it turns on.
-fn section(ui: &mut egui::Ui, title: &str, word: &'static str) {
+/// A heading with what explains its `word`, and `more` beside it.
+fn section(ui: &mut egui::Ui, title: &str, word: &'static str, more: impl FnOnce(&mut egui::Ui)) {
     ui.add_space(14.0);
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         heading_ui(ui, title);
         help_ui(ui, word);
+        more(ui);
     });
+}
+
+/// A link to the numbers of `run` in `file`.
+fn table_ui(ui: &mut egui::Ui, face: &str, label: &str, file: &str, run: &DiagnosisRun) {
+    file_link_ui(ui, face, label, &format!("diagnoses/{{}}/tables/{file}"), &[&run.id]);
 }
 
 fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use egui::{Align2, FontId, Pos2, Rect, Sense, Stroke, Ui, pos2, vec2};
 
-use crate::theme::Palette;
+use crate::{screens::controls::file_link_ui, theme::Palette};
 
 const SIZE: egui::Vec2 = vec2(250.0, 130.0);
 /// What people look at first.
@@ -52,13 +52,16 @@ impl Curves {
     }
 }
 
-/// Draws `curves`, all of them if `shows_all`.
-pub(super) fn curves_ui(ui: &mut Ui, palette: &Palette, curves: &Curves, shows_all: &mut bool) {
+/// Draws the `curves` of a job, all of them if `shows_all`.
+pub(super) fn curves_ui(ui: &mut Ui, palette: &Palette, job: &str, curves: &Curves, shows_all: &mut bool) {
     let names = curves.names();
     if names.is_empty() {
         return;
     }
-    ui.strong("Curves");
+    ui.horizontal_wrapped(|ui| {
+        ui.strong("Curves");
+        file_link_ui(ui, "CSV", "Download the curves", "jobs/{}/metrics.csv", &[job]);
+    });
     ui.horizontal_wrapped(|ui| {
         for name in names.iter().take(if *shows_all { usize::MAX } else { FEW }) {
             if let Some(points) = curves.0.get(*name) {

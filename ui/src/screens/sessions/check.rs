@@ -151,7 +151,7 @@ fn seldom_text(report: &CheckReport, seldom: &[&Problem]) -> String {
 fn coverage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckReport) {
     let palette = cx.palette;
     heading_ui(ui, "Coverage");
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label(RichText::new("Contacts of each channel:").color(palette.text_weak));
         legend_ui(ui, palette.real, "first half of the takes");
         legend_ui(ui, palette.text_weak, "second half");
