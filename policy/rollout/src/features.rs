@@ -1,9 +1,9 @@
 //! What a pretrained encoder makes of what a hand feels: the same numbers in training, in evaluation and on the hand.
 //!
-//! An encoder looks back on the last frames of a trial, of each channel the place of its taxel in the hand's frame and whether
-//! it is active ([`Taxels`]). Everything here is computed from the frames of [`palpate_cloning::Shape::frame`], which is what
-//! is kept of a trial, and one window at a time, because a batch of windows may have other bits. So a policy sees at work the
-//! bits that it learned from.
+//! An encoder looks back on the last frames of a trial, of each channel the place of its taxel in the hand's frame and
+//! whether it is active ([`Taxels`]). Everything here is computed from the frames of [`palpate_cloning::Shape::frame`], which
+//! are what is kept of a trial, and one window at a time, because a batch of windows may have other bits. So a policy sees
+//! at work the bits that it learned from.
 
 use std::collections::VecDeque;
 use std::path::Path;

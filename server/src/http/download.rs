@@ -127,8 +127,8 @@ impl Download {
     }
 }
 
-/// The header that has a client keep a file under `name` (RFC 6266): in full, and in ASCII for those that know no more, such as
-/// `curl -OJ`.
+/// The header that has a client keep a file under `name` (RFC 6266): in full, and in ASCII for those that know no more, such
+/// as `curl -OJ`.
 fn disposition(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_. ".contains(c) { c } else { '_' };
     let ascii: String = name.chars().map(plain).collect();

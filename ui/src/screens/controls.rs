@@ -14,8 +14,8 @@ pub fn name_button(response: &egui::Response, label: &str) {
     response.widget_info(|| egui::WidgetInfo::labeled(Role::Button, true, label));
 }
 
-/// A link to a file of the server, which the browser keeps: `path` below `/api/v1`, with `ids` in the places of `{}`. Its name
-/// is `label`, which may say more than `face` shows.
+/// A link to a file of the server, which the browser keeps: `path` below `/api/v1`, with `ids` in the places of `{}`. Its
+/// name is `label`, which may say more than `face` shows.
 pub fn file_link_ui(ui: &mut egui::Ui, face: &str, label: &str, path: &str, ids: &[&str]) -> egui::Response {
     let path = ids.iter().fold(path.to_owned(), |path, id| path.replacen("{}", &segment(id), 1));
     let link = ui.hyperlink_to(face, format!("/api/v1/{path}"));

@@ -52,7 +52,7 @@ fn compare_pages(
             if !KEPT.contains(&(size[0], theme)) {
                 continue;
             }
-            // What egui's own pictures may differ by: a processor with other vectors may round the edge of a glyph otherwise.
+            // As much as egui's own pictures: a processor with other vectors may round the edge of a glyph otherwise.
             let options = SnapshotOptions::new().threshold(0.6);
             if let Err(err) = try_image_snapshot_options(&picture, &name, &options) {
                 differences.push(err.to_string());

@@ -11,8 +11,8 @@ use std::{
 
 use crate::Error;
 
-/// Uploads, and sessions that are packed to be sent, that may be under way at once. Each keeps a thread busy and up to 4.5 GB
-/// of the disk.
+/// Uploads, and sessions that are packed to be sent, that may be under way at once. Each keeps a thread busy and up to
+/// 4.5 GB of the disk.
 const MAX_UPLOADS: usize = 4;
 /// Free space that uploads leave, bytes: a session that is being recorded writes to the same disk, and its takes end when
 /// that is full.
