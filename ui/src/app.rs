@@ -36,6 +36,8 @@ const RECONNECT_AFTER_S: f64 = 2.0;
 const CONTROL_REPAINT: Duration = Duration::from_millis(50);
 /// So soon is the station's state drawn in the bar of a screen that shows nothing else of the stream.
 const BAR_REPAINT: Duration = Duration::from_millis(200);
+/// So soon is it drawn on a screen that shows what the hand feels: in the next frame. Not zero, for which egui draws two.
+const STREAM_REPAINT: Duration = Duration::from_millis(1);
 /// Seconds between writes of the cursor's time to the address bar: browsers refuse more than a few a second.
 const ADDRESS_EVERY_S: f64 = 0.5;
 /// The space bar still means STOP this long after torque went off, s: a station that disarms by itself may do so just
@@ -562,7 +564,7 @@ impl StudioApp {
 /// How soon what comes on the stream is drawn on `screen`. Without a graphics card a frame costs a good part of a core.
 fn stream_within(screen: Screen) -> Duration {
     match screen {
-        Screen::Hand | Screen::Record | Screen::Timelines => Duration::ZERO,
+        Screen::Hand | Screen::Record | Screen::Timelines => STREAM_REPAINT,
         _ => BAR_REPAINT,
     }
 }

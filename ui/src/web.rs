@@ -41,7 +41,8 @@ async fn run() -> Result<(), String> {
     eframe::WebRunner::new()
         .start(
             canvas,
-            eframe::WebOptions::default(),
+            // What dithering smooths, gradients, the page has hardly any of; it costs time for every pixel.
+            eframe::WebOptions { dithering: false, ..eframe::WebOptions::default() },
             Box::new(move |cc| {
                 let state = cc.wgpu_render_state.as_ref();
                 let surface = state.map(|state| Surface::new(state.target_format, &state.adapter));

@@ -7,6 +7,15 @@ import { openBrowser } from "./browser.mjs";
 
 const [url, shots] = process.argv.slice(2);
 const { context, page, errors } = await openBrowser();
+await page.addInitScript(() => {
+  // What the browser compiles: boot.js passes shaders on to here.
+  const { shaderSource } = WebGL2RenderingContext.prototype;
+  window.shaders = [];
+  WebGL2RenderingContext.prototype.shaderSource = function (shader, source) {
+    window.shaders.push(source);
+    shaderSource.call(this, shader, source);
+  };
+});
 const button = (name) => page.getByRole("button", { name, exact: true });
 const shot = (name) => page.screenshot({ path: join(shots, `${name}.png`) });
 
@@ -37,6 +46,12 @@ await step("the page starts and names its screens", async () => {
   for (const screen of ["Home", "Hand", "Record", "Timelines", "Calibrate", "Sessions", "Settings"]) {
     await button(screen).waitFor();
   }
+});
+
+await step("shaders are without the slow way to filter textures", async () => {
+  const shaders = await page.evaluate(() => window.shaders);
+  assert.ok(shaders.some((source) => source.includes("predictable_texture_filtering")), "egui calls it otherwise now");
+  assert.ok(!shaders.some((source) => /\.predictable_texture_filtering/.test(source)), "boot.js does not replace it");
 });
 
 await step("Home is first, and its button would calibrate the ready session", async () => {

@@ -4,6 +4,7 @@
 
 mod bars;
 mod camera;
+mod detail;
 mod details;
 mod flat_map;
 mod hull;

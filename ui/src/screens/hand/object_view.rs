@@ -8,7 +8,8 @@ use palpate_robot_model::ObjectShape;
 
 use super::{
     camera::{Bounds, Camera},
-    renderer::ScenePaint,
+    detail::Detail,
+    renderer::{Scene, ScenePaint},
     scene::{Geometry, Instance},
     view3d::{background, globals, keep_arrow_keys, steer},
 };
@@ -22,6 +23,7 @@ const GRID_STEP_M: f32 = 0.02;
 pub struct ObjectView {
     drawn: Option<(String, Arc<Geometry>)>,
     camera: Option<Camera>,
+    detail: Detail,
 }
 
 impl ObjectView {
@@ -67,7 +69,6 @@ impl ObjectView {
         steer(camera, ui, &response, rect);
 
         let painter = ui.painter_at(rect);
-        painter.rect_filled(rect, 6.0, palette.surface);
         if let Some(surface) = surface {
             let tone = Rgba::from(if palette.dark {
                 egui::Color32::from_rgb(0xb9, 0xa8, 0x8c)
@@ -76,23 +77,23 @@ impl ObjectView {
             });
             let mut globals = globals(camera, aspect, palette);
             globals.grid = [0.0, 0.0, 6.0 * bounds.radius_m, GRID_STEP_M];
-            painter.add(egui_wgpu::Callback::new_paint_callback(
-                rect,
-                ScenePaint {
-                    geometry: Arc::clone(&geometry),
-                    instances: vec![Instance {
-                        mesh: 0,
-                        root_from_mesh: table_from_object.to_homogeneous(),
-                        color: [tone.r(), tone.g(), tone.b(), 1.0],
-                        unlit: 0.0,
-                        rim: 0.0,
-                    }],
-                    globals,
-                    background: background(palette),
-                    size_points: rect.size(),
-                    surface,
-                },
-            ));
+            let scene = Scene {
+                geometry: Arc::clone(&geometry),
+                instances: vec![Instance {
+                    mesh: 0,
+                    root_from_mesh: table_from_object.to_homogeneous(),
+                    color: [tone.r(), tone.g(), tone.b(), 1.0],
+                    unlit: 0.0,
+                    rim: 0.0,
+                }],
+                globals,
+                background: background(palette),
+            };
+            let drawing = self.detail.drawing(ui.ctx(), scene);
+            let paint = ScenePaint { drawing, size_points: rect.size(), surface };
+            painter.add(egui_wgpu::Callback::new_paint_callback(rect, paint));
+        } else {
+            painter.rect_filled(rect, 6.0, palette.surface);
         }
         if response.has_focus() {
             let stroke = egui::Stroke::new(2.0, palette.calibrated);

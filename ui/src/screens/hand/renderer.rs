@@ -24,8 +24,28 @@ fn sample_count(surface: Surface) -> u32 {
     if surface.by_processor { 1 } else { 4 }
 }
 
-/// One picture of the scene, ready to be drawn.
+/// A picture of the scene, ready to be drawn.
 pub(super) struct ScenePaint {
+    /// What it shows. The same one again is not drawn again.
+    pub drawing: Arc<Drawing>,
+    /// Its size on the page, points.
+    pub size_points: egui::Vec2,
+    /// What egui paints on.
+    pub surface: Surface,
+}
+
+/// A scene, and how finely it is drawn.
+#[derive(Debug)]
+pub(super) struct Drawing {
+    /// What is shown.
+    pub scene: Scene,
+    /// Pixels of the picture for one of the page, along each edge; at most 1.
+    pub share: f32,
+}
+
+/// What a picture shows.
+#[derive(Debug)]
+pub(super) struct Scene {
     /// Meshes; uploaded when they are not those of the picture before.
     pub geometry: Arc<Geometry>,
     /// What to draw. Instances of one mesh that follow each other are drawn together; translucent ones go last.
@@ -34,15 +54,20 @@ pub(super) struct ScenePaint {
     pub globals: Globals,
     /// Behind everything, encoded RGBA.
     pub background: [f64; 4],
-    /// Size of the picture, points.
-    pub size_points: egui::Vec2,
-    /// What egui paints on.
-    pub surface: Surface,
+}
+
+impl PartialEq for Scene {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.geometry, &other.geometry)
+            && self.globals == other.globals
+            && self.background == other.background
+            && self.instances == other.instances
+    }
 }
 
 /// What the whole picture shares; the layout of the shader's uniform.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(super) struct Globals {
     /// Column-major.
     pub clip_from_world: [[f32; 4]; 4],
@@ -117,7 +142,7 @@ struct HandRenderer {
     geometry: Option<GpuGeometry>,
     picture: Option<Picture>,
     /// What the picture shows now.
-    drawn: Option<Drawn>,
+    drawn: Option<Arc<Drawing>>,
 }
 
 impl HandRenderer {
@@ -360,28 +385,24 @@ impl HandRenderer {
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         encoder: &mut wgpu::CommandEncoder,
-        paint: &ScenePaint,
+        drawing: &Arc<Drawing>,
     ) {
         let (Some(geometry), Some(picture)) = (&self.geometry, &self.picture) else { return };
-        let raw: Vec<InstanceRaw> = paint.instances.iter().map(InstanceRaw::from).collect();
-        let bytes: &[u8] = bytemuck::cast_slice(&raw);
-        let drawn = Drawn {
-            instances: bytes.to_vec(),
-            globals: bytemuck::bytes_of(&paint.globals).to_vec(),
-            background: paint.background,
-        };
-        if self.drawn.as_ref() == Some(&drawn) {
+        if self.drawn.as_ref().is_some_and(|drawn| Arc::ptr_eq(drawn, drawing)) {
             // The picture is there already; a processor that draws needs its time for other things.
             return;
         }
-        self.drawn = Some(drawn);
+        self.drawn = Some(Arc::clone(drawing));
+        let scene = &drawing.scene;
+        let raw: Vec<InstanceRaw> = scene.instances.iter().map(InstanceRaw::from).collect();
+        let bytes: &[u8] = bytemuck::cast_slice(&raw);
         if bytes.len() as u64 > self.instances.size() {
             self.instances = instance_buffer(device, raw.len().next_power_of_two());
         }
         queue.write_buffer(&self.instances, 0, bytes);
-        queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&paint.globals));
+        queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&scene.globals));
 
-        let [r, g, b, a] = paint.background;
+        let [r, g, b, a] = scene.background;
         let (view, resolve_target) = match &picture.multisampled {
             Some(multisampled) => (multisampled, Some(&picture.resolved)),
             None => (&picture.resolved, None),
@@ -409,7 +430,7 @@ impl HandRenderer {
         });
         pass.set_bind_group(0, &self.globals_bindings, &[]);
         pass.set_index_buffer(geometry.indices.slice(..), wgpu::IndexFormat::Uint32);
-        let batches = batches(&paint.instances);
+        let batches = batches(&scene.instances);
         let draw_batches = |pass: &mut wgpu::RenderPass<'_>, translucent: bool| {
             for batch in batches.iter().filter(|batch| batch.translucent == translucent) {
                 let range = &geometry.ranges[batch.mesh];
@@ -448,10 +469,11 @@ impl CallbackTrait for ScenePaint {
         }
         if let Some(renderer) = resources.get_mut::<HandRenderer>() {
             let most = device.limits().max_texture_dimension_2d;
-            let pixels = |points: f32| ((points * screen.pixels_per_point).round() as u32).clamp(1, most);
-            renderer.upload_geometry(device, queue, &self.geometry);
+            let per_point = screen.pixels_per_point * self.drawing.share;
+            let pixels = |points: f32| ((points * per_point).round() as u32).clamp(1, most);
+            renderer.upload_geometry(device, queue, &self.drawing.scene.geometry);
             renderer.resize_picture(device, [pixels(self.size_points.x), pixels(self.size_points.y)]);
-            renderer.draw(device, queue, encoder, self);
+            renderer.draw(device, queue, encoder, &self.drawing);
         }
         Vec::new()
     }
@@ -470,14 +492,6 @@ impl CallbackTrait for ScenePaint {
             pass.draw(0..3, 0..1);
         }
     }
-}
-
-/// What a picture shows, besides its meshes and its size.
-#[derive(Debug, PartialEq)]
-struct Drawn {
-    instances: Vec<u8>,
-    globals: Vec<u8>,
-    background: [f64; 4],
 }
 
 /// Instances of one mesh that follow each other.

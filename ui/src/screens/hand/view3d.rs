@@ -8,7 +8,8 @@ use palpate_robot_model::Station;
 
 use super::{
     camera::{Bounds, Camera},
-    renderer::{Globals, ScenePaint},
+    detail::Detail,
+    renderer::{Globals, Scene, ScenePaint},
     scene::{Geometry, SceneColors, Shown, Subject, TaxelLook, View},
 };
 use crate::{surface::Surface, theme::Palette};
@@ -37,6 +38,7 @@ pub(super) struct ViewState {
     camera: Option<Camera>,
     flight: Option<Flight>,
     last_aspect: f32,
+    detail: Detail,
 }
 
 struct Flight {
@@ -57,6 +59,7 @@ impl Default for ViewState {
             camera: None,
             flight: None,
             last_aspect: 1.5,
+            detail: Detail::default(),
         }
     }
 }
@@ -287,7 +290,6 @@ pub(super) fn view3d_ui(
     let colors = scene_colors(palette);
     let object_if_shown = moment.object.filter(|_| state.shown.object);
     let painter = ui.painter_at(rect);
-    painter.rect_filled(rect, 6.0, palette.surface);
     if let Some(surface) = surface {
         let mut instances = geometry.instances(
             moment.station,
@@ -301,15 +303,17 @@ pub(super) fn view3d_ui(
             let [from, to] = [moment.root_from_link, moment.commanded_from_link];
             instances.extend(geometry.ghost(from, to, colors.ghost, state.shown));
         }
-        let paint = ScenePaint {
+        let scene = Scene {
             geometry: Arc::clone(geometry),
             instances,
             globals: globals(&camera, aspect, palette),
             background: background(palette),
-            size_points: rect.size(),
-            surface,
         };
+        let drawing = state.detail.drawing(ui.ctx(), scene);
+        let paint = ScenePaint { drawing, size_points: rect.size(), surface };
         painter.add(egui_wgpu::Callback::new_paint_callback(rect, paint));
+    } else {
+        painter.rect_filled(rect, 6.0, palette.surface);
     }
     marks_ui(&painter, rect, geometry, moment, &camera, state.shown, palette);
     if state.labels {
