@@ -9,6 +9,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "proto/foxglove/FrameTransforms.proto",
         "proto/foxglove/JointStates.proto",
         "proto/foxglove/Log.proto",
+        "proto/foxglove/PoseInFrame.proto",
         "proto/palpate/control.proto",
         "proto/palpate/tactile.proto",
         "proto/palpate/trace.proto",

@@ -4,7 +4,8 @@ use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity, StreamC
 use palpate_wire::wording::counted;
 
 use crate::{
-    RecordingError, Session, SpanKind, Take, decode::decode, plausible, session::station_difference,
+    RecordingError, Session, SpanKind, Take, decode::decode, format::OBJECT_POSE_TOPIC, object_poses,
+    plausible, session::station_difference,
 };
 
 /// A channel should be touched at least so often in each half of the takes: below, a dead, stuck or swapped channel
@@ -138,6 +139,9 @@ impl Judge for CheckReport {
         }
         if let Some(problem) = plausible::out_of_reach(&take.station.robot, &take.meta.base_from_object) {
             self.add(Severity::Error, format!("{}, object_pose", take.id), problem);
+        }
+        for (severity, problem) in object_poses::problems(take) {
+            self.add(severity, format!("{}, {OBJECT_POSE_TOPIC}", take.id), problem);
         }
         self.judge_joints(take);
         let layout = &take.station.layout;

@@ -14,19 +14,20 @@ use mcap::{
     records::{self, MessageHeader, Record, op},
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
+use nalgebra::Isometry3;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
-    foxglove::JointStates,
+    foxglove::{JointStates, PoseInFrame},
     proto::{Marker, TactileSample, marker::Kind},
 };
 use prost::Message as _;
 
 use crate::{
-    JointLog, RecordingError, Span, SpanKind, StreamLog, Take, TakeMeta,
+    JointLog, PoseLog, RecordingError, Span, SpanKind, StreamLog, Take, TakeMeta,
     format::{
         self, FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, MARKER_SCHEMA,
-        MARKERS_TOPIC, PROTOBUF, STATION_ATTACHMENT, TACTILE_SCHEMA, TACTILE_TOPIC_PREFIX, TAKE_METADATA,
-        secs_from_ns,
+        MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF, STATION_ATTACHMENT, TACTILE_SCHEMA,
+        TACTILE_TOPIC_PREFIX, TAKE_METADATA, UNIT_TOLERANCE, secs_from_ns,
     },
     take::reference_readings,
 };
@@ -119,8 +120,8 @@ pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, RecordingErro
         Err(error) => return Err(damage.map_or(error, |damage| damage.into_error(path))),
     };
     let id = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let Logs { joints, commands, streams, spans } = logs;
-    let take = Take { id, meta, start_unix_ns, station, joints, commands, streams, spans };
+    let Logs { joints, commands, object_poses, streams, spans } = logs;
+    let take = Take { id, meta, start_unix_ns, station, joints, commands, object_poses, streams, spans };
     Ok(Decoded { take, damage })
 }
 
@@ -260,6 +261,7 @@ impl About {
 enum Role {
     Joints,
     Commands,
+    ObjectPose,
     Stream(usize),
     Markers,
     /// For people or for others.
@@ -284,6 +286,7 @@ struct Messages<'a> {
 struct Logs {
     joints: JointLog,
     commands: JointLog,
+    object_poses: PoseLog,
     streams: Vec<StreamLog>,
     spans: Vec<Span>,
 }
@@ -327,6 +330,7 @@ impl<'a> Messages<'a> {
         let (role, expected) = match topic.as_str() {
             JOINT_STATES_TOPIC => (Role::Joints, JOINT_STATES_SCHEMA),
             JOINT_COMMANDS_TOPIC => (Role::Commands, JOINT_STATES_SCHEMA),
+            OBJECT_POSE_TOPIC => (Role::ObjectPose, POSE_SCHEMA),
             MARKERS_TOPIC => (Role::Markers, MARKER_SCHEMA),
             _ => match topic.strip_prefix(TACTILE_TOPIC_PREFIX) {
                 Some(stream) => match self.station.layout.stream_index(stream) {
@@ -383,6 +387,10 @@ impl<'a> Messages<'a> {
                 .map(|positions| self.logs.joints.push(time_s, &positions)),
             Role::Commands => joint_positions(&self.joint_names, data)
                 .map(|positions| self.logs.commands.push(time_s, &positions)),
+            Role::ObjectPose => object_pose(self.station, data).map(|base_from_object| {
+                self.logs.object_poses.times_s.push(time_s);
+                self.logs.object_poses.poses.push(base_from_object);
+            }),
             Role::Stream(stream_idx) => {
                 let log = &mut self.logs.streams[stream_idx];
                 tactile_sample(
@@ -459,6 +467,36 @@ fn joint_positions(names: &[&str], data: &[u8]) -> Result<Vec<f64>, String> {
         }
     });
     positions.collect()
+}
+
+/// base_from_object.
+fn object_pose(station: &Station, data: &[u8]) -> Result<Isometry3<f64>, String> {
+    let message = PoseInFrame::decode(data).map_err(|error| error.to_string())?;
+    let base = station.robot.links.first().map_or("", |link| link.name.as_str());
+    // Many programs leave the frame out.
+    if !message.frame_id.is_empty() && message.frame_id != base {
+        return Err(format!(
+            "the pose is given in frame {:?}, expected the base of the attached station's robot, {base:?}",
+            message.frame_id
+        ));
+    }
+    let pose = message.pose.ok_or("there is no pose in it")?;
+    // What protobuf leaves out is zero.
+    let position = pose.position.unwrap_or_default();
+    let Some(turn) = pose.orientation else { return Err("the pose has no orientation".to_owned()) };
+    let position_m = [position.x, position.y, position.z];
+    let quaternion_wxyz = [turn.w, turn.x, turn.y, turn.z];
+    if !position_m.iter().all(|number| number.is_finite()) {
+        return Err(format!("the object is at {position_m:?} m, expected finite numbers"));
+    }
+    let norm = quaternion_wxyz.iter().map(|number| number * number).sum::<f64>().sqrt();
+    format::pose_from_numbers(position_m, quaternion_wxyz)
+        .filter(|_| (norm - 1.0).abs() <= UNIT_TOLERANCE)
+        .ok_or_else(|| {
+            format!(
+                "the object's quaternion is {quaternion_wxyz:?} (w x y z), whose norm is {norm}; expected a unit quaternion"
+            )
+        })
 }
 
 fn tactile_sample(

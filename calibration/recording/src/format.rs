@@ -10,13 +10,19 @@ pub(crate) const PROTOBUF: &str = "protobuf";
 pub(crate) const JOINT_STATES_TOPIC: &str = "/joint_states";
 pub(crate) const JOINT_COMMANDS_TOPIC: &str = "/joint_commands";
 pub(crate) const TACTILE_TOPIC_PREFIX: &str = "/tactile/";
+pub(crate) const OBJECT_POSE_TOPIC: &str = "/object_pose";
 pub(crate) const MARKERS_TOPIC: &str = "/markers";
 pub(crate) const LOG_TOPIC: &str = "/log";
 
 pub(crate) const JOINT_STATES_SCHEMA: &str = "foxglove.JointStates";
 pub(crate) const TACTILE_SCHEMA: &str = "palpate.TactileSample";
 pub(crate) const MARKER_SCHEMA: &str = "palpate.Marker";
+pub(crate) const POSE_SCHEMA: &str = "foxglove.PoseInFrame";
 pub(crate) const LOG_SCHEMA: &str = "foxglove.Log";
+
+/// How far the norm of a rotation in a message may be from 1: that of quaternions written in single precision, with room.
+/// Beyond that, numbers are in another order or in another unit.
+pub(crate) const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// Name of the metadata record.
 pub(crate) const TAKE_METADATA: &str = "palpate.take";

@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | `/joint_states` | `foxglove.JointStates` | measured joint positions, in the station's order |
 //! | `/joint_commands` | `foxglove.JointStates` | commanded positions, where there were any |
+//! | `/object_pose` | `foxglove.PoseInFrame` | where the object is, of one that moves |
 //! | `/tactile/<stream>` | `palpate.TactileSample` | raw readings and activations of a stream of the layout |
 //! | `/markers` | `palpate.Marker` | baseline, repetitions, notes |
 //! | `/log` | `foxglove.Log` | lines for people |
@@ -33,6 +34,7 @@ mod format;
 mod growing;
 pub mod import;
 mod live;
+mod object_poses;
 mod plausible;
 mod repair;
 mod servo_log;
@@ -52,5 +54,5 @@ pub use repair::{Closed, close_partial};
 pub use servo_log::ServoLog;
 pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
-pub use take::{JointLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
+pub use take::{JointLog, PoseLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
 pub use writer::{LogLevel, TactileSampleRef, TakeWriter};

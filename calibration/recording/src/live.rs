@@ -6,6 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 
 use crate::{
@@ -91,6 +92,15 @@ impl<W: Write + Seek> LiveTake<W> {
     /// Commanded joint positions at `time_ns` since the start.
     pub fn commands(&mut self, time_ns: u64, positions: &[f64]) -> Result<(), RecordingError> {
         self.write(time_ns, |writer| writer.commands(time_ns, positions))
+    }
+
+    /// Where the object is at `time_ns` since the start, in the base frame.
+    pub fn object_pose(
+        &mut self,
+        time_ns: u64,
+        base_from_object: &Isometry3<f64>,
+    ) -> Result<(), RecordingError> {
+        self.write(time_ns, |writer| writer.object_pose(time_ns, base_from_object))
     }
 
     /// One sample of stream `stream_idx` of the layout that arrived at `time_ns` since the start.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::Station;
+use palpate_robot_model::{ObjectPath, Station};
 
 use crate::{
     RecordingError, decode,
@@ -26,6 +26,8 @@ pub struct Take {
     pub joints: JointLog,
     /// Commanded joint positions; empty where none were recorded.
     pub commands: JointLog,
+    /// Where the object is over time; empty for one that stands still at [`TakeMeta::base_from_object`].
+    pub object_poses: PoseLog,
     /// Tactile streams, in the layout's order.
     pub streams: Vec<StreamLog>,
     /// Marked spans, by start.
@@ -37,7 +39,7 @@ pub struct Take {
 pub struct TakeMeta {
     /// Object id.
     pub object: String,
-    /// Pose of the object in the base frame.
+    /// Pose of the object in the base frame; of one that moves, at the start.
     pub base_from_object: Isometry3<f64>,
     /// Primitive, e.g. `tap`.
     pub primitive: String,
@@ -56,6 +58,15 @@ pub struct JointLog {
     pub times_s: Vec<f64>,
     /// `num_frames x num_dofs`, row-major, rad or m.
     pub positions: Vec<f64>,
+}
+
+/// Poses of an object over a take.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseLog {
+    /// Host time since the take's start, s, strictly increasing.
+    pub times_s: Vec<f64>,
+    /// base_from_object at each of these times.
+    pub poses: Vec<Isometry3<f64>>,
 }
 
 /// One tactile stream over a take.
@@ -157,6 +168,22 @@ impl Take {
         active
     }
 
+    /// Where the object is at each joint frame.
+    pub fn object_path(&self) -> ObjectPath {
+        self.object_path_at(&self.joints.times_s)
+    }
+
+    /// Where the object is at each of `times_s` since the take's start; see [`PoseLog::at`].
+    pub fn object_path_at(&self, times_s: &[f64]) -> ObjectPath {
+        match self.object_poses.poses.as_slice() {
+            [] => ObjectPath::Still(self.meta.base_from_object),
+            [only] => ObjectPath::Still(*only),
+            _ => ObjectPath::Moving(
+                times_s.iter().filter_map(|&time_s| self.object_poses.at(time_s)).collect(),
+            ),
+        }
+    }
+
     /// Number of joint frames.
     pub fn num_frames(&self) -> usize {
         self.joints.times_s.len()
@@ -175,11 +202,12 @@ impl Take {
         self.streams.iter().any(|stream| !stream.raw.is_empty())
     }
 
-    /// The logs by topic: joints, commands, then the streams.
+    /// The logs by topic: joints, commands, the object's poses, then the streams.
     fn times_by_topic(&self) -> impl Iterator<Item = (String, &[f64])> {
         let joints = [
             (format::JOINT_STATES_TOPIC.to_owned(), self.joints.times_s.as_slice()),
             (format::JOINT_COMMANDS_TOPIC.to_owned(), self.commands.times_s.as_slice()),
+            (format::OBJECT_POSE_TOPIC.to_owned(), self.object_poses.times_s.as_slice()),
         ];
         let streams = self.station.layout.streams.iter().zip(&self.streams);
         joints
@@ -203,6 +231,40 @@ impl Take {
             }
         }
         Ok(())
+    }
+}
+
+impl PoseLog {
+    /// The pose at `time_s`: between two poses, on the straight line from one origin to the other and on the shortest turn from
+    /// one rotation to the other (slerp), at an even pace; before the first and after the last, that one. `None` of an
+    /// empty log.
+    pub fn at(&self, time_s: f64) -> Option<Isometry3<f64>> {
+        let num_before = self.times_s.partition_point(|&pose_s| pose_s <= time_s);
+        let before =
+            num_before.checked_sub(1).and_then(|idx| Some((self.times_s[idx], self.poses.get(idx)?)));
+        let after = self.times_s.get(num_before).zip(self.poses.get(num_before));
+        match (before, after) {
+            (Some((from_s, from)), Some((to_s, to))) => {
+                let share = (time_s - from_s) / (to_s - from_s);
+                if share == 0.0 {
+                    return Some(*from);
+                }
+                // A half turn has no shortest way; any is as good.
+                let pose = from.try_lerp_slerp(to, share, 1e-9);
+                Some(pose.unwrap_or(if share < 0.5 { *from } else { *to }))
+            }
+            (Some((_, pose)), None) | (None, Some((_, pose))) => Some(*pose),
+            (None, None) => None,
+        }
+    }
+
+    /// The farthest that the object is from where it was first, m, and the largest turn from how it was first, rad.
+    pub fn farthest(&self) -> (f64, f64) {
+        let Some(first) = self.poses.first() else { return (0.0, 0.0) };
+        self.poses.iter().fold((0.0, 0.0), |(far_m, turned_rad): (f64, f64), pose| {
+            let moved_m = (pose.translation.vector - first.translation.vector).norm();
+            (far_m.max(moved_m), turned_rad.max(pose.rotation.angle_to(&first.rotation)))
+        })
     }
 }
 

@@ -7,10 +7,11 @@ use std::{
 };
 
 use mcap::{Attachment, WriteOptions, records::MessageHeader, records::Metadata};
+use nalgebra::Isometry3;
 use palpate_robot_model::Station;
 use palpate_wire::{
     descriptor_set,
-    foxglove::{JointState, JointStates, Log, log::Level},
+    foxglove::{JointState, JointStates, Log, Pose, PoseInFrame, Quaternion, Vector3, log::Level},
     proto::{Marker, TactileSample, marker::Kind},
 };
 
@@ -18,8 +19,9 @@ use crate::{
     RecordingError, Span, SpanKind, TakeMeta,
     format::{
         FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, LOG_SCHEMA, LOG_TOPIC,
-        MARKER_SCHEMA, MARKERS_TOPIC, PROTOBUF, STATION_ATTACHMENT, TACTILE_SCHEMA, TAKE_METADATA,
-        join_numbers, ns_from_secs, pose_numbers, tactile_topic, timestamp_from_ns,
+        MARKER_SCHEMA, MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF, STATION_ATTACHMENT,
+        TACTILE_SCHEMA, TAKE_METADATA, UNIT_TOLERANCE, join_numbers, ns_from_secs, pose_numbers,
+        tactile_topic, timestamp_from_ns,
     },
 };
 
@@ -32,8 +34,11 @@ pub struct TakeWriter<W: Write + Seek> {
     start_unix_ns: u64,
     /// Names of the degrees of freedom, in the station's order.
     joint_names: Vec<String>,
+    /// Name of the link that poses are given in.
+    base: String,
     joints: Topic,
     commands: Option<Topic>,
+    object_pose: Option<Topic>,
     streams: Vec<StreamTopic>,
     markers: Topic,
     log: Option<Topic>,
@@ -133,7 +138,19 @@ impl<W: Write + Seek> TakeWriter<W> {
         }
         let markers = Topic::add(&mut writer, MARKERS_TOPIC, MARKER_SCHEMA, &BTreeMap::new())?;
         let joint_names = station.robot.dofs().map(|joint| joint.name.clone()).collect();
-        Ok(Self { writer, start_unix_ns, joint_names, joints, commands: None, streams, markers, log: None })
+        let base = station.robot.links.first().map(|link| link.name.clone()).unwrap_or_default();
+        Ok(Self {
+            writer,
+            start_unix_ns,
+            joint_names,
+            base,
+            joints,
+            commands: None,
+            object_pose: None,
+            streams,
+            markers,
+            log: None,
+        })
     }
 
     /// Measured joint positions at `time_ns` since the start (`foxglove.JointStates`).
@@ -158,6 +175,45 @@ impl<W: Write + Seek> TakeWriter<W> {
             )?),
         };
         topic.advance(time_ns)?;
+        topic.write(&mut self.writer, unix_ns, unix_ns, &message)
+    }
+
+    /// Where the object is at `time_ns` since the start, in the base frame (`foxglove.PoseInFrame`). An object that stands
+    /// still needs none: it stays where the take's [`TakeMeta`] has it.
+    pub fn object_pose(
+        &mut self,
+        time_ns: u64,
+        base_from_object: &Isometry3<f64>,
+    ) -> Result<(), RecordingError> {
+        let unix_ns = self.unix_ns(time_ns);
+        let (position_m, quaternion_wxyz) = pose_numbers(base_from_object);
+        let ([x, y, z], [w, i, j, k]) = (position_m, quaternion_wxyz);
+        let norm = base_from_object.rotation.quaternion().norm();
+        let is_rotation = (norm - 1.0).abs() <= UNIT_TOLERANCE;
+        if !position_m.iter().all(|number| number.is_finite()) || !is_rotation {
+            let problem = format!(
+                "position {position_m:?} m, quaternion {quaternion_wxyz:?}; expected finite numbers and a unit quaternion"
+            );
+            return Err(refused(OBJECT_POSE_TOPIC, problem));
+        }
+        let topic = match &mut self.object_pose {
+            Some(topic) => topic,
+            None => self.object_pose.insert(Topic::add(
+                &mut self.writer,
+                OBJECT_POSE_TOPIC,
+                POSE_SCHEMA,
+                &BTreeMap::new(),
+            )?),
+        };
+        topic.advance(time_ns)?;
+        let message = PoseInFrame {
+            timestamp: Some(timestamp_from_ns(unix_ns)),
+            frame_id: self.base.clone(),
+            pose: Some(Pose {
+                position: Some(Vector3 { x, y, z }),
+                orientation: Some(Quaternion { x: i, y: j, z: k, w }),
+            }),
+        };
         topic.write(&mut self.writer, unix_ns, unix_ns, &message)
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::Isometry3;
 use palpate_motion::Plan;
-use palpate_recording::{JointLog, Span, SpanKind, StreamLog, Take};
+use palpate_recording::{JointLog, PoseLog, Span, SpanKind, StreamLog, Take};
 use palpate_robot_model::Station;
 use rayon::prelude::*;
 
@@ -113,6 +113,7 @@ impl Stage {
             station: Station::clone(station),
             joints,
             commands: JointLog::default(),
+            object_poses: PoseLog::default(),
             streams,
             spans: motion.spans.iter().map(as_written).collect(),
         })

@@ -51,11 +51,20 @@ mod tests {
         let joints = files_of("foxglove.JointStates");
         assert_eq!(joints.len(), 3);
         assert_eq!(joints.last().unwrap(), "foxglove/JointStates.proto");
+        let poses = files_of("foxglove.PoseInFrame");
+        assert_eq!(poses.len(), 5);
+        assert_eq!(poses.last().unwrap(), "foxglove/PoseInFrame.proto");
     }
 
     #[test]
     fn every_import_precedes_the_file_that_needs_it() {
-        for name in ["foxglove.JointStates", "foxglove.Log", "palpate.Marker", "palpate.StreamMessage"] {
+        for name in [
+            "foxglove.JointStates",
+            "foxglove.Log",
+            "foxglove.PoseInFrame",
+            "palpate.Marker",
+            "palpate.StreamMessage",
+        ] {
             let set = FileDescriptorSet::decode(descriptor_set(name).unwrap().as_slice()).unwrap();
             for (file_idx, file) in set.file.iter().enumerate() {
                 for import in &file.dependency {

@@ -11,6 +11,7 @@ pub mod hardware;
 pub mod ik;
 mod layout;
 mod object;
+mod object_path;
 mod place;
 mod pose;
 mod robot;
@@ -23,6 +24,7 @@ pub use hardware::{
 };
 pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
+pub use object_path::ObjectPath;
 pub use place::Place;
 pub use pose::PoseConfig;
 pub use robot::{

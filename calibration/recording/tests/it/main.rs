@@ -4,8 +4,10 @@
 mod crashes;
 mod growing;
 mod import;
+mod import_moving;
 mod import_names;
 mod live;
+mod moving;
 mod session;
 mod shipped_stations;
 mod support;

@@ -25,8 +25,8 @@ fn session_file(takes: Vec<SessionTake>) -> SessionFile {
     }
 }
 
-/// A session of the given takes at `dir/name`.
-fn session(dir: &Path, takes: &[(&str, Vec<u8>)]) -> Session {
+/// A session of the given takes at `dir/demo`.
+pub(crate) fn session(dir: &Path, takes: &[(&str, Vec<u8>)]) -> Session {
     let draft = SessionDraft::new(&dir.join("demo")).unwrap();
     for (file, bytes) in takes {
         fs::write(draft.partial_dir().join(file), bytes).unwrap();

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use palpate_recording::{TakeMeta, load_station};
+use palpate_recording::{PoseLog, TakeMeta, load_station};
 
 use super::*;
 
@@ -42,6 +42,7 @@ fn good() -> Take {
         start_unix_ns: 0,
         commands: joints.clone(),
         joints,
+        object_poses: PoseLog::default(),
         streams: streams.collect(),
         spans: vec![Span { kind: SpanKind::Baseline, start_s: 0.0, end_s: 1.0, label: String::new() }],
         station,
