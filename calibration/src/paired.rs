@@ -45,7 +45,7 @@ impl PairedTake {
             &station.robot,
             &station.layout,
             &distance,
-            &take.meta.base_from_object,
+            &take.object_path(),
             &take.joints.positions,
         )
         .map_err(|err| fail(err.to_string()))?;

@@ -134,8 +134,14 @@ pub fn write_replay(
         }
         let num_dofs = take.station.robot.num_dofs();
         let num_frames = readings.num_frames;
+        let poses = &take.object_poses;
+        let mut poses = poses.times_s.iter().zip(&poses.poses).peekable();
         for (frame, &time_s) in take.joints.times_s.iter().enumerate() {
             let time_ns = (time_s * 1e9).round() as u64;
+            let is_last = frame + 1 == num_frames;
+            while let Some((&pose_s, pose)) = poses.next_if(|(pose_s, _)| **pose_s <= time_s || is_last) {
+                writer.object_pose((pose_s * 1e9).round() as u64, pose)?;
+            }
             writer.joints(time_ns, &take.joints.positions[frame * num_dofs..(frame + 1) * num_dofs])?;
             let row = frame * readings.num_channels;
             for (stream_idx, stream) in layout.streams.iter().enumerate() {

@@ -50,7 +50,8 @@ fn scene(radius_m: f64) -> Scene {
 impl Scene {
     fn replay(&self, object: &SignedDistance) -> ContactTrace {
         let Station { robot, layout, .. } = &self.station;
-        contact_trace(robot, layout, object, &self.base_from_object, &self.positions).expect("valid path")
+        contact_trace(robot, layout, object, &self.base_from_object.into(), &self.positions)
+            .expect("valid path")
     }
 
     /// Prints what the times are to be divided by.

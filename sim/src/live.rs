@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{ObjectModel, ObjectShape, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, ObjectPath, ObjectShape, Station, TactileLayout};
 
 use crate::SensorModel;
 use crate::effects::{Frame, FrameChain, FrameMemory, FrameScene, Switching, TakeScene, moved};
@@ -54,7 +54,8 @@ impl LiveScene {
         fixed: &[(Isometry3<f64>, ObjectShape)],
     ) -> Result<Self, ReplayError> {
         model.check_for(&station).map_err(|err| ReplayError::Model(err.to_string()))?;
-        let (at_zero, origin) = (vec![0.0; station.robot.num_dofs()], Isometry3::identity());
+        let at_zero = vec![0.0; station.robot.num_dofs()];
+        let origin = ObjectPath::Still(Isometry3::identity());
         // What these effects do to sizes and mountings depends on nothing that changes.
         let kinematics = model.chain().kinematics(&TakeScene {
             station: &station,
@@ -138,13 +139,13 @@ impl LiveScene {
         let take = TakeScene {
             station: &self.station,
             object: &self.object,
-            base_from_object,
+            base_from_object: &ObjectPath::Still(*base_from_object),
             frame_times_s: &[0.0],
             positions,
             arrival_times_s: &[],
             frozen_for_s: &[],
         };
-        self.model.chain().kinematics(&take).base_from_object
+        self.model.chain().kinematics(&take).base_from_object.at(0)
     }
 }
 
@@ -223,7 +224,7 @@ impl LiveTouch {
         base_from_object: &Isometry3<f64>,
     ) -> Result<(), ReplayError> {
         let robot = &self.scene.station.robot;
-        if replay::check(robot, base_from_object, positions)? != 1 {
+        if replay::check(robot, std::slice::from_ref(base_from_object), positions)? != 1 {
             let (num_values, num_dofs) = (positions.len(), robot.num_dofs());
             return Err(ReplayError::RaggedPath { num_values, num_dofs });
         }

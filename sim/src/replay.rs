@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{KnownPoses, LinkTracker, Patch, Robot, SensorKind, TactileLayout};
+use palpate_robot_model::{KnownPoses, LinkTracker, ObjectPath, Patch, Robot, SensorKind, TactileLayout};
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
@@ -95,10 +95,11 @@ impl PatchTrace {
     }
 }
 
-/// Replays `positions` (`num_frames x num_dofs`, row-major, rad or m) with the object fixed at `base_from_object`.
+/// Replays `positions` (`num_frames x num_dofs`, row-major, rad or m) with the object at `base_from_object`: at one pose, or at
+/// one a frame.
 ///
 /// Penalty pressure of node j: `f_j = stiffness * max(0, -signed_distance_j)` (paper, "Contact Modeling").
-/// Refuses a path of the wrong length and NaN or infinite positions, naming frame and joint.
+/// Refuses paths of the wrong length and NaN or infinite positions and poses, naming frame and joint.
 /// Uses every core with the `batch` feature; the result has the same bits for any number of threads.
 ///
 /// # Example
@@ -106,7 +107,7 @@ impl PatchTrace {
 /// ```
 /// use nalgebra::Isometry3;
 /// use palpate_robot_model::{
-///     Channel, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout,
+///     Channel, ObjectPath, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout,
 /// };
 /// use palpate_sim::{SensorModel, geometry::SignedDistance, replay::contact_trace, tactile::readings};
 ///
@@ -137,7 +138,8 @@ impl PatchTrace {
 /// let ball = SignedDistance::new(&ObjectShape::Sphere { radius_m: 0.05 })?;
 ///
 /// let heights_m = [0.060, 0.054, 0.053];
-/// let trace = contact_trace(&robot, &layout, &ball, &Isometry3::identity(), &heights_m)?;
+/// let still = ObjectPath::Still(Isometry3::identity());
+/// let trace = contact_trace(&robot, &layout, &ball, &still, &heights_m)?;
 ///
 /// let model = SensorModel::from_toml("pad.toml", r#"
 ///     format = 1
@@ -153,7 +155,7 @@ pub fn contact_trace(
     robot: &Robot,
     layout: &TactileLayout,
     object: &SignedDistance,
-    base_from_object: &Isometry3<f64>,
+    base_from_object: &ObjectPath,
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
     let everywhere = vec![true; layout.patches.len()];
@@ -169,18 +171,26 @@ pub(crate) fn trace_of(
     layout: &TactileLayout,
     gaps_below_m: f64,
     object: &SignedDistance,
-    base_from_object: &Isometry3<f64>,
+    base_from_object: &ObjectPath,
     positions: &[f64],
     known: Option<&KnownPoses<'_>>,
     wanted: &[bool],
 ) -> Result<ContactTrace, ReplayError> {
-    let num_frames = check(robot, base_from_object, positions)?;
+    let num_frames = check(robot, base_from_object.poses(), positions)?;
+    if let ObjectPath::Moving(poses) = base_from_object
+        && poses.len() != num_frames
+    {
+        return Err(ReplayError::ObjectPath { num_poses: poses.len(), num_frames });
+    }
     let num_dofs = robot.num_dofs();
     let probes: Vec<(usize, Probe)> = (0..layout.patches.len())
         .filter(|&idx| wanted[idx])
         .map(|idx| (idx, Probe::new(layout, &layout.patches[idx], gaps_below_m)))
         .collect();
-    let object_from_base = base_from_object.inverse();
+    let object_from_base: Vec<Isometry3<f64>> =
+        base_from_object.poses().iter().map(Isometry3::inverse).collect();
+    // An object that stands still has one pose for all frames.
+    let stride = usize::from(matches!(base_from_object, ObjectPath::Moving(_)));
     let tracker = LinkTracker::new(robot, probes.iter().map(|(_, probe)| probe.link), known);
     let chunks = map_chunks(num_frames.div_ceil(CHUNK_FRAMES), |chunk| {
         let frames = chunk * CHUNK_FRAMES..num_frames.min((chunk + 1) * CHUNK_FRAMES);
@@ -191,6 +201,7 @@ pub(crate) fn trace_of(
         for frame in frames.filter(|_| !probes.is_empty()) {
             let of_frame = &positions[frame * num_dofs..(frame + 1) * num_dofs];
             let root_from_link = tracker.at(frame, of_frame);
+            let object_from_base = object_from_base[frame * stride];
             for ((_, probe), felt) in probes.iter().zip(&mut felt) {
                 probe.feel(object, &(object_from_base * root_from_link[probe.link]), felt);
             }
@@ -253,16 +264,16 @@ const LONGEST_GAP_M: f64 = SOFT_TAIL * MOST_SOFTNESS_M;
 /// Room for rounding in a bound from the bounding sphere, m.
 pub(crate) const ROUNDING_M: f64 = 1e-9;
 
-/// The number of frames, or what is wrong with the inputs.
+/// The number of frames, or what is wrong with the joint path or with one of the object's `poses`.
 pub(crate) fn check(
     robot: &Robot,
-    base_from_object: &Isometry3<f64>,
+    poses: &[Isometry3<f64>],
     positions: &[f64],
 ) -> Result<usize, ReplayError> {
     let num_dofs = robot.num_dofs();
-    if !geometry::is_finite(base_from_object) {
-        let t = base_from_object.translation.vector;
-        return Err(ReplayError::NonFiniteObjectPose { position_m: [t.x, t.y, t.z] });
+    if let Some(frame) = poses.iter().position(|pose| !geometry::is_finite(pose)) {
+        let t = poses[frame].translation.vector;
+        return Err(ReplayError::NonFiniteObjectPose { frame, position_m: [t.x, t.y, t.z] });
     }
     if positions.is_empty() {
         return Ok(0);
@@ -517,6 +528,17 @@ pub enum ReplayError {
         /// What was there.
         value: f64,
     },
+    /// A moving object has another number of poses than the path has frames.
+    #[error(
+        "failed to replay: the moving object has {num_poses} poses, but the joint path has {num_frames} frames; give one \
+         pose for each frame"
+    )]
+    ObjectPath {
+        /// Poses of the object.
+        num_poses: usize,
+        /// Frames of the joint path.
+        num_frames: usize,
+    },
     /// Frames must follow each other.
     #[error(
         "failed to feel the frame at {time_s} s: the frame before it was at {before_s} s, expected a later time"
@@ -534,8 +556,12 @@ pub enum ReplayError {
     #[error("failed to replay: {0}")]
     Model(String),
     /// The object's pose is NaN or infinite.
-    #[error("failed to replay: the object's pose must be finite, found position {position_m:?} m")]
+    #[error(
+        "failed to replay: the object's pose must be finite, found position {position_m:?} m at frame {frame}"
+    )]
     NonFiniteObjectPose {
+        /// Frame, from 0; 0 for an object that stands still.
+        frame: usize,
         /// Position of the object in the base frame, m.
         position_m: [f64; 3],
     },

@@ -16,7 +16,7 @@ use std::{
 };
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{SensorKind, Station};
+use palpate_robot_model::{ObjectPath, SensorKind, Station};
 use palpate_sim::{
     SensorModel,
     effects::{Sensed, TakeScene},
@@ -265,7 +265,7 @@ impl Observer {
         let scene = TakeScene {
             station: &self.station,
             object,
-            base_from_object,
+            base_from_object: &ObjectPath::Still(*base_from_object),
             frame_times_s: &frame_times_s,
             positions: &path,
             arrival_times_s: &[],

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use palpate_calibration::PairedTake;
 use palpate_recording::{Session, Take};
+use palpate_robot_model::{ObjectPath, PoseConfig};
 use palpate_sim::{SensorModel, effects::TakeScene, replay::PatchTrace, tactile::Readings};
 use palpate_wire::{
     api::{SessionDetail, SessionSummary, TakeSummary},
@@ -128,14 +129,10 @@ impl Library {
                     return Ok(TakeSummary { accepted: entry.accepted, ..known });
                 }
                 let take = self.take(session, take_idx)?;
-                let pose = &take.meta.base_from_object;
-                let (position, rotation) = (pose.translation.vector, pose.rotation);
                 let summary = TakeSummary {
                     id: take.id.clone(),
                     object: take.meta.object.clone(),
-                    object_pose: [
-                        position.x, position.y, position.z, rotation.w, rotation.i, rotation.j, rotation.k,
-                    ],
+                    object_pose: pose_numbers(&PoseConfig::from_isometry(&take.meta.base_from_object)),
                     primitive: take.meta.primitive.clone(),
                     frames: take.num_frames(),
                     duration_s: take.duration_s(),
@@ -189,13 +186,27 @@ pub fn take_trace(take: &Take) -> TakeTrace {
         end_s: span.end_s,
         label: span.label.clone(),
     });
+    let object_poses = match take.object_path() {
+        ObjectPath::Still(_) => Vec::new(),
+        ObjectPath::Moving(poses) => {
+            let numbers = poses.iter().map(PoseConfig::from_isometry).flat_map(|pose| pose_numbers(&pose));
+            numbers.map(|number| number as f32).collect()
+        }
+    };
     TakeTrace {
         frame_times_s: take.joints.times_s.clone(),
         joint_positions: take.joints.positions.iter().map(|&position| position as f32).collect(),
         real_active: bits::pack(take.active_at_frames()),
         streams: streams.collect(),
         spans: spans.collect(),
+        object_poses,
     }
+}
+
+/// x, y, z in m, then w, x, y, z.
+fn pose_numbers(pose: &PoseConfig) -> [f64; 7] {
+    let ([x, y, z], [w, i, j, k]) = (pose.position_m, pose.quaternion_wxyz);
+    [x, y, z, w, i, j, k]
 }
 
 /// `take` as the hardware would have read it if `model` were right, effects and all.
@@ -208,7 +219,7 @@ pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> 
     let scene = TakeScene {
         station: &take.station,
         object,
-        base_from_object: &take.meta.base_from_object,
+        base_from_object: &take.object_path(),
         frame_times_s: &take.joints.times_s,
         positions: &take.joints.positions,
         arrival_times_s: &[],
@@ -251,8 +262,9 @@ fn take_size_bytes(take: &Take) -> usize {
         .map(|log| 8 * (log.times_s.len() + log.device_times_s.len()) + 4 * log.raw.len() + log.active.len())
         .sum();
     let station: usize = take.station.files.files.values().map(Vec::len).sum();
+    let poses = 64 * take.object_poses.poses.len();
     // The parsed layout is about as large as the texts, several times over.
-    joints + streams + 4 * station
+    joints + poses + streams + 4 * station
 }
 
 fn paired_size_bytes(paired: &PairedTake) -> usize {

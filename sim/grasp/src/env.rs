@@ -69,6 +69,11 @@ impl GraspScene {
         &self.object
     }
 
+    /// Whether raw readings are those of the station's devices, in their units, and not distances and pressures.
+    pub fn reads_raw_units(&self) -> bool {
+        self.touch.reads_raw_units()
+    }
+
     /// Mass, centre of mass and inertia of the object.
     pub fn mass(&self) -> &MassProperties {
         &self.mass

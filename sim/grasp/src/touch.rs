@@ -32,6 +32,11 @@ pub trait Sense {
 pub trait TouchScene: Debug + Send + Sync {
     /// The touch of an environment, which begins with [`Touch::restart`].
     fn touch(self: Arc<Self>) -> Result<Box<dyn Touch>, GraspError>;
+
+    /// Whether raw readings are those of the station's devices, in their units, and not distances and pressures.
+    fn reads_raw_units(&self) -> bool {
+        false
+    }
 }
 
 /// The touch of one environment.

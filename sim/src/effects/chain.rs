@@ -10,7 +10,9 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{KnownPoses, LinkPoses, ObjectModel, SensorKind, Station, Stream, TactileLayout};
+use palpate_robot_model::{
+    KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
+};
 
 use super::{Effect, EffectKind, FingerTouches, TACTILE, places};
 use crate::geometry::SignedDistance;
@@ -30,8 +32,8 @@ pub struct TakeScene<'a> {
     pub station: &'a Station,
     /// The object that is touched.
     pub object: &'a ObjectModel,
-    /// Where it is said to be.
-    pub base_from_object: &'a Isometry3<f64>,
+    /// Where it is said to be at the frames.
+    pub base_from_object: &'a ObjectPath,
     /// Host time of each joint frame since the take's start, s.
     pub frame_times_s: &'a [f64],
     /// Measured joint positions, `num_frames x num_dofs`, row-major, rad or m.
@@ -48,8 +50,8 @@ pub struct TakeScene<'a> {
 pub struct Kinematics<'a> {
     /// True joint positions, as in [`TakeScene::positions`].
     pub positions: Cow<'a, [f64]>,
-    /// True pose of the object.
-    pub base_from_object: Isometry3<f64>,
+    /// Where the object truly is at the frames.
+    pub base_from_object: ObjectPath,
     /// True size of the object over its nominal size.
     pub object_scale: f64,
     /// Per patch, motion of its nodes and taxels in the frame of its link.
@@ -217,7 +219,7 @@ impl<'a> Chain<'a> {
     pub(crate) fn kinematics<'s>(&self, scene: &TakeScene<'s>) -> Kinematics<'s> {
         let mut kinematics = Kinematics {
             positions: Cow::Borrowed(scene.positions),
-            base_from_object: *scene.base_from_object,
+            base_from_object: scene.base_from_object.clone(),
             object_scale: 1.0,
             patch_offsets: vec![Isometry3::identity(); scene.station.layout.patches.len()],
         };

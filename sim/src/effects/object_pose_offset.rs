@@ -11,8 +11,8 @@ const TRANSLATIONS: [&str; 3] = ["translation_x_m", "translation_y_m", "translat
 /// Parameters about the object's x, y and z axis.
 const ROTATIONS: [&str; 3] = ["rotation_x_rad", "rotation_y_rad", "rotation_z_rad"];
 
-/// The object stands elsewhere: translated in the base frame and turned about its own origin and axes. Turns that its
-/// shape does not show have no parameter.
+/// The object stands elsewhere: translated in the base frame and turned about its own origin and axes, all the time where it
+/// moves. Turns that its shape does not show have no parameter.
 pub(super) struct ObjectPoseOffset;
 
 impl EffectKind for ObjectPoseOffset {
@@ -61,12 +61,13 @@ impl EffectKind for ObjectPoseOffset {
         let of = |name: &str| effect.parameters.get(name).copied().unwrap_or(0.0);
         let shift_m = Vector3::from(TRANSLATIONS.map(of));
         let turn_rad = Vector3::from(ROTATIONS.map(of));
-        let pose = &mut state.base_from_object;
-        if shift_m != Vector3::zeros() {
-            pose.translation = Translation3::from(pose.translation.vector + shift_m);
-        }
-        if turn_rad != Vector3::zeros() {
-            pose.rotation *= UnitQuaternion::from_scaled_axis(turn_rad);
+        for pose in state.base_from_object.poses_mut() {
+            if shift_m != Vector3::zeros() {
+                pose.translation = Translation3::from(pose.translation.vector + shift_m);
+            }
+            if turn_rad != Vector3::zeros() {
+                pose.rotation *= UnitQuaternion::from_scaled_axis(turn_rad);
+            }
         }
     }
 }

@@ -20,7 +20,9 @@ fn live_readings(station: &Station, take: &Take, model: &SensorModel) -> Vec<Rea
     let mut touch = LiveTouch::new(Arc::new(scene));
     let frames = take.times_s.iter().zip(take.clean.chunks_exact(station.robot.num_dofs()));
     frames
-        .map(|(&time_s, positions)| touch.feel(time_s, positions, &take.base_from_object).expect("a frame"))
+        .map(|(&time_s, positions)| {
+            touch.feel(time_s, positions, &take.base_from_object.at(0)).expect("a frame")
+        })
         .collect()
 }
 
@@ -140,10 +142,10 @@ fn a_moving_object_is_felt_where_it_is() {
     let mut any_active = false;
     for (frame, positions) in take.clean.chunks_exact(station.robot.num_dofs()).enumerate() {
         let slide = Translation3::from(Vector3::x() * 0.002 * (frame as f64 * 0.3).sin());
-        let pose = slide * take.base_from_object;
+        let pose = slide * take.base_from_object.at(0);
         let live = touch.feel(take.times_s[frame], positions, &pose).expect("a frame");
-        let trace =
-            contact_trace(&station.robot, &station.layout, &distance, &pose, positions).expect("a frame");
+        let trace = contact_trace(&station.robot, &station.layout, &distance, &pose.into(), positions)
+            .expect("a frame");
         assert_same(&live, &tactile::readings(&station.layout, &trace, &model), 0, "moving");
         any_active |= live.active.iter().any(|on| *on);
     }
@@ -169,10 +171,11 @@ fn what_stands_still_is_felt_beside_the_object_and_the_nearer_counts() {
         let scene = LiveScene::new(Arc::clone(&station), &take.object, &model, fixed).expect("a scene");
         LiveTouch::new(Arc::new(scene)).feel(0.0, positions, object).expect("a frame")
     };
-    let alone = feel(&take.base_from_object, &[]);
+    let there = take.base_from_object.at(0);
+    let alone = feel(&there, &[]);
     let nothing = feel(&far, &[]);
     assert!(nothing.active.iter().all(|on| !on));
-    assert_eq!(feel(&take.base_from_object, &[(far, block.1.clone())]), alone, "what is far changes nothing");
+    assert_eq!(feel(&there, &[(far, block.1.clone())]), alone, "what is far changes nothing");
     let (in_block, in_ball) =
         (feel(&far, std::slice::from_ref(&block)), feel(&far, std::slice::from_ref(&ball)));
     assert!(in_block.active[tip.channels.start]);

@@ -2,6 +2,7 @@
 
 mod effects;
 mod live;
+mod moving;
 mod objects;
 mod probe;
 mod replay;

@@ -107,7 +107,8 @@ pub(crate) fn replay(
     positions: &[f64],
 ) -> ContactTrace {
     let robot = robot();
-    contact_trace(&robot, &layout(&robot), object, base_from_object, positions).expect("valid path")
+    contact_trace(&robot, &layout(&robot), object, &(*base_from_object).into(), positions)
+        .expect("valid path")
 }
 
 pub(crate) fn model(lambda_con_m: f64, alpha_per_m: f64, lambda_pre_pa: f64) -> SensorModel {

@@ -102,7 +102,7 @@ proptest! {
         let moved = Robot::from_urdf("moved.urdf", &urdf, &[]).expect("valid robot");
         let positions = path(61);
         let object = ball();
-        let there = contact_trace(&moved, &layout(&moved), &object, &(world_from_base * base_from_object()), &positions)
+        let there = contact_trace(&moved, &layout(&moved), &object, &(world_from_base * base_from_object()).into(), &positions)
             .expect("valid path");
         let here = replay(&object, &base_from_object(), &positions);
         let layout = layout(&moved);
@@ -137,12 +137,12 @@ proptest! {
 fn non_finite_position_is_named_by_frame_and_joint() {
     let (robot, mut positions) = (robot(), path(10));
     positions[7 * NUM_DOFS + 1] = f64::NAN;
-    let error =
-        contact_trace(&robot, &layout(&robot), &ball(), &base_from_object(), &positions).expect_err("NaN");
+    let error = contact_trace(&robot, &layout(&robot), &ball(), &base_from_object().into(), &positions)
+        .expect_err("NaN");
     let message = "failed to replay frame 7: position of joint \"swing\" is NaN, expected a finite number";
     assert_eq!(error.to_string(), message);
     positions[4 * NUM_DOFS + 2] = f64::INFINITY;
-    let error = contact_trace(&robot, &layout(&robot), &ball(), &base_from_object(), &positions)
+    let error = contact_trace(&robot, &layout(&robot), &ball(), &base_from_object().into(), &positions)
         .expect_err("infinite");
     assert_eq!(
         error,
@@ -154,11 +154,11 @@ fn non_finite_position_is_named_by_frame_and_joint() {
 fn ragged_path_and_lost_object_are_refused() {
     let (robot, positions) = (robot(), path(10));
     let layout = layout(&robot);
-    let error =
-        contact_trace(&robot, &layout, &ball(), &base_from_object(), &positions[1..]).expect_err("ragged");
+    let error = contact_trace(&robot, &layout, &ball(), &base_from_object().into(), &positions[1..])
+        .expect_err("ragged");
     assert_eq!(error, ReplayError::RaggedPath { num_values: 29, num_dofs: 3 });
     let lost = Isometry3::translation(f64::NAN, 0.0, 0.0);
-    let error = contact_trace(&robot, &layout, &ball(), &lost, &positions).expect_err("lost");
+    let error = contact_trace(&robot, &layout, &ball(), &lost.into(), &positions).expect_err("lost");
     assert!(matches!(error, ReplayError::NonFiniteObjectPose { .. }), "{error}");
 }
 

@@ -23,7 +23,7 @@ impl TouchError {
             ReplayError::NonFinitePosition { joint, value, .. } => {
                 format!("position of joint {joint:?} is {value}, expected a finite number of rad or m")
             }
-            ReplayError::NonFiniteObjectPose { position_m } => {
+            ReplayError::NonFiniteObjectPose { position_m, .. } => {
                 format!("the object's pose must be finite, found position {position_m:?} m")
             }
             ReplayError::TimeNotIncreasing { time_s, before_s } => {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use palpate_robot_model::{ObjectModel, ObjectShape, Station};
+use palpate_robot_model::{ObjectModel, ObjectPath, ObjectShape, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::TakeScene;
 use palpate_sim::geometry::SignedDistance;
@@ -116,7 +116,7 @@ impl TouchScene {
                 "a replay knows one object and nothing that stands still; open a scene without fixed bodies";
             return Err(TouchError::Input(problem.to_owned()));
         }
-        let base_from_object = pose(base_from_object).map_err(TouchError::Input)?;
+        let base_from_object = ObjectPath::Still(pose(base_from_object).map_err(TouchError::Input)?);
         let num_dofs = self.station.robot.num_dofs();
         if positions.len() != times_s.len() * num_dofs {
             return Err(TouchError::Input(format!(

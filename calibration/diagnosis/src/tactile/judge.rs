@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use palpate_calibration::metrics::{MetricsSum, compare_take};
-use palpate_robot_model::Station;
+use palpate_robot_model::{ObjectPath, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{Chain, Geometry};
 use rand::{RngExt, SeedableRng};
@@ -172,7 +172,8 @@ pub(crate) fn noise_floor(station: &Station, takes: &[&Observed<'_>]) -> Option<
 /// Pairs of repetitions of the same motion that follow one another, as ranges of frames that go together one by one.
 ///
 /// Marks of one label are taken to repeat a motion where the joints really take the same path, a few frames earlier or
-/// later at most: an import may label every mark of a take alike, and people do not move at an even pace.
+/// later at most: an import may label every mark of a take alike, and people do not move at an even pace. An object that
+/// moves must take the same path too: what else it does is felt.
 pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usize>)> {
     let num_frames = observed.take.joints.times_s.len().max(1);
     let positions = &observed.take.joints.positions;
@@ -180,6 +181,7 @@ pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usiz
     labelled_alike(&observed.repetitions)
         .into_iter()
         .filter_map(|(first, second)| aligned(positions, num_dofs, first, second))
+        .filter(|(first, second)| moves_alike(&observed.object_path, first, second))
         .collect()
 }
 
@@ -188,6 +190,25 @@ pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usiz
 const SAME_PATH: f64 = 0.1;
 /// Marks of repetitions are at most this many frames early or late, those of people by half a second.
 const MOST_SHIFTED: usize = 8;
+
+/// An object whose path differs by more than this between two repetitions (root mean square), m, has been touched elsewhere: a
+/// tracker's noise is less than that, the distance of two taxels is more.
+const SAME_POSE_M: f64 = 0.002;
+/// A turn counts by how far it moves a surface at this distance, m.
+const LEVER_M: f64 = 0.1;
+
+/// Whether the object takes the same path in two ranges of frames that go together one by one.
+fn moves_alike(path: &ObjectPath, first: &Range<usize>, second: &Range<usize>) -> bool {
+    let ObjectPath::Moving(_) = path else { return true };
+    let frames = first.len().min(second.len());
+    let (mut moved, mut turned) = (0.0, 0.0);
+    for offset in 0..frames {
+        let (one, other) = (path.at(first.start + offset), path.at(second.start + offset));
+        moved += (one.translation.vector - other.translation.vector).norm_squared();
+        turned += (LEVER_M * one.rotation.angle_to(&other.rotation)).powi(2);
+    }
+    (f64::max(moved, turned) / frames.max(1) as f64).sqrt() < SAME_POSE_M
+}
 
 /// The parts of two ranges of frames in which joints take the same path; `None` where they do not.
 fn aligned(
@@ -270,6 +291,7 @@ pub(crate) fn set_thresholds(
 mod tests {
     use std::path::Path;
 
+    use nalgebra::Isometry3;
     use palpate_emulator::Stage;
     use palpate_robot_model::Place;
     use palpate_sim::effects::Effect;
@@ -309,6 +331,27 @@ mod tests {
         assert_eq!(pair(0..40, 43..80), Some((3..40, 43..80)), "the second mark is late");
         assert_eq!(pair(5..40, 40..80), Some((5..40, 45..80)), "the first is");
         assert_eq!(pair(40..80, 80..120), None, "another motion");
+    }
+
+    #[test]
+    fn an_object_that_is_elsewhere_the_second_time_is_no_repetition() {
+        let at = |frame: usize, slipped_m: f64| {
+            let there_m = if frame < 20 { 0.0 } else { slipped_m };
+            Isometry3::translation(0.01 * (frame % 20) as f64 + there_m, 0.0, 0.1)
+        };
+        let alike = |slipped_m: f64| {
+            let path = ObjectPath::Moving((0..40).map(|frame| at(frame, slipped_m)).collect());
+            moves_alike(&path, &(0..20), &(20..40))
+        };
+        assert!(alike(0.0) && alike(0.001) && !alike(0.004));
+        let turned = |rad: f64| {
+            let turn = |frame: usize| {
+                Isometry3::rotation(nalgebra::Vector3::z() * if frame < 20 { 0.0 } else { rad })
+            };
+            moves_alike(&ObjectPath::Moving((0..40).map(turn).collect()), &(0..20), &(20..40))
+        };
+        assert!(turned(0.01) && !turned(0.05));
+        assert!(moves_alike(&Isometry3::identity().into(), &(0..20), &(20..40)), "it stands still");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use palpate_recording::{SpanKind, StreamLog, Take};
-use palpate_robot_model::{JointKind, LinkPoses, ObjectModel, Station, TactileLayout};
+use palpate_robot_model::{JointKind, LinkPoses, ObjectModel, ObjectPath, Station, TactileLayout};
 use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -36,6 +36,8 @@ pub(crate) struct Observed<'a> {
     pub(crate) has_raw: bool,
     /// By number of [`limbs`], at which moments its touch is simulated.
     limbs: Vec<Limb>,
+    /// Where the object is at the joint frames.
+    pub(crate) object_path: ObjectPath,
     /// As [`TakeScene::frozen_for_s`], at the joint frames; empty without raw readings, whose noise is what tells.
     frozen_at_frames_s: Vec<Vec<f64>>,
     /// Frame by frame, as [`super::TactileDomain`] numbers them.
@@ -61,6 +63,8 @@ struct Limb {
     positions: Vec<f64>,
     /// Where its links, and those before them, are at these positions.
     poses: LinkPoses,
+    /// Where the object is at the moments.
+    object_path: ObjectPath,
     /// Per stream, when the sample in effect at each moment arrived, s.
     arrivals_s: Vec<Vec<f64>>,
     /// As [`TakeScene::frozen_for_s`]; empty without raw readings.
@@ -96,7 +100,8 @@ impl Limb {
         }
         let positions = moments.interpolated(&take.joints.positions, station.robot.num_dofs());
         let poses = LinkPoses::new(&station.robot, links.iter().copied(), &positions);
-        Self { moments, links, positions, poses, arrivals_s, frozen_for_s }
+        let object_path = take.object_path_at(moments.times_s());
+        Self { moments, links, positions, poses, object_path, arrivals_s, frozen_for_s }
     }
 
     /// The same with other joint positions at the frames.
@@ -170,6 +175,7 @@ impl<'a> Observed<'a> {
             object,
             has_raw,
             limbs,
+            object_path: take.object_path(),
             frozen_at_frames_s,
             signals,
             blocks,
@@ -285,6 +291,7 @@ impl<'a> Observed<'a> {
     pub(crate) fn scene<'s>(&'s self, station: &'s Station, limb: usize) -> TakeScene<'s> {
         let limb = &self.limbs[limb];
         TakeScene {
+            base_from_object: &limb.object_path,
             frame_times_s: limb.moments.times_s(),
             positions: &limb.positions,
             arrival_times_s: &limb.arrivals_s,
@@ -298,7 +305,7 @@ impl<'a> Observed<'a> {
         TakeScene {
             station,
             object: self.object,
-            base_from_object: &self.take.meta.base_from_object,
+            base_from_object: &self.object_path,
             frame_times_s: &self.take.joints.times_s,
             positions: &self.take.joints.positions,
             arrival_times_s: &[],

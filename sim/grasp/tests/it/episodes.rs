@@ -70,9 +70,14 @@ fn touch_is_that_of_a_kinematic_replay_of_the_same_poses() {
             (base_from_table, ObjectShape::Box { size_m: table.size_m }),
         ];
         let things = SignedDistance::new(&ObjectShape::Compound { parts }).expect("a shape");
-        let trace =
-            contact_trace(&station.robot, &station.layout, &things, &Isometry3::identity(), env.positions())
-                .expect("a frame");
+        let trace = contact_trace(
+            &station.robot,
+            &station.layout,
+            &things,
+            &Isometry3::identity().into(),
+            env.positions(),
+        )
+        .expect("a frame");
         let replayed = tactile::readings(&station.layout, &trace, &model);
         assert_eq!(env.readings().active, replayed.active, "at {} s", env.time_s());
         for (idx, channel) in station.layout.channels.iter().enumerate() {

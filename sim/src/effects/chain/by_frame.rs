@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectModel, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, ObjectPath, Station, TactileLayout};
 
 use super::{Chain, Contact, Effect, Switching, TakeScene, Transport};
 use crate::effects::{Frame, FrameEffect, Stage, TACTILE, places};
@@ -72,7 +72,7 @@ impl FrameChain {
         let nothing = TakeScene {
             station,
             object,
-            base_from_object: &Isometry3::identity(),
+            base_from_object: &ObjectPath::Still(Isometry3::identity()),
             frame_times_s: &[],
             positions: &[],
             arrival_times_s: &[],
@@ -213,7 +213,7 @@ impl FrameChain {
         let take = TakeScene {
             station: scene.station,
             object: scene.object,
-            base_from_object: scene.base_from_object,
+            base_from_object: &ObjectPath::Still(*scene.base_from_object),
             frame_times_s: &times_s,
             positions: &path,
             arrival_times_s: &[],
@@ -248,7 +248,7 @@ impl FrameChain {
         let take = TakeScene {
             station: scene.station,
             object: scene.object,
-            base_from_object: scene.base_from_object,
+            base_from_object: &ObjectPath::Still(*scene.base_from_object),
             frame_times_s: &times_s,
             positions: &[],
             arrival_times_s: &[],

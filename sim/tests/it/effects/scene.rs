@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
-use palpate_robot_model::{ObjectModel, Patch, Station};
+use palpate_robot_model::{ObjectModel, ObjectPath, Patch, Station};
 use palpate_sim::effects::{Chain, Effect, Geometry, Sensed, TakeScene};
 use palpate_sim::{Response, Theta};
 
@@ -31,7 +31,7 @@ pub(crate) fn response(station: &Station) -> Response {
 #[derive(Clone)]
 pub(crate) struct Take {
     pub(crate) object: ObjectModel,
-    pub(crate) base_from_object: Isometry3<f64>,
+    pub(crate) base_from_object: ObjectPath,
     pub(crate) times_s: Vec<f64>,
     /// Without noise.
     pub(crate) clean: Vec<f64>,
@@ -201,7 +201,8 @@ pub(crate) fn take(station: &Station, plan: &Plan, num_presses: usize, seed: u64
     let radius_m = if plan.object.starts_with("sphere") { 0.05 } else { 0.025 };
     let upright =
         UnitQuaternion::rotation_between(&Vector3::z(), &x_axis).unwrap_or_else(UnitQuaternion::identity);
-    let base_from_object = Isometry3::from_parts((start + normal * radius_m).coords.into(), upright);
+    let base_from_object =
+        ObjectPath::Still(Isometry3::from_parts((start + normal * radius_m).coords.into(), upright));
     Take { object, base_from_object, times_s, clean, measured }
 }
 
@@ -249,7 +250,7 @@ pub(crate) fn touching_fingers(station: &Station, seed: u64) -> Take {
     }
     let measured = clean.iter().map(|position| position + 0.0003 * noise.normal()).collect();
     let object = station.objects["wedge_80mm"].clone();
-    let base_from_object = Isometry3::translation(2.0, 2.0, 2.0);
+    let base_from_object = ObjectPath::Still(Isometry3::translation(2.0, 2.0, 2.0));
     Take { object, base_from_object, times_s, clean, measured }
 }
 
