@@ -1,5 +1,6 @@
 //! Compares policies under a protocol, on the same starts.
 
+mod films;
 mod kept;
 mod picture;
 mod report;
@@ -20,6 +21,7 @@ use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, events};
 use rayon::prelude::*;
 
+use self::films::Films;
 use self::kept::{ArmRecord, Record};
 use self::report::{Arm, Comparison, OfObject};
 use crate::clone::{self, Imitation, Imitator};
@@ -143,6 +145,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("failed to create {folder:?}"))?;
     }
+    let mut films = args.films.as_deref().map(Films::begin).transpose()?;
     if args.task.scene.start_cm.is_some() {
         bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
     }
@@ -156,6 +159,8 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let mut experiences = Experiences::default();
     let (bar, done) = (Bar::new(), AtomicU64::new(0));
     let all = protocol.trials * (objects.len() * arms.len()) as u64;
+    // That of every object's world.
+    let mut station = None;
     let mut endings: Vec<Vec<OfObject>> = arms.iter().map(|_| Vec::new()).collect();
     for object in &objects {
         let mut of_object = Bench::open(args, object, &protocol)?;
@@ -195,17 +200,25 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
             }
             of_arms
         };
-        if let Some(folder) = &args.pictures {
+        if let Some(films) = &mut films {
+            films.know(of_object.id(), files::object_files(object)?);
+        }
+        if args.pictures.is_some() || films.is_some() {
             for ((arm, ready), trials) in arms.iter().zip(&ready).zip(&of_arms) {
                 let scene = of_object.scene_for(arm.known);
-                picture::of_trials(folder, arm, ready, scene, &protocol, trials)?;
+                let folder = args.pictures.as_deref();
+                picture::of_trials(folder, &mut films, arm, ready, scene, &protocol, trials)?;
             }
         }
+        station = Some(Arc::clone(&of_object.world.station));
         let group = of_object.scene.object().group;
         for (trials, endings) in of_arms.into_iter().zip(&mut endings) {
             endings.push(OfObject { id: of_object.id(), group, trials });
         }
         of_object.sources.list().into_iter().for_each(|source| sources.keep(source));
+    }
+    if let (Some(films), Some(station)) = (films, &station) {
+        films.finish(station)?;
     }
     drop(bar);
     let arms = arms.into_iter().zip(endings).map(|(arm, objects)| Arm { name: arm.name, objects }).collect();

@@ -61,6 +61,9 @@ pub(crate) struct EvaluateArgs {
     /// with what was felt; of searching experts also what they believed
     #[arg(long, requires = "protocol")]
     pub(crate) pictures: Option<PathBuf>,
+    /// Folder for films of the same trials: a session of takes, which the studio plays back and `palpate session check` opens
+    #[arg(long, requires = "protocol")]
+    pub(crate) films: Option<PathBuf>,
     /// Write the comparison with every trial to this file
     #[arg(long, requires = "protocol")]
     pub(crate) out: Option<PathBuf>,

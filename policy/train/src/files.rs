@@ -161,8 +161,36 @@ pub(crate) fn objects(list: &str) -> anyhow::Result<Vec<String>> {
     }
 }
 
+/// The text of an object, and its meshes by their path from its folder.
+pub(crate) struct ObjectFiles {
+    pub(crate) text: String,
+    pub(crate) meshes: Vec<(String, Vec<u8>)>,
+}
+
+/// The files of the object of this name, or in this file.
+pub(crate) fn object_files(name: &str) -> anyhow::Result<ObjectFiles> {
+    let path = object_path(name)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let text = text(&path)?;
+    let mut meshes = Vec::new();
+    ObjectModel::from_toml(&shown(&path), &text, |mesh| {
+        let bytes = std::fs::read(folder.join(mesh)).map_err(|err| err.to_string())?;
+        meshes.push((mesh.to_owned(), bytes.clone()));
+        Ok(bytes)
+    })?;
+    Ok(ObjectFiles { text, meshes })
+}
+
 /// The object of this name, or in this file.
 pub(crate) fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectModel> {
+    let path = object_path(name)?;
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let read_mesh = |mesh: &str| sources.beside("object", &folder, mesh);
+    Ok(ObjectModel::from_toml(&shown(&path), &sources.text("object", &path)?, read_mesh)?)
+}
+
+/// Where the file of this object is.
+fn object_path(name: &str) -> anyhow::Result<PathBuf> {
     let given = PathBuf::from(name);
     let path = if given.is_file() { given } else { Path::new(OBJECTS).join(format!("{name}.toml")) };
     if !path.is_file() {
@@ -174,9 +202,7 @@ pub(crate) fn object(name: &str, sources: &Sources) -> anyhow::Result<ObjectMode
         };
         bail!("--object is {name:?}, which is no file and no object in {OBJECTS}: {known}");
     }
-    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-    let read_mesh = |mesh: &str| sources.beside("object", &folder, mesh);
-    Ok(ObjectModel::from_toml(&shown(&path), &sources.text("object", &path)?, read_mesh)?)
+    Ok(path)
 }
 
 const OBJECTS: &str = "assets/objects";

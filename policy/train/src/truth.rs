@@ -63,6 +63,10 @@ impl TouchScene for EmulatedScene {
         let touch = self.sense.touch(&self.object, &self.fixed).map_err(error)?;
         Ok(Box::new(EmulatedTouch(touch)))
     }
+
+    fn reads_raw_units(&self) -> bool {
+        true
+    }
 }
 
 struct EmulatedTouch(TruthTouch);

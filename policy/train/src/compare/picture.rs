@@ -9,6 +9,7 @@ use palpate_grasp::search::{Belief, Senses};
 use palpate_grasp::trial::{Ending, Outcome};
 use palpate_grasp::{GraspEnv, GraspScene, Protocol};
 
+use super::films::{Film, Films};
 use super::{Contestant, Mover, POLICY, Ready};
 use crate::files;
 
@@ -72,10 +73,11 @@ impl Trace {
     }
 }
 
-/// Draws the first trial that `arm` won and the first that it lost, of those on one object, if it is the policy itself or a
-/// searching expert that can use its senses.
+/// Draws into the `folder`, and films, the first trial that `arm` won and the first that it lost, of those on one object, if
+/// it is the policy itself or a searching expert that can use its senses.
 pub(super) fn of_trials(
-    folder: &Path,
+    folder: Option<&Path>,
+    films: &mut Option<Films>,
     arm: &Contestant,
     ready: &Ready,
     scene: &Arc<GraspScene>,
@@ -90,12 +92,23 @@ pub(super) fn of_trials(
     let name = name_of(&arm.policy);
     for is_won in [true, false] {
         let Some(trial) = trials.iter().position(|ending| ending.is_won() == is_won) else { continue };
-        let mut trace = Trace::default();
-        let seen =
-            ready.run_seen(scene, arm.known, protocol.seed, trial as u64, &mut |env| trace.see(env))?;
-        trace.beliefs = seen.1;
         let end = if is_won { "won" } else { "lost" };
-        let path = folder.join(format!("{}_{end}_{name}.svg", scene.object().id));
+        let file = format!("{}_{end}_{name}", scene.object().id);
+        let mut trace = Trace::default();
+        let mut film = films.as_ref().map(|_| Film::new(&file, &arm.policy, scene));
+        let seen = ready.run_seen(scene, arm.known, protocol.seed, trial as u64, &mut |env| {
+            trace.see(env);
+            if let Some(film) = &mut film {
+                film.see(env);
+            }
+        })?;
+        if let (Some(films), Some(mut film)) = (films.as_mut(), film) {
+            film.end(&trials[trial]);
+            films.add(film);
+        }
+        let Some(folder) = folder else { continue };
+        trace.beliefs = seen.1;
+        let path = folder.join(format!("{file}.svg"));
         let title = format!("{name} on {}, trial {trial}", scene.object().label);
         let picture = draw(&trace, &title, &trials[trial], protocol, scene.station().layout.num_channels());
         files::write_in_one_move(&path, picture.into_string().as_bytes())?;

@@ -5,6 +5,7 @@ mod cloning;
 mod comparisons;
 mod demonstrations;
 mod encoders;
+mod films;
 mod mujoco_export;
 mod pipeline;
 mod policies;
