@@ -14,6 +14,7 @@ mod config;
 mod documented;
 mod files;
 mod name_pattern;
+mod poses;
 mod read;
 mod repetitions;
 mod report;

@@ -15,6 +15,7 @@ mod downloads;
 mod foxglove;
 mod gate;
 mod jobs;
+mod moving;
 mod operations;
 mod people;
 mod retention;

@@ -110,6 +110,27 @@ pub(crate) fn write_recording(dir: &Path) {
     }
 }
 
+/// The same recording made the other way round: the pad stays where it was at first, and the sphere moves against it.
+pub(crate) fn write_recording_of_moving_object(dir: &Path) {
+    write_recording(dir);
+    for take_idx in 0..NUM_TAKES {
+        let taps = taps(take_idx % 2 == 0);
+        let take_dir = dir.join(format!("take-{:02}", take_idx + 1));
+        let joints = csv(NUM_DOFS, 'q', 25.0, |_, dof| [taps.x_m, 0.0, taps.z_m(0.0)][dof]);
+        fs::write(take_dir.join("joints.csv"), joints).unwrap();
+        let mut object = "t,x_mm,y_mm,z_mm\n".to_owned();
+        // The frames' times, so that nothing lies between two poses.
+        for sample in 0..NUM_FRAMES {
+            let time_s = sample as f64 / 25.0;
+            let height_mm = 1e3 * (0.05 - (taps.z_m(time_s) - taps.z_m(0.0)));
+            writeln!(object, "{time_s},0,0,{height_mm}").unwrap();
+        }
+        fs::write(take_dir.join("object.csv"), object).unwrap();
+        let take_toml = "object = \"sphere_50mm\"\nprimitive = \"tap\"\nbaseline_s = [0.0, 0.9]\n";
+        fs::write(take_dir.join("take.toml"), take_toml).unwrap();
+    }
+}
+
 /// A data folder with the recording as session `taps`, and the CSV folder it was made of.
 pub(crate) struct Data {
     dir: tempfile::TempDir,

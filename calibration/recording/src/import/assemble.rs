@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use palpate_robot_model::Station;
 
 use super::{
-    columns::{Cell, Names, Target, listed},
+    columns::{Cell, NUM_POSITIONS, Names, POSE_NAMES, Target, listed},
     name_pattern::nearest,
     table::Table,
 };
@@ -61,6 +61,19 @@ pub(super) fn stream(
     assembled(station, parts, &channels.map(Target::Channel).collect::<Vec<_>>(), &[], Between::Hold)
 }
 
+/// Where the object is over time, if a file says so: columns of the first three or of all of [`POSE_NAMES`].
+pub(super) fn object(station: &Station, parts: &[Part]) -> Result<Option<Assembled>, RecordingError> {
+    let held = |wanted: Target| parts.iter().any(|part| part.cells.iter().any(|cell| cell.target == wanted));
+    let targets: Vec<Target> = (0..POSE_NAMES.len()).map(Target::Object).collect();
+    if !targets.iter().any(|&target| held(target)) {
+        return Ok(None);
+    }
+    // A quaternion is there as a whole or not at all.
+    let has_turn = targets[NUM_POSITIONS..].iter().any(|&target| held(target));
+    let wanted = if has_turn { &targets[..] } else { &targets[..NUM_POSITIONS] };
+    assembled(station, parts, wanted, &[], Between::Interpolate).map(Some)
+}
+
 /// Columns of one part that are wanted: `(column of the result, column of the part)`.
 type Columns = Vec<(usize, usize)>;
 
@@ -107,10 +120,7 @@ pub(super) fn check_complete<'a>(
     let Some((path, ..)) = likely else {
         return Err(RecordingError::content("recording", "files", "there is no file in it"));
     };
-    let what = match missing[0] {
-        Target::Joint(_) => "joint",
-        Target::Channel(_) => "channel",
-    };
+    let what = missing[0].what();
     let ids: Vec<&str> = missing.iter().map(|&target| names.id(target)).collect();
     let mut problem = format!(
         "no column for {what}{} {}",
@@ -126,6 +136,12 @@ pub(super) fn check_complete<'a>(
         .collect();
     if !near.is_empty() {
         problem += &format!("; {}: rename it, or map it in a mapping file", near.join(", "));
+    } else if matches!(missing[0], Target::Object(_)) {
+        problem += &format!(
+            "; a pose has {}, and, if it turns, {}",
+            POSE_NAMES[..NUM_POSITIONS].join(", "),
+            POSE_NAMES[NUM_POSITIONS..].join(", ")
+        );
     } else if !ignored.is_empty() {
         problem += &format!(
             "; columns must be called as the station calls its {what}s; not recognised here: {}",

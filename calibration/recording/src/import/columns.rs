@@ -24,6 +24,24 @@ pub(super) enum Target {
     Joint(usize),
     /// Reading of a channel, by its index in the layout.
     Channel(usize),
+    /// A number of the object's pose, by its index in [`POSE_NAMES`].
+    Object(usize),
+}
+
+/// Numbers of an object's pose in the base frame: where its origin is, and a quaternion, scalar first.
+pub(super) const POSE_NAMES: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
+/// How many of them say where it is.
+pub(super) const NUM_POSITIONS: usize = 3;
+
+impl Target {
+    /// What it is, for messages.
+    pub(super) fn what(self) -> &'static str {
+        match self {
+            Self::Joint(_) => "joint",
+            Self::Channel(_) => "channel",
+            Self::Object(_) => "object coordinate",
+        }
+    }
 }
 
 /// What a file may hold.
@@ -31,6 +49,8 @@ pub(super) enum Target {
 pub(super) enum Scope {
     Joints,
     Stream(usize),
+    /// Poses of the object.
+    Object,
     All,
 }
 
@@ -63,7 +83,7 @@ impl Cell {
     }
 
     pub(super) fn what(&self) -> &'static str {
-        if self.is_channel() { "channel" } else { "joint" }
+        self.target.what()
     }
 
     pub(super) fn is_channel(&self) -> bool {
@@ -109,7 +129,7 @@ impl<'a> Names<'a> {
 
     fn channels(&self, scope: Scope) -> impl Iterator<Item = (Target, &'a str)> {
         let channels = match scope {
-            Scope::Joints => 0..0,
+            Scope::Joints | Scope::Object => 0..0,
             Scope::Stream(stream_idx) => self.station.layout.streams[stream_idx].channels.clone(),
             Scope::All => 0..self.station.layout.num_channels(),
         };
@@ -119,14 +139,22 @@ impl<'a> Names<'a> {
 
     /// Everything that a file of `scope` may hold.
     pub(super) fn of(&self, scope: Scope) -> Vec<(Target, &'a str)> {
+        if scope == Scope::Object {
+            return Self::pose().collect();
+        }
         let joints = self.joints().filter(|_| !matches!(scope, Scope::Stream(_)));
         joints.chain(self.channels(scope)).collect()
+    }
+
+    fn pose() -> impl Iterator<Item = (Target, &'a str)> {
+        POSE_NAMES.into_iter().enumerate().map(|(idx, name)| (Target::Object(idx), name))
     }
 
     pub(super) fn id(&self, target: Target) -> &'a str {
         match target {
             Target::Joint(dof) => self.station.robot.dofs().nth(dof).map_or("", |joint| joint.name.as_str()),
             Target::Channel(channel) => &self.station.layout.channels[channel].id,
+            Target::Object(idx) => POSE_NAMES.get(idx).copied().unwrap_or_default(),
         }
     }
 
@@ -140,6 +168,8 @@ impl<'a> Names<'a> {
                 let layout = &self.station.layout;
                 &layout.streams[layout.channels[channel].stream].raw_unit
             }
+            Target::Object(idx) if idx < NUM_POSITIONS => "m",
+            Target::Object(_) => "1",
         }
     }
 
@@ -363,6 +393,20 @@ impl Assigner<'_> {
         if let Some(channels) = &config.channels {
             return find("channels", channels.as_slice(), self.names.channels(Scope::All).collect());
         }
+        if let Some(object) = &config.object {
+            let known: Vec<(Target, &str)> = Names::pose().collect();
+            let target = |name: &String| {
+                let found = known.iter().find(|(_, id)| id == name).map(|&(target, _)| target);
+                found.ok_or_else(|| {
+                    let problem = format!(
+                        "{name:?} is no number of a pose, expected some of {}",
+                        POSE_NAMES.join(", ")
+                    );
+                    self.map_error(map, "object", problem)
+                })
+            };
+            return object.as_slice().iter().map(target).collect();
+        }
         if let Some(id) = &config.patch {
             let patch = layout.patches.iter().find(|patch| patch.id == *id).ok_or_else(|| {
                 let problem = self.unknown(id, layout.patches.iter().map(|patch| patch.id.as_str()));
@@ -407,7 +451,7 @@ impl Assigner<'_> {
         let unit = from_map.or(stated).or(of_header).unwrap_or(to_unit);
         let unit = units::known(unit).unwrap_or(unit).to_owned();
         if units::converted(1.0, &unit, to_unit).is_none() {
-            let what = if matches!(target, Target::Joint(_)) { "joint" } else { "channel" };
+            let what = target.what();
             let problem = format!(
                 "unit {unit:?} of {what} {:?} cannot be converted to {to_unit}; expected one of {}, or a scale in a \
                  mapping file",
@@ -439,7 +483,7 @@ impl Assigner<'_> {
         let (prefix, targets) = match self.scope {
             Scope::Joints => ('q', self.names.of(self.scope)),
             Scope::Stream(_) => ('v', self.names.of(self.scope)),
-            Scope::All => return BTreeMap::new(),
+            Scope::Object | Scope::All => return BTreeMap::new(),
         };
         let headers = self.header.map(|(_, headers)| headers).unwrap_or_default();
         let number = |column: &usize| headers[*column].strip_prefix(prefix)?.parse::<usize>().ok();

@@ -223,6 +223,8 @@ pub(super) struct MapConfig {
     pub(super) patch: Option<String>,
     /// All channels of a stream, in order.
     pub(super) stream: Option<String>,
+    /// Numbers of the object's pose: `x`, `y`, `z`, `qw`, `qx`, `qy`, `qz`.
+    pub(super) object: Option<OneOrMany<String>>,
     pub(super) unit: Option<String>,
     #[serde(default = "unscaled")]
     pub(super) scale: f64,
@@ -440,11 +442,15 @@ impl Mapping {
             let error = |field: &str, problem: String| {
                 Err(self.error(span.clone(), &format!("[[file.map]] {field}"), problem))
             };
-            let named =
-                [map.joints.is_some(), map.channels.is_some(), map.patch.is_some(), map.stream.is_some()];
+            let named = [
+                map.joints.is_some(),
+                map.channels.is_some(),
+                map.patch.is_some(),
+                map.stream.is_some(),
+                map.object.is_some(),
+            ];
             if named.iter().filter(|&&named| named).count() != 1 {
-                let problem =
-                    "expected exactly one of joints, channels, patch and stream: what the columns are";
+                let problem = "expected exactly one of joints, channels, patch, stream and object: what the columns are";
                 return error("joints", problem.to_owned());
             }
             if !(map.scale.is_finite() && map.scale != 0.0) {
@@ -459,8 +465,8 @@ impl Mapping {
                     format!("{}, expected 1, or -1 where readings fall under load", map.polarity),
                 );
             }
-            if map.polarity == -1 && map.joints.is_some() {
-                let problem = "-1 is for readings that fall under load; turn a joint round with scale = -1";
+            if map.polarity == -1 && (map.joints.is_some() || map.object.is_some()) {
+                let problem = "-1 is for readings that fall under load; turn a joint or a coordinate round with scale = -1";
                 return error("polarity", problem.to_owned());
             }
         }

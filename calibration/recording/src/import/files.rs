@@ -8,7 +8,7 @@ use std::{
 use palpate_robot_model::Station;
 
 use super::{
-    columns::{Assignment, Names, Scope, assign},
+    columns::{Assignment, Names, Scope, Target, assign},
     config::{FileConfig, Mapping, TakeConfig, Takes},
     name_pattern::matched,
     sheet,
@@ -21,6 +21,7 @@ use crate::{
 
 const TAKE_FILE: &str = "take.toml";
 const JOINTS_FILE: &str = "joints.csv";
+const OBJECT_FILE: &str = "object.csv";
 const CSV_ENDING: &str = ".csv";
 
 /// Where a take comes from.
@@ -134,6 +135,14 @@ pub(super) enum OpenedColumns {
     Assigned(Assignment),
 }
 
+impl Opened {
+    /// Whether it says where the object is.
+    pub(super) fn has_poses(&self) -> bool {
+        let OpenedColumns::Assigned(assignment) = &self.columns else { return false };
+        assignment.cells.iter().any(|cell| matches!(cell.target, Target::Object(_)))
+    }
+}
+
 /// Opens the files of a take.
 pub(super) fn open(
     station: &Station,
@@ -165,13 +174,21 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
             Some((path, stem))
         })
         .collect();
+    // A stream may be called so too.
+    let is_object = |path: &Path| {
+        path.file_name().is_some_and(|name| name == OBJECT_FILE)
+            && station.layout.stream_index(OBJECT_FILE.trim_end_matches(CSV_ENDING)).is_none()
+    };
+    let (poses, tables): (Vec<_>, Vec<_>) = tables.into_iter().partition(|(path, _)| is_object(path));
+    let poses = poses.into_iter().map(|(path, _)| open_plain(station, path, Scope::Object));
+    let poses = poses.collect::<Result<Vec<_>, _>>()?;
     let is_known = |stem: &str| {
         station.layout.stream_index(stem).is_some() || format!("{stem}{CSV_ENDING}") == JOINTS_FILE
     };
     if let [(path, stem)] = &tables[..]
         && !is_known(stem)
     {
-        return Ok(vec![open_plain(station, path.clone(), Scope::All)?]);
+        return Ok(std::iter::once(open_plain(station, path.clone(), Scope::All)?).chain(poses).collect());
     }
     // Most likely it is the wrong station, or a misspelt name.
     if let Some((path, stem)) = tables.iter().find(|(_, stem)| !is_known(stem)) {
@@ -191,6 +208,7 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
             Scope::Stream(stream_idx),
         )?);
     }
+    opened.extend(poses);
     Ok(opened)
 }
 
@@ -202,7 +220,7 @@ fn open_plain(station: &Station, path: PathBuf, scope: Scope) -> Result<Opened, 
     let prefix = match scope {
         Scope::Joints => Some('q'),
         Scope::Stream(_) => Some('v'),
-        Scope::All => None,
+        Scope::Object | Scope::All => None,
     };
     let is_number = |header: &String| {
         prefix.is_some_and(|prefix| {
@@ -229,7 +247,9 @@ fn open_plain(station: &Station, path: PathBuf, scope: Scope) -> Result<Opened, 
             )?)
         }
         None if prefix.is_none() => {
-            let problem = "the file is empty, expected a header with the names of joints and channels";
+            let names =
+                if scope == Scope::Object { "x, y and z" } else { "the names of joints and channels" };
+            let problem = format!("the file is empty, expected a header with {names}");
             return Err(RecordingError::content(&path, "line 1", problem));
         }
         // An empty file is refused as the oldest form.
@@ -253,11 +273,17 @@ fn open_mapped(
     let scope = match station.layout.stream_index(&stem) {
         Some(stream_idx) if is_about_stream(station, config, stream_idx) => Scope::Stream(stream_idx),
         _ if format!("{stem}{CSV_ENDING}") == JOINTS_FILE => Scope::Joints,
+        _ if is_about_object(config) => Scope::Object,
         _ => Scope::All,
     };
     let header = config.header.then_some((line, cells.as_slice()));
     let assignment = assign(&Names { station }, &path, header, cells.len(), scope, config, Some(mapping))?;
     Ok(Opened { path, bytes, config: config.clone(), columns: OpenedColumns::Assigned(assignment) })
+}
+
+/// Whether a file is mapped to nothing but poses of the object.
+fn is_about_object(config: &FileConfig) -> bool {
+    !config.map.is_empty() && config.map.iter().all(|map| map.get_ref().object.is_some())
 }
 
 /// Whether a file that is called like a stream is mapped to nothing but channels of that stream.

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use palpate_robot_model::{Robot, Station};
+use nalgebra::Isometry3;
+use palpate_robot_model::{PoseConfig, Robot, Station};
 
 use super::{
     ImportOptions,
@@ -11,6 +12,7 @@ use super::{
     config::{Mapping, TakeConfig},
     files::{self, Opened, OpenedColumns, TakeSource},
     name_pattern::nearest,
+    poses::{self, POSE_WHAT},
     repetitions,
     report::{ColumnReport, FileReport, IgnoredColumn, RepetitionReport, TakeReport},
     sheet,
@@ -33,6 +35,8 @@ pub(super) struct CheckedTake {
     pub(super) joints: Table,
     /// Host time of each row, ns since the take's start.
     pub(super) joint_times_ns: Vec<u64>,
+    /// Where a moving object is, ns since the take's start.
+    pub(super) object_poses: Vec<(u64, Isometry3<f64>)>,
     pub(super) streams: Vec<CheckedStream>,
     pub(super) spans: Vec<Span>,
     /// What was changed or put together on the way, for the take's log.
@@ -120,7 +124,15 @@ pub(super) fn take(
         config_error("file", format!("missing field `{field}`{hint}"))
     };
     let object = config.object.clone().ok_or_else(|| missing("object"))?;
-    let object_pose = config.object_pose.ok_or_else(|| missing("object_pose"))?;
+    // A file may say where the object is instead.
+    let mut opened = None;
+    if config.object_pose.is_none() {
+        let files = files::open(station, source, mapping)?;
+        if !files.iter().any(Opened::has_poses) {
+            return Err(missing("object_pose"));
+        }
+        opened = Some(files);
+    }
     let primitive = config.primitive.clone().ok_or_else(|| missing("primitive"))?;
     let binary = config.binary.unwrap_or(false);
     let fixture_trusted = config.fixture_trusted.unwrap_or(true);
@@ -130,14 +142,18 @@ pub(super) fn take(
     if !station.objects.contains_key(&object) {
         return Err(unknown_object(station, source, &object));
     }
-    let base_from_object =
-        object_pose.to_isometry().map_err(|problem| config_error("object_pose", problem))?;
-    if let Some(problem) = plausible::out_of_reach(&station.robot, &base_from_object) {
+    let told = config.object_pose.as_ref().map(PoseConfig::to_isometry).transpose();
+    let told = told.map_err(|problem| config_error("object_pose", problem))?;
+    if let Some(problem) = told.as_ref().and_then(|pose| plausible::out_of_reach(&station.robot, pose)) {
         return Err(config_error("object_pose", problem));
     }
 
     let mut parts = Vec::new();
-    for file in files::open(station, source, mapping)? {
+    let opened = match opened {
+        Some(opened) => opened,
+        None => files::open(station, source, mapping)?,
+    };
+    for file in opened {
         let (part, understood) = read_part(station, file, binary)?;
         warn_of_columns(&understood, report);
         report.files.push(understood);
@@ -161,12 +177,20 @@ pub(super) fn take(
             check_readings(station, part)?;
         }
     }
+    let object_path = assemble::object(station, &parts)?;
+    let poses = match &object_path {
+        Some(assembled) => poses::read(station, assembled, told.as_ref(), report)?,
+        None => Vec::new(),
+    };
     report
         .notes
         .extend(std::iter::once(&joints).chain(&streams).filter_map(|assembled| assembled.note.clone()));
     report.notes.extend(parts.iter().flat_map(mirrored_notes));
 
-    let all = || std::iter::once(&joints).chain(&streams).map(|assembled| &assembled.table.times_s);
+    let all = || {
+        let assembled = std::iter::once(&joints).chain(&streams).chain(&object_path);
+        assembled.map(|assembled| &assembled.table.times_s)
+    };
     let first_s = all().map(|times_s| times_s[0]).fold(f64::INFINITY, f64::min);
     let last_s = all().filter_map(|times_s| times_s.last().copied()).fold(first_s, f64::max);
     let zero_s = first_s.floor();
@@ -214,9 +238,16 @@ pub(super) fn take(
         checked_streams.push(check_stream(station, stream_idx, assembled, zero_s, binary, &spans, report)?);
     }
 
+    let object_poses = match &object_path {
+        Some(Assembled { path, table, .. }) => {
+            times_ns(path, table, zero_s)?.into_iter().zip(poses).collect()
+        }
+        None => Vec::new(),
+    };
+    let first_pose = object_poses.first().map(|(_, pose)| *pose);
     let meta = TakeMeta {
         object,
-        base_from_object,
+        base_from_object: first_pose.or(told).ok_or_else(|| missing("object_pose"))?,
         primitive,
         fixture_trusted,
         operator: config.operator.unwrap_or_default(),
@@ -231,6 +262,7 @@ pub(super) fn take(
         start_unix_ns: ns_from_secs(zero_s).unwrap_or(0),
         joints: joints.table,
         joint_times_ns,
+        object_poses,
         streams: checked_streams,
         spans,
         notes: report.notes.clone(),
@@ -336,9 +368,14 @@ fn warn_of_columns(file: &FileReport, report: &mut TakeReport) {
     for ignored in &file.ignored {
         let near =
             ignored.nearest.as_ref().map(|near| format!(", although {near:?} is near")).unwrap_or_default();
+        let known = if file.columns.iter().all(|column| column.what == POSE_WHAT) {
+            "number of a pose"
+        } else {
+            "joint or channel of the station"
+        };
         let FileReport { file, .. } = file;
         report.warnings.push(format!(
-            "{file}: column {} {:?} is no joint or channel of the station{near}; ignored",
+            "{file}: column {} {:?} is no {known}{near}; ignored",
             ignored.column, ignored.header
         ));
     }
@@ -394,6 +431,8 @@ fn check_clock(station: &Station, part: &Part) -> Result<(), RecordingError> {
     let nominal_hz = part.cells.iter().map(|cell| match cell.target {
         Target::Joint(_) => station.joint_rate_hz,
         Target::Channel(channel) => station.layout.streams[station.layout.channels[channel].stream].rate_hz,
+        // Trackers are about as fast.
+        Target::Object(_) => station.joint_rate_hz,
     });
     let nominal_hz = nominal_hz.fold(0.0, f64::max);
     let (Some(first_s), Some(last_s)) = (times_s.first(), times_s.last()) else { return Ok(()) };

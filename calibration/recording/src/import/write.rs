@@ -11,6 +11,7 @@ use crate::{LogLevel, RecordingError, TactileSampleRef, TakeWriter};
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Source {
     Joints,
+    ObjectPose,
     Stream(usize),
 }
 
@@ -29,6 +30,9 @@ pub(super) fn write_take(station: &Station, take: &CheckedTake, path: &Path) -> 
     let mut order: Vec<(u64, Source, usize)> = Vec::new();
     order
         .extend(take.joint_times_ns.iter().enumerate().map(|(row, &time_ns)| (time_ns, Source::Joints, row)));
+    order.extend(
+        take.object_poses.iter().enumerate().map(|(row, (time_ns, _))| (*time_ns, Source::ObjectPose, row)),
+    );
     for (stream_idx, stream) in take.streams.iter().enumerate() {
         let source = Source::Stream(stream_idx);
         order.extend(stream.times_ns.iter().enumerate().map(|(row, &time_ns)| (time_ns, source, row)));
@@ -37,6 +41,7 @@ pub(super) fn write_take(station: &Station, take: &CheckedTake, path: &Path) -> 
     for (time_ns, source, row) in order {
         match source {
             Source::Joints => writer.joints(time_ns, take.joints.row(row, num_dofs))?,
+            Source::ObjectPose => writer.object_pose(time_ns, &take.object_poses[row].1)?,
             Source::Stream(stream_idx) => {
                 let stream = &take.streams[stream_idx];
                 let num_channels = station.layout.streams[stream_idx].channels.len();
