@@ -1,6 +1,7 @@
 //! A recorded take as the page uses it: the trace from the server, checked, with look-ups by time.
 
-use palpate_robot_model::Station;
+use nalgebra::Isometry3;
+use palpate_robot_model::{PoseConfig, Station};
 use palpate_wire::{
     bits,
     proto::{ReplayTrace, StreamTrace, TakeTrace},
@@ -13,6 +14,8 @@ pub struct TakeData {
     pub trace: TakeTrace,
     num_dofs: usize,
     duration_s: f64,
+    /// base_from_object of each frame; empty of an object that stands still.
+    object_poses: Vec<Isometry3<f64>>,
 }
 
 impl TakeData {
@@ -33,6 +36,7 @@ impl TakeData {
             return Err(format!("joint frame {frame_idx} holds a position that is no number"));
         }
         let num_dofs = num_values.checked_div(num_frames).unwrap_or(0);
+        let object_poses = object_poses(&trace.object_poses, num_frames)?;
         let duration_s = trace
             .streams
             .iter()
@@ -40,7 +44,7 @@ impl TakeData {
             .chain([&trace.frame_times_s])
             .filter_map(|times_s| times_s.last())
             .fold(0.0, |longest: f64, &end_s| longest.max(end_s));
-        Ok(Self { trace, num_dofs, duration_s })
+        Ok(Self { trace, num_dofs, duration_s, object_poses })
     }
 
     /// Checks the take against the station it is said to come from: joints, channels and streams must match.
@@ -99,19 +103,33 @@ impl TakeData {
 
     /// Joint positions at `time_s`, rad or m, linear between frames and held at the ends; empty without frames.
     pub fn joint_positions_at(&self, time_s: f64) -> Vec<f64> {
-        let Some(frame_idx) = self.frame_at(time_s) else { return Vec::new() };
-        let times_s = &self.trace.frame_times_s;
+        let Some((frame_idx, share)) = self.between_frames(time_s) else { return Vec::new() };
         let row = |idx: usize| &self.trace.joint_positions[idx * self.num_dofs..(idx + 1) * self.num_dofs];
         let from = row(frame_idx);
         if frame_idx + 1 == self.num_frames() {
             return from.iter().map(|&position| f64::from(position)).collect();
         }
-        let span_s = times_s[frame_idx + 1] - times_s[frame_idx];
-        let share = if span_s > 0.0 { ((time_s - times_s[frame_idx]) / span_s).clamp(0.0, 1.0) } else { 0.0 };
         from.iter()
             .zip(row(frame_idx + 1))
             .map(|(&a, &b)| f64::from(a) + share * (f64::from(b) - f64::from(a)))
             .collect()
+    }
+
+    /// Where a moving object is at `time_s`, in the base frame: on the way from one joint frame to the next, and held at the
+    /// ends. `None` of one that stands still.
+    pub fn object_pose_at(&self, time_s: f64) -> Option<Isometry3<f64>> {
+        let (frame_idx, share) = self.between_frames(time_s)?;
+        let from = self.object_poses.get(frame_idx)?;
+        let to = self.object_poses.get(frame_idx + 1).unwrap_or(from);
+        Some(from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*from))
+    }
+
+    /// The joint frame in effect at `time_s`, and how much of the time to the next is over, 0 to 1; 0 at the last.
+    fn between_frames(&self, time_s: f64) -> Option<(usize, f64)> {
+        let frame_idx = self.frame_at(time_s)?;
+        let from_s = self.trace.frame_times_s[frame_idx];
+        let span_s = self.trace.frame_times_s.get(frame_idx + 1).map_or(0.0, |to_s| to_s - from_s);
+        Some((frame_idx, if span_s > 0.0 { ((time_s - from_s) / span_s).clamp(0.0, 1.0) } else { 0.0 }))
     }
 
     /// Whether `channel` was active in joint frame `frame`.
@@ -137,6 +155,23 @@ impl TakeData {
         let width = stream_info.channels.len();
         stream.raw.get(sample_idx * width + channel - stream_info.channels.start).copied()
     }
+}
+
+/// Poses from seven numbers a frame: x, y, z, then w, x, y, z.
+fn object_poses(numbers: &[f32], num_frames: usize) -> Result<Vec<Isometry3<f64>>, String> {
+    if !numbers.is_empty() && numbers.len() != 7 * num_frames {
+        return Err(format!(
+            "{} numbers of object poses for {num_frames} frames, expected 7 each",
+            numbers.len()
+        ));
+    }
+    let pose = |(frame_idx, pose): (usize, &[f32])| {
+        let [x, y, z, qw, qx, qy, qz] = std::array::from_fn(|idx| f64::from(pose[idx]));
+        let pose = PoseConfig { position_m: [x, y, z], quaternion_wxyz: [qw, qx, qy, qz] };
+        pose.to_isometry()
+            .map_err(|problem| format!("the object's pose in joint frame {frame_idx}: {problem}"))
+    };
+    numbers.chunks_exact(7).enumerate().map(pose).collect()
 }
 
 /// Checks a replay against the take it belongs to.
@@ -211,6 +246,30 @@ mod tests {
         assert!(TakeData::new(back).expect_err("back").contains("steps back after sample 1"));
         let nan = TakeTrace { joint_positions: vec![0.0, 0.0, 0.0, f32::NAN, 0.0, 0.0], ..trace() };
         assert!(TakeData::new(nan).expect_err("nan").contains("joint frame 1"));
+    }
+
+    #[test]
+    fn a_moving_object_is_on_its_way_from_frame_to_frame() {
+        let up = [0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0_f32];
+        // A quarter turn about z, and 0.2 m along x.
+        let turned = [0.2, 0.0, 0.1, 0.5_f32.sqrt(), 0.0, 0.0, 0.5_f32.sqrt()];
+        let moving = TakeTrace { object_poses: [up, turned, turned].concat(), ..trace() };
+        let take = TakeData::new(moving.clone()).expect("a sound trace");
+        let at = |time_s| take.object_pose_at(time_s).expect("it moves");
+        assert!((at(0.5).translation.x - 0.1).abs() < 1e-6);
+        assert!((at(0.5).rotation.angle() - std::f64::consts::FRAC_PI_4).abs() < 1e-6);
+        assert_eq!((at(-1.0).translation.x, at(2.0), at(99.0)), (0.0, at(1.0), at(1.0)));
+        assert_eq!(
+            TakeData::new(trace()).expect("a sound trace").object_pose_at(0.5),
+            None,
+            "it stands still"
+        );
+
+        let short = TakeTrace { object_poses: up.to_vec(), ..moving.clone() };
+        assert!(TakeData::new(short).expect_err("short").contains("7 numbers of object poses for 3 frames"));
+        let mut lost = moving;
+        lost.object_poses[7] = f32::NAN;
+        assert!(TakeData::new(lost).expect_err("lost").contains("the object's pose in joint frame 1"));
     }
 
     #[test]

@@ -143,6 +143,18 @@ def test_a_take_without_readings_has_none(station: Station) -> None:
     assert trace.raw_at_frames() is None
 
 
+def test_an_object_moves_where_a_take_says_so(station: Station) -> None:
+    assert trace_of(take().SerializeToString(), station).object_poses is None
+    message = take()
+    message.object_poses.extend([0.1, 0.2, 0.3, 1, 0, 0, 0, 0.4, 0.2, 0.3, 0, 1, 0, 0])
+    poses = trace_of(message.SerializeToString(), station).object_poses
+    assert poses is not None
+    np.testing.assert_allclose(poses, [[0.1, 0.2, 0.3, 1, 0, 0, 0], [0.4, 0.2, 0.3, 0, 1, 0, 0]], atol=1e-7)
+    message.object_poses.pop()
+    with pytest.raises(PalpateError, match="13 numbers came, expected 2 x 7"):
+        trace_of(message.SerializeToString(), station)
+
+
 def test_a_damaged_take_is_refused(station: Station) -> None:
     faults: list[tuple[Callable[[TakeTrace], object], str]] = [
         (lambda message: message.joint_positions.pop(), "3 numbers came, expected 2 x 2"),

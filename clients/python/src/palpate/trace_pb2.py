@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from palpate import control_pb2 as palpate_dot_control__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x13palpate/trace.proto\x12\x07palpate\x1a\x15palpate/control.proto\"\x9a\x01\n\tTakeTrace\x12\x15\n\rframe_times_s\x18\x01 \x03(\x01\x12\x17\n\x0fjoint_positions\x18\x02 \x03(\x02\x12\x13\n\x0breal_active\x18\x03 \x01(\x0c\x12%\n\x07streams\x18\x04 \x03(\x0b\x32\x14.palpate.StreamTrace\x12!\n\x05spans\x18\x05 \x03(\x0b\x32\x12.palpate.SpanTrace\"K\n\x0bStreamTrace\x12\x0e\n\x06stream\x18\x01 \x01(\t\x12\x0f\n\x07times_s\x18\x02 \x03(\x01\x12\x0b\n\x03raw\x18\x03 \x03(\x02\x12\x0e\n\x06\x61\x63tive\x18\x04 \x01(\x0c\"H\n\tSpanTrace\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0f\n\x07start_s\x18\x02 \x01(\x01\x12\r\n\x05\x65nd_s\x18\x03 \x01(\x01\x12\r\n\x05label\x18\x04 \x01(\t\"M\n\x0bReplayTrace\x12\r\n\x05model\x18\x01 \x01(\t\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x0c\x12\x0b\n\x03raw\x18\x03 \x03(\x02\x12\x12\n\nthresholds\x18\x04 \x03(\x02\"\x97\x01\n\rStreamMessage\x12\"\n\x04live\x18\x01 \x01(\x0b\x32\x12.palpate.LiveFrameH\x00\x12!\n\x03job\x18\x02 \x01(\x0b\x32\x12.palpate.JobUpdateH\x00\x12#\n\x07\x63hanged\x18\x03 \x01(\x0b\x32\x10.palpate.ChangedH\x00\x12\x0f\n\x07\x64ropped\x18\x0f \x01(\x04\x42\t\n\x07message\"\xc2\x01\n\tLiveFrame\x12\x0e\n\x06time_s\x18\x01 \x01(\x01\x12\x17\n\x0fjoint_positions\x18\x02 \x03(\x02\x12\x0e\n\x06\x61\x63tive\x18\x03 \x01(\x0c\x12\x0b\n\x03raw\x18\x04 \x03(\x02\x12\x10\n\x08\x61\x63tivity\x18\x05 \x01(\t\x12\x0e\n\x06object\x18\x06 \x01(\t\x12\x13\n\x0bobject_pose\x18\x07 \x03(\x01\x12\x10\n\x08rates_hz\x18\x08 \x03(\x02\x12&\n\x07\x63ontrol\x18\t \x01(\x0b\x32\x15.palpate.ControlState\"m\n\tJobUpdate\x12\x0b\n\x03job\x18\x01 \x01(\t\x12\r\n\x05state\x18\x02 \x01(\t\x12\x10\n\x08\x66raction\x18\x03 \x01(\x01\x12\r\n\x05stage\x18\x04 \x01(\t\x12\x14\n\x0cseconds_left\x18\x05 \x01(\x01\x12\r\n\x05\x65rror\x18\x06 \x01(\t\"#\n\x07\x43hanged\x12\x0c\n\x04list\x18\x01 \x01(\t\x12\n\n\x02id\x18\x02 \x01(\tb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x13palpate/trace.proto\x12\x07palpate\x1a\x15palpate/control.proto\"\xb0\x01\n\tTakeTrace\x12\x15\n\rframe_times_s\x18\x01 \x03(\x01\x12\x17\n\x0fjoint_positions\x18\x02 \x03(\x02\x12\x13\n\x0breal_active\x18\x03 \x01(\x0c\x12%\n\x07streams\x18\x04 \x03(\x0b\x32\x14.palpate.StreamTrace\x12!\n\x05spans\x18\x05 \x03(\x0b\x32\x12.palpate.SpanTrace\x12\x14\n\x0cobject_poses\x18\x06 \x03(\x02\"K\n\x0bStreamTrace\x12\x0e\n\x06stream\x18\x01 \x01(\t\x12\x0f\n\x07times_s\x18\x02 \x03(\x01\x12\x0b\n\x03raw\x18\x03 \x03(\x02\x12\x0e\n\x06\x61\x63tive\x18\x04 \x01(\x0c\"H\n\tSpanTrace\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0f\n\x07start_s\x18\x02 \x01(\x01\x12\r\n\x05\x65nd_s\x18\x03 \x01(\x01\x12\r\n\x05label\x18\x04 \x01(\t\"M\n\x0bReplayTrace\x12\r\n\x05model\x18\x01 \x01(\t\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x0c\x12\x0b\n\x03raw\x18\x03 \x03(\x02\x12\x12\n\nthresholds\x18\x04 \x03(\x02\"\x97\x01\n\rStreamMessage\x12\"\n\x04live\x18\x01 \x01(\x0b\x32\x12.palpate.LiveFrameH\x00\x12!\n\x03job\x18\x02 \x01(\x0b\x32\x12.palpate.JobUpdateH\x00\x12#\n\x07\x63hanged\x18\x03 \x01(\x0b\x32\x10.palpate.ChangedH\x00\x12\x0f\n\x07\x64ropped\x18\x0f \x01(\x04\x42\t\n\x07message\"\xc2\x01\n\tLiveFrame\x12\x0e\n\x06time_s\x18\x01 \x01(\x01\x12\x17\n\x0fjoint_positions\x18\x02 \x03(\x02\x12\x0e\n\x06\x61\x63tive\x18\x03 \x01(\x0c\x12\x0b\n\x03raw\x18\x04 \x03(\x02\x12\x10\n\x08\x61\x63tivity\x18\x05 \x01(\t\x12\x0e\n\x06object\x18\x06 \x01(\t\x12\x13\n\x0bobject_pose\x18\x07 \x03(\x01\x12\x10\n\x08rates_hz\x18\x08 \x03(\x02\x12&\n\x07\x63ontrol\x18\t \x01(\x0b\x32\x15.palpate.ControlState\"m\n\tJobUpdate\x12\x0b\n\x03job\x18\x01 \x01(\t\x12\r\n\x05state\x18\x02 \x01(\t\x12\x10\n\x08\x66raction\x18\x03 \x01(\x01\x12\r\n\x05stage\x18\x04 \x01(\t\x12\x14\n\x0cseconds_left\x18\x05 \x01(\x01\x12\r\n\x05\x65rror\x18\x06 \x01(\t\"#\n\x07\x43hanged\x12\x0c\n\x04list\x18\x01 \x01(\t\x12\n\n\x02id\x18\x02 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -33,19 +33,19 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'palpate.trace_pb2', _global
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_TAKETRACE']._serialized_start=56
-  _globals['_TAKETRACE']._serialized_end=210
-  _globals['_STREAMTRACE']._serialized_start=212
-  _globals['_STREAMTRACE']._serialized_end=287
-  _globals['_SPANTRACE']._serialized_start=289
-  _globals['_SPANTRACE']._serialized_end=361
-  _globals['_REPLAYTRACE']._serialized_start=363
-  _globals['_REPLAYTRACE']._serialized_end=440
-  _globals['_STREAMMESSAGE']._serialized_start=443
-  _globals['_STREAMMESSAGE']._serialized_end=594
-  _globals['_LIVEFRAME']._serialized_start=597
-  _globals['_LIVEFRAME']._serialized_end=791
-  _globals['_JOBUPDATE']._serialized_start=793
-  _globals['_JOBUPDATE']._serialized_end=902
-  _globals['_CHANGED']._serialized_start=904
-  _globals['_CHANGED']._serialized_end=939
+  _globals['_TAKETRACE']._serialized_end=232
+  _globals['_STREAMTRACE']._serialized_start=234
+  _globals['_STREAMTRACE']._serialized_end=309
+  _globals['_SPANTRACE']._serialized_start=311
+  _globals['_SPANTRACE']._serialized_end=383
+  _globals['_REPLAYTRACE']._serialized_start=385
+  _globals['_REPLAYTRACE']._serialized_end=462
+  _globals['_STREAMMESSAGE']._serialized_start=465
+  _globals['_STREAMMESSAGE']._serialized_end=616
+  _globals['_LIVEFRAME']._serialized_start=619
+  _globals['_LIVEFRAME']._serialized_end=813
+  _globals['_JOBUPDATE']._serialized_start=815
+  _globals['_JOBUPDATE']._serialized_end=924
+  _globals['_CHANGED']._serialized_start=926
+  _globals['_CHANGED']._serialized_end=961
 # @@protoc_insertion_point(module_scope)

@@ -72,6 +72,8 @@ class Trace:
         active: n x channels; activations in effect at each frame.
         streams: Every stream at its native rate, by id.
         spans: What was marked while it was recorded.
+        object_poses: n x 7; x, y, z in m, then w, x, y, z in the robot's base frame, of an object that moves. None for
+            one that stands still, at the take's `summary.object_pose`.
 
     """
 
@@ -82,6 +84,7 @@ class Trace:
     active: Bools
     streams: dict[str, StreamSamples]
     spans: list[Span]
+    object_poses: Singles | None = None
 
     def to_pandas(self) -> pd.DataFrame:
         """Joint positions and activations by time, a column each."""
@@ -196,6 +199,7 @@ def trace_of(data: bytes, station: Station) -> Trace:
         _bits(message.real_active, (num_frames, len(station.channels))),
         streams,
         [Span(span.kind, span.start_s, span.end_s, span.label) for span in message.spans],
+        _reshape(np.asarray(message.object_poses, np.float32), (num_frames, 7)) if message.object_poses else None,
     )
 
 

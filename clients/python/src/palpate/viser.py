@@ -363,6 +363,8 @@ class Viewer:
                 return
             trace, pose = self._take.trace(), self._take.summary.object_pose
             frame = self._frame()
+            if trace.object_poses is not None:
+                pose = trace.object_poses[frame].tolist()
             expected = None if self._replay is None else self._replay.active[frame]
             with self.server.atomic():
                 self.scene.pose(trace.joint_positions[frame])

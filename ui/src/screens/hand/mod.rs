@@ -252,9 +252,10 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
         .session(&session)
         .ready()
         .and_then(|detail| detail.takes.iter().find(|summary| summary.id == take_id).cloned());
-    let object = summary
-        .as_ref()
-        .and_then(|summary| Some((summary.object.clone(), signal::pose_from(&summary.object_pose)?)));
+    let object = summary.as_ref().and_then(|summary| {
+        let pose = take.object_pose_at(time_s).or_else(|| signal::pose_from(&summary.object_pose))?;
+        Some((summary.object.clone(), pose))
+    });
     Some(Shot {
         positions: take.joint_positions_at(time_s),
         commanded: Vec::new(),

@@ -262,6 +262,7 @@ fn take_trace(station: &Station) -> TakeTrace {
         })
         .collect();
     TakeTrace {
+        object_poses: Vec::new(),
         joint_positions: frame_times_s
             .iter()
             .flat_map(|_| std::iter::repeat_n(0.1, station.robot.num_dofs()))
