@@ -46,8 +46,8 @@ fn path(side_m: [f64; 2], depth_m: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The same touch twice: of an object that stands still, which the pad at `positions` meets, and of the object that moves the
-/// other way round in front of a pad that stays where it was in the first frame.
+/// The same touch twice: of an object that stands still and that the pad meets, and of the object that moves the other way
+/// round in front of a pad that stays where it was in the first frame.
 struct Twice {
     station: Station,
     object: ObjectModel,

@@ -1,7 +1,9 @@
 //! How well models report the events of takes: gaps, waterfall, metrics.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
+use nalgebra::{Point3, Vector3};
 use palpate_calibration::metrics::{MetricsSum, compare_take};
 use palpate_robot_model::{ObjectPath, Station};
 use palpate_sim::SensorModel;
@@ -175,13 +177,12 @@ pub(crate) fn noise_floor(station: &Station, takes: &[&Observed<'_>]) -> Option<
 /// later at most: an import may label every mark of a take alike, and people do not move at an even pace. An object that
 /// moves must take the same path too: what else it does is felt.
 pub(crate) fn repeated(observed: &Observed<'_>) -> Vec<(Range<usize>, Range<usize>)> {
-    let num_frames = observed.take.joints.times_s.len().max(1);
-    let positions = &observed.take.joints.positions;
-    let num_dofs = positions.len() / num_frames;
+    let num_frames = observed.take.joints.times_s.len();
+    let rows = moved_rows(&observed.take.joints.positions, &observed.object_path, num_frames);
+    let width = rows.len() / num_frames.max(1);
     labelled_alike(&observed.repetitions)
         .into_iter()
-        .filter_map(|(first, second)| aligned(positions, num_dofs, first, second))
-        .filter(|(first, second)| moves_alike(&observed.object_path, first, second))
+        .filter_map(|(first, second)| aligned(&rows, width, first, second))
         .collect()
 }
 
@@ -191,26 +192,27 @@ const SAME_PATH: f64 = 0.1;
 /// Marks of repetitions are at most this many frames early or late, those of people by half a second.
 const MOST_SHIFTED: usize = 8;
 
-/// An object whose path differs by more than this between two repetitions (root mean square), m, has been touched elsewhere: a
-/// tracker's noise is less than that, the distance of two taxels is more.
-const SAME_POSE_M: f64 = 0.002;
-/// A turn counts by how far it moves a surface at this distance, m.
+/// A turn of a joint moves skin that is this far from it, m: so much of an object's motion counts as a radian of a joint's.
 const LEVER_M: f64 = 0.1;
 
-/// Whether the object takes the same path in two ranges of frames that go together one by one.
-fn moves_alike(path: &ObjectPath, first: &Range<usize>, second: &Range<usize>) -> bool {
-    let ObjectPath::Moving(_) = path else { return true };
-    let frames = first.len().min(second.len());
-    let (mut moved, mut turned) = (0.0, 0.0);
-    for offset in 0..frames {
-        let (one, other) = (path.at(first.start + offset), path.at(second.start + offset));
-        moved += (one.translation.vector - other.translation.vector).norm_squared();
-        turned += (LEVER_M * one.rotation.angle_to(&other.rotation)).powi(2);
+/// What moves in each frame, in a joint's units: the joints at `positions` and, of an object that moves, its origin and a point
+/// on each of its axes.
+fn moved_rows<'p>(positions: &'p [f64], path: &ObjectPath, num_frames: usize) -> Cow<'p, [f64]> {
+    let ObjectPath::Moving(poses) = path else { return Cow::Borrowed(positions) };
+    let num_dofs = positions.len() / num_frames.max(1);
+    let on_axes = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
+    let mut rows = Vec::with_capacity(positions.len() + 12 * poses.len());
+    for (positions, pose) in positions.chunks_exact(num_dofs.max(1)).zip(poses) {
+        rows.extend_from_slice(positions);
+        for axis in on_axes {
+            let point = pose * Point3::from(LEVER_M * axis);
+            rows.extend(point.iter().map(|coordinate| coordinate / LEVER_M));
+        }
     }
-    (f64::max(moved, turned) / frames.max(1) as f64).sqrt() < SAME_POSE_M
+    Cow::Owned(rows)
 }
 
-/// The parts of two ranges of frames in which joints take the same path; `None` where they do not.
+/// The parts of two ranges of frames in which joints (and an object that moves) take the same path; `None` where they do not.
 fn aligned(
     positions: &[f64],
     num_dofs: usize,
@@ -334,24 +336,25 @@ mod tests {
     }
 
     #[test]
-    fn an_object_that_is_elsewhere_the_second_time_is_no_repetition() {
-        let at = |frame: usize, slipped_m: f64| {
-            let there_m = if frame < 20 { 0.0 } else { slipped_m };
-            Isometry3::translation(0.01 * (frame % 20) as f64 + there_m, 0.0, 0.1)
-        };
-        let alike = |slipped_m: f64| {
-            let path = ObjectPath::Moving((0..40).map(|frame| at(frame, slipped_m)).collect());
-            moves_alike(&path, &(0..20), &(20..40))
-        };
-        assert!(alike(0.0) && alike(0.001) && !alike(0.004));
-        let turned = |rad: f64| {
-            let turn = |frame: usize| {
-                Isometry3::rotation(nalgebra::Vector3::z() * if frame < 20 { 0.0 } else { rad })
+    fn an_object_that_moves_otherwise_the_second_time_is_no_repetition() {
+        // A hand that stands still, and an object that goes away by 0.2 m and comes back, twice; the second time aside or turned.
+        let pair = |aside_m: f64, turn_rad: f64, second: Range<usize>| {
+            let pose = |frame: usize| {
+                let away_m = 0.2 * (frame as f64 * std::f64::consts::TAU / 40.0).sin();
+                let (aside_m, turn_rad) = if frame < 40 { (0.0, 0.0) } else { (aside_m, turn_rad) };
+                Isometry3::new(Vector3::new(away_m, aside_m, 0.1), Vector3::z() * turn_rad)
             };
-            moves_alike(&ObjectPath::Moving((0..40).map(turn).collect()), &(0..20), &(20..40))
+            let path = ObjectPath::Moving((0..80).map(pose).collect());
+            let rows = moved_rows(&[0.3; 80], &path, 80);
+            aligned(&rows, rows.len() / 80, 0..40, second)
         };
-        assert!(turned(0.01) && !turned(0.05));
-        assert!(moves_alike(&Isometry3::identity().into(), &(0..20), &(20..40)), "it stands still");
+        assert_eq!(pair(0.0, 0.0, 40..80), Some((0..40, 40..80)));
+        assert_eq!(pair(0.005, 0.05, 40..80), Some((0..40, 40..80)), "no surface moves by a centimetre");
+        assert_eq!(pair(0.02, 0.0, 40..80), None);
+        assert_eq!(pair(0.0, 0.2, 40..80), None);
+        assert_eq!(pair(0.0, 0.0, 43..80), Some((3..40, 43..80)), "the second mark is late");
+        let still = moved_rows(&[0.3; 80], &Isometry3::identity().into(), 80);
+        assert_eq!(aligned(&still, 1, 0..40, 40..80), Some((0..40, 40..80)));
     }
 
     #[test]

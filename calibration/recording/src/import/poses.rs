@@ -9,8 +9,8 @@ use crate::{PoseLog, RecordingError, format::UNIT_TOLERANCE, plausible};
 /// What the columns of poses are, in reports.
 pub(super) const POSE_WHAT: &str = "object coordinate";
 
-/// base_from_object of every row of `assembled`. Without a quaternion in it the object is turned as `told`. `report` learns what
-/// the poses do.
+/// base_from_object of every row of `assembled`. Without a quaternion in it the object is turned as `told`. `report`
+/// learns what the poses do.
 pub(super) fn read(
     station: &Station,
     assembled: &Assembled,

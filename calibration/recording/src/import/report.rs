@@ -92,7 +92,7 @@ pub struct ColumnReport {
     pub column: usize,
     /// Its header; empty without one.
     pub header: String,
-    /// `joint` or `channel`.
+    /// `joint`, `channel` or `object coordinate`.
     pub what: &'static str,
     /// The station's name for it.
     pub id: String,

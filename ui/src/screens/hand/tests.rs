@@ -16,8 +16,9 @@ use proptest::prelude::*;
 use prost::Message as _;
 
 use super::{
+    HandState,
     camera::{Camera, Ray},
-    hand_ui,
+    hand_ui, recorded_shot,
     scene::{Geometry, SceneColors, Shown, Subject, TaxelLook},
     view3d::{Moment, clear_camera, home},
 };
@@ -330,6 +331,10 @@ fn summary() -> SessionSummary {
 }
 
 fn page(station: &Station, source: Source) -> Page {
+    page_of(station, source, &take_trace(station))
+}
+
+fn page_of(station: &Station, source: Source, trace: &TakeTrace) -> Page {
     let mut store = Store::default();
     let info = Info {
         name: "palpate".into(),
@@ -357,8 +362,7 @@ fn page(station: &Station, source: Source) -> Page {
     );
     answer(&mut store, Request::Station(SESSION.into()), json(&document(station)));
     answer(&mut store, Request::LiveStation, json(&document(station)));
-    let trace = take_trace(station);
-    let replay = replay_trace(station, &trace);
+    let replay = replay_trace(station, trace);
     answer(&mut store, Request::Take { session: SESSION.into(), take: TAKE.into() }, trace.encode_to_vec());
     let request = Request::Replay { session: SESSION.into(), take: TAKE.into(), model: ModelRef::Nominal };
     answer(&mut store, request, replay.encode_to_vec());
@@ -368,6 +372,13 @@ fn page(station: &Station, source: Source) -> Page {
 }
 
 fn harness(page: Page) -> (Harness<'static>, Rc<RefCell<Page>>) {
+    harness_of(page, hand_ui)
+}
+
+fn harness_of(
+    page: Page,
+    mut show: impl FnMut(&mut egui::Ui, &mut ScreenContext<'_>) + 'static,
+) -> (Harness<'static>, Rc<RefCell<Page>>) {
     let page = Rc::new(RefCell::new(page));
     let shared = Rc::clone(&page);
     let harness = Harness::builder().with_size(egui::vec2(1140.0, 740.0)).build_ui(move |ui| {
@@ -386,7 +397,7 @@ fn harness(page: Page) -> (Harness<'static>, Rc<RefCell<Page>>) {
             picked_files: &mut Vec::new(),
             pick_file: &mut false,
         };
-        hand_ui(ui, &mut cx);
+        show(ui, &mut cx);
     });
     (harness, page)
 }
@@ -474,6 +485,28 @@ fn simulated_touch_is_never_shown_as_real() {
     harness.get_by_label("Calibrate first").click();
     harness.run();
     assert!(page.borrow().go_to.is_some());
+}
+
+#[test]
+fn a_moving_object_is_where_it_was_at_the_time_shown() {
+    let leap = station("xarm6_leap");
+    let mut trace = take_trace(&leap);
+    // 10 mm a frame along x.
+    let pose = |frame: u8| [0.01 * f32::from(frame), 0.0, 0.2, 1.0, 0.0, 0.0, 0.0];
+    trace.object_poses = (0..40).flat_map(pose).collect();
+    for (trace, expected_x_m) in [(trace, 0.105), (take_trace(&leap), 0.4)] {
+        let seen = Rc::new(RefCell::new(None));
+        let shown = Rc::clone(&seen);
+        let (mut harness, page) = harness_of(page_of(&leap, Source::Replay, &trace), move |ui, cx| {
+            *shown.borrow_mut() =
+                recorded_shot(ui, cx, &mut HandState::default()).and_then(|shot| shot.object);
+        });
+        page.borrow_mut().playback.seek(1.05);
+        harness.run();
+        let (object, pose) = seen.borrow().clone().expect("an object");
+        assert_eq!(object, "sphere_50mm");
+        assert!((pose.translation.x - expected_x_m).abs() < 1e-6, "{pose}");
+    }
 }
 
 #[test]
