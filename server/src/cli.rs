@@ -15,6 +15,7 @@ mod import;
 mod index;
 mod job;
 mod jobs;
+mod new_station;
 mod openapi;
 mod output;
 mod people;
@@ -45,6 +46,9 @@ enum Command {
     Emulate(emulate::EmulateArgs),
     /// Bring recordings made elsewhere into a session
     Import(import::ImportArgs),
+    /// Make a station for a hand of your own
+    #[command(subcommand)]
+    Station(new_station::StationCommand),
     /// Look at a recorded session
     #[command(subcommand)]
     Session(session::SessionCommand),
@@ -114,6 +118,7 @@ pub(crate) fn main() -> ExitCode {
     let result = match args.command {
         Command::Emulate(args) => emulate::run(&args),
         Command::Import(args) => import::run(&args),
+        Command::Station(command) => new_station::run(&command),
         Command::Session(command) => session::run(&command),
         Command::Replay(args) => replay::run(&args),
         Command::Export(command) => export::run(&command),

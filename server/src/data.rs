@@ -6,6 +6,7 @@ pub(crate) mod cache;
 pub mod files;
 pub(crate) mod index;
 pub mod library;
+pub mod new_station;
 pub(crate) mod objects;
 pub(crate) mod store;
 pub(crate) mod upload;

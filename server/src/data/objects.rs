@@ -17,15 +17,23 @@ use crate::{Error, assets, chain};
 /// Those of the binary never change.
 static SHIPPED: LazyLock<Vec<ObjectEntry>> = LazyLock::new(|| {
     let files = assets::object_files();
-    files
-        .map(|(name, text)| {
-            let read_mesh = |mesh: &str| {
-                assets::object_mesh(mesh).map(<[u8]>::to_vec).ok_or_else(|| "it is not shipped".to_owned())
-            };
-            entry(name, text.to_vec(), false, read_mesh)
-        })
-        .collect()
+    files.map(|(name, text)| entry(name, text.to_vec(), false, shipped_mesh)).collect()
 });
+
+/// A mesh that the file of a shipped object names.
+pub(super) fn shipped_mesh(name: &str) -> Result<Vec<u8>, String> {
+    assets::object_mesh(name).map(<[u8]>::to_vec).ok_or_else(|| "it is not shipped".to_owned())
+}
+
+/// Ids of the shipped objects, which their files are called by.
+pub(super) fn shipped_ids() -> Vec<&'static str> {
+    assets::object_files().filter_map(|(name, _)| name.strip_suffix(".toml")).collect()
+}
+
+/// The file of the shipped object called `id`.
+pub(super) fn shipped_text(id: &str) -> Option<&'static [u8]> {
+    assets::object_files().find(|(name, _)| name.strip_suffix(".toml") == Some(id)).map(|(_, text)| text)
+}
 
 /// All objects, the binary's first, each with the takes that touched it. One that cannot be used says why.
 pub(crate) fn list(store: &Store, library: &Library) -> Result<Vec<ObjectEntry>, Error> {

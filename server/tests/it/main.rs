@@ -16,6 +16,7 @@ mod foxglove;
 mod gate;
 mod jobs;
 mod moving;
+mod new_station;
 mod operations;
 mod people;
 mod retention;

@@ -10,6 +10,7 @@ mod error;
 pub mod hardware;
 pub mod ik;
 mod layout;
+pub mod new_station;
 mod object;
 mod object_path;
 mod place;
@@ -29,6 +30,6 @@ pub use place::Place;
 pub use pose::PoseConfig;
 pub use robot::{
     Inertial, Joint, JointKind, JointLimits, KnownPoses, Link, LinkGeometry, LinkPoses, LinkShape,
-    LinkTracker, Robot,
+    LinkTracker, Mimic, Robot, SimplifiedUrdf, simplify_urdf,
 };
 pub use station::{Station, StationFiles, StreamConfig};

@@ -1,7 +1,7 @@
 //! Objects that are touched: primitives, convex parts, meshes.
 
 mod convex;
-mod mesh;
+pub(crate) mod mesh;
 mod read;
 mod revolved;
 

@@ -1,12 +1,14 @@
 //! A tree of links and joints read from URDF, and its forward kinematics.
 
 mod path;
+mod simplify;
 mod urdf;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::ModelError;
 pub use path::{KnownPoses, LinkPoses, LinkTracker};
+pub use simplify::{SimplifiedUrdf, simplify_urdf};
 
 /// A kinematic tree. Links are stored parents before children; link 0 is the root.
 #[derive(Clone, Debug)]
@@ -141,6 +143,20 @@ pub struct Joint {
     pub limits: Option<JointLimits>,
     /// Which degree of freedom drives it, in the station's order; `None` for fixed joints.
     pub dof: Option<usize>,
+    /// The joint that it follows, where the URDF says so. It is a degree of freedom all the same: a recording may hold
+    /// what it really did.
+    pub mimic: Option<Mimic>,
+}
+
+/// A joint follows another: its position is `multiplier` times the other's plus `offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mimic {
+    /// Index of the joint that it follows, in [`Robot::joints`]. That one moves, and following on from it ends.
+    pub joint: usize,
+    /// Position of this joint for each unit of the other's, rad or m.
+    pub multiplier: f64,
+    /// Position of this joint where the other is at zero, rad or m.
+    pub offset: f64,
 }
 
 /// Limits of a joint, rad or m.
@@ -161,10 +177,10 @@ impl Robot {
     /// name every moving joint once; an empty list means the URDF's own order.
     ///
     /// Continuous joints become [`JointKind::Revolute`] without limits. A moving joint whose URDF gives no limits has
-    /// none here.
+    /// none here. A joint that mimics another is a degree of freedom of its own, and [`Joint::mimic`] says what it follows.
     ///
     /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one root,
-    /// duplicate names, mimic joints and joints with several degrees of freedom, meshes, non-finite numbers, sizes that are
+    /// duplicate names, joints with several degrees of freedom, joints that mimic fixed ones or themselves, meshes, non-finite numbers, sizes that are
     /// not positive, masses that are not positive and inertias that no body can have, crossed limits, a zero axis, unknown
     /// or missing names in `dof_names`.
     pub fn from_urdf(file: &str, text: &str, dof_names: &[String]) -> Result<Self, ModelError> {
@@ -179,6 +195,25 @@ impl Robot {
     /// The joint of each degree of freedom, in order.
     pub fn dofs(&self) -> impl ExactSizeIterator<Item = &Joint> {
         self.dof_joints.iter().map(|&joint_idx| &self.joints[joint_idx])
+    }
+
+    /// The degrees of freedom that follow others: `(its index, index of the other, how)`, those that others follow first.
+    pub fn mimics(&self) -> Vec<(usize, usize, Mimic)> {
+        // How many joints are followed until one follows no other.
+        let depth = |joint: &Joint| {
+            let (mut mimic, mut depth) = (joint.mimic, 0);
+            while let Some(Mimic { joint, .. }) = mimic {
+                (mimic, depth) = (self.joints[joint].mimic, depth + 1);
+            }
+            depth
+        };
+        let mut mimics: Vec<_> = self.joints.iter().filter(|joint| joint.mimic.is_some()).collect();
+        mimics.sort_by_key(|joint| depth(joint));
+        let dofs = |joint: &Joint| {
+            let mimic = joint.mimic?;
+            Some((joint.dof?, self.joints[mimic.joint].dof?, mimic))
+        };
+        mimics.into_iter().filter_map(dofs).collect()
     }
 
     /// Index of the link called `name`.

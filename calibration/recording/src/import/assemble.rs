@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_robot_model::Station;
+use palpate_robot_model::{Mimic, Station};
 
 use super::{
     columns::{Cell, NUM_POSITIONS, Names, POSE_NAMES, Target, listed},
@@ -41,14 +41,38 @@ enum Between {
     Hold,
 }
 
-/// The joint log. `fixed` are positions of joints that no file holds.
+/// The joint log. `fixed` are positions of joints that no file holds, `following` those that no file holds because they
+/// follow others (see [`following`]).
 pub(super) fn joints(
     station: &Station,
     parts: &[Part],
     fixed: &[(usize, f64)],
+    following: &[(usize, usize, Mimic)],
 ) -> Result<Assembled, RecordingError> {
     let wanted: Vec<Target> = (0..station.robot.num_dofs()).map(Target::Joint).collect();
-    assembled(station, parts, &wanted, fixed, Between::Interpolate)
+    // A place is kept for them; what it holds comes from the joint that is followed.
+    let placed: Vec<(usize, f64)> =
+        fixed.iter().copied().chain(following.iter().map(|&(dof, ..)| (dof, 0.0))).collect();
+    let mut joints = assembled(station, parts, &wanted, &placed, Between::Interpolate)?;
+    for row in joints.table.values.chunks_exact_mut(wanted.len().max(1)) {
+        for &(dof, followed, mimic) in following {
+            row[dof] = mimic.multiplier * row[followed] + mimic.offset;
+        }
+    }
+    Ok(joints)
+}
+
+/// The joints that follow others (URDF's `mimic`) and that no file holds and nothing fixes, those that others follow first.
+pub(super) fn following<'a>(
+    station: &Station,
+    cells: impl Iterator<Item = &'a Cell> + Clone,
+    fixed: &[(usize, f64)],
+) -> Vec<(usize, usize, Mimic)> {
+    let is_held = |dof: usize| {
+        cells.clone().any(|cell| cell.target == Target::Joint(dof))
+            || fixed.iter().any(|&(held, _)| held == dof)
+    };
+    station.robot.mimics().into_iter().filter(|&(dof, ..)| !is_held(dof)).collect()
 }
 
 /// The stream `stream_idx`.

@@ -99,7 +99,9 @@ pub(super) fn check_columns(
         .zip(&held)
         .map(|(file, (cells, ignored))| (&file.path, cells.as_slice(), ignored.as_slice()))
         .collect();
-    let fixed = fixed_joints(station, mapping)?;
+    let mut fixed = fixed_joints(station, mapping)?;
+    let following = assemble::following(station, held.iter().flat_map(|(cells, _)| cells), &fixed);
+    fixed.extend(following.iter().map(|&(dof, ..)| (dof, 0.0)));
     let joints: Vec<Target> = (0..station.robot.num_dofs()).map(Target::Joint).collect();
     assemble::check_complete(station, &files, &joints, &fixed)?;
     let channels: Vec<Target> = (0..station.layout.num_channels()).map(Target::Channel).collect();
@@ -161,12 +163,23 @@ pub(super) fn take(
         parts.push(part);
     }
     let fixed = fixed_joints(station, mapping)?;
-    let joints = assemble::joints(station, &parts, &fixed)?;
+    let following = assemble::following(station, parts.iter().flat_map(|part| &part.cells), &fixed);
+    let joints = assemble::joints(station, &parts, &fixed, &following)?;
     check_joints(&station.robot, &parts, &joints)?;
     if !fixed.is_empty() {
         let names: Vec<&str> =
             fixed.iter().map(|&(dof, _)| Names { station }.id(Target::Joint(dof))).collect();
         report.notes.push(format!("fixed, not recorded: {}", names.join(", ")));
+    }
+    for &(dof, followed, mimic) in &following {
+        let id = |dof: usize| Names { station }.id(Target::Joint(dof));
+        report.notes.push(format!(
+            "joint {:?} was not recorded; it follows {:?}: times {}, plus {}, as the URDF says",
+            id(dof),
+            id(followed),
+            mimic.multiplier,
+            mimic.offset
+        ));
     }
     let mut streams = Vec::with_capacity(station.layout.streams.len());
     for stream_idx in 0..station.layout.streams.len() {

@@ -14,12 +14,7 @@ type RawMesh = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 /// Reads a mesh by the ending of its `path`. Equal vertices become one, triangles without area are dropped, and a mesh
 /// that is inside out is turned, so that the result is closed and counter-clockwise from outside.
 pub(super) fn read(path: &str, bytes: &[u8], scale: f64) -> Result<Mesh, String> {
-    let ending = path.rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
-    let (vertices, triangles) = match ending.as_str() {
-        "obj" => obj(bytes)?,
-        "stl" => stl(bytes)?,
-        _ => return Err("expected a file that ends in .obj or .stl".to_owned()),
-    };
+    let (vertices, triangles) = raw(path, bytes)?;
     if let Some(index) = vertices.iter().position(|v| !v.iter().all(|x| x.is_finite())) {
         return Err(format!("vertex {index} is {:?}, expected finite numbers", vertices[index]));
     }
@@ -34,6 +29,20 @@ pub(super) fn read(path: &str, bytes: &[u8], scale: f64) -> Result<Mesh, String>
         }
     }
     Ok((vertices.iter().map(|v| Point3::from(*v) * scale).collect(), triangles))
+}
+
+/// The vertices of a mesh, in its file's units, by the ending of its `path`. They may be of a surface that is not closed.
+pub(crate) fn vertices(path: &str, bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
+    Ok(raw(path, bytes)?.0)
+}
+
+fn raw(path: &str, bytes: &[u8]) -> Result<RawMesh, String> {
+    let ending = path.rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
+    match ending.as_str() {
+        "obj" => obj(bytes),
+        "stl" => stl(bytes),
+        _ => Err("expected a file that ends in .obj or .stl".to_owned()),
+    }
 }
 
 fn obj(bytes: &[u8]) -> Result<RawMesh, String> {

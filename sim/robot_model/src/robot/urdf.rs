@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, V
 use urdf_rs::{Geometry, JointType, Material};
 
 use crate::ModelError;
-use crate::robot::{Inertial, Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Robot};
+use crate::robot::{Inertial, Joint, JointKind, JointLimits, Link, LinkGeometry, LinkShape, Mimic, Robot};
 
 /// See [`Robot::from_urdf`].
 pub(super) fn read(file: &str, text: &str, dof_names: &[String]) -> Result<Robot, ModelError> {
@@ -27,6 +27,7 @@ pub(super) fn read(file: &str, text: &str, dof_names: &[String]) -> Result<Robot
     for (i, &(urdf_joint, parent_link)) in tree.joint_order.iter().enumerate() {
         joints.push(reader.joint(&urdf.joints[urdf_joint], parent_link, i + 1)?);
     }
+    reader.mimics(&mut joints)?;
     let urdf_order: Vec<&str> = urdf.joints.iter().map(|joint| joint.name.as_str()).collect();
     let dof_joints = reader.dof_joints(&joints, &urdf_order, dof_names)?;
     for (dof, &joint_idx) in dof_joints.iter().enumerate() {
@@ -250,12 +251,6 @@ impl Reader<'_> {
         child_link: usize,
     ) -> Result<Joint, ModelError> {
         let error = |problem: String| self.at_joint(&joint.name, problem);
-        if let Some(mimic) = &joint.mimic {
-            return Err(error(format!(
-                "mimics joint {:?}, which is not supported; make it a joint of its own or a fixed one",
-                mimic.joint
-            )));
-        }
         let kind = match joint.joint_type {
             JointType::Fixed => JointKind::Fixed,
             JointType::Revolute | JointType::Continuous => JointKind::Revolute,
@@ -292,7 +287,53 @@ impl Reader<'_> {
             axis_in_joint,
             limits,
             dof: None,
+            mimic: None,
         })
+    }
+
+    /// Fills in which joints follow others.
+    fn mimics(&self, joints: &mut [Joint]) -> Result<(), ModelError> {
+        for mimic in &self.urdf.joints {
+            let Some(text) = &mimic.mimic else { continue };
+            let error = |problem: String| self.at_joint(&mimic.name, problem);
+            let find = |joints: &[Joint], name: &str| joints.iter().position(|joint| joint.name == name);
+            let (multiplier, offset) = (text.multiplier.unwrap_or(1.0), text.offset.unwrap_or(0.0));
+            if !(multiplier.is_finite() && offset.is_finite()) {
+                return Err(error(format!(
+                    "mimic multiplier {multiplier} and offset {offset} must be finite"
+                )));
+            }
+            let Some(followed) = find(joints, &text.joint) else {
+                let problem =
+                    format!("mimics joint {:?}, which does not exist; correct the name", text.joint);
+                return Err(error(problem));
+            };
+            let Some(own) = find(joints, &mimic.name) else { continue };
+            // A fixed joint has nothing to follow with; some exporters leave the element in.
+            if joints[own].kind == JointKind::Fixed {
+                continue;
+            }
+            if joints[followed].kind == JointKind::Fixed {
+                let problem =
+                    format!("mimics joint {:?}, which is fixed; expected one that moves", text.joint);
+                return Err(error(problem));
+            }
+            joints[own].mimic = Some(Mimic { joint: followed, multiplier, offset });
+        }
+        for joint in joints.iter() {
+            let mut at = joint;
+            for _ in 0..=joints.len() {
+                match at.mimic {
+                    Some(mimic) => at = &joints[mimic.joint],
+                    None => break,
+                }
+            }
+            if at.mimic.is_some() {
+                let problem = "mimics itself, by way of the joints that it follows; expected one that follows none at the end";
+                return Err(self.at_joint(&joint.name, problem));
+            }
+        }
+        Ok(())
     }
 
     /// For each degree of freedom the index of its joint.
@@ -562,12 +603,35 @@ mod tests {
 
     #[test]
     fn unsupported_joints_and_shapes_are_refused() {
-        let message = refusal(r#"<axis xyz="1 0 0"/>"#, r#"<axis xyz="1 0 0"/><mimic joint="turn"/>"#);
-        assert!(message.contains("joint \"slide\": mimics joint \"turn\""), "{message}");
         let message = refusal(r#"type="fixed""#, r#"type="floating""#);
         assert!(message.contains("joint \"post\": type Floating is not supported"), "{message}");
         let message = refusal(r#"<sphere radius="0.01"/>"#, r#"<mesh filename="tool.stl"/>"#);
         assert!(message.contains("link \"tool\": mesh \"tool.stl\" is not supported"), "{message}");
+    }
+
+    #[test]
+    fn joints_that_follow_others_say_how() {
+        let with = |slide: &str, turn: &str| {
+            let text = BENCH
+                .replacen(r#"<axis xyz="1 0 0"/>"#, &format!(r#"<axis xyz="1 0 0"/>{slide}"#), 1)
+                .replacen(r#"<axis xyz="0 0 2"/>"#, &format!(r#"<axis xyz="0 0 2"/>{turn}"#), 1);
+            Robot::from_urdf("bench.urdf", &text, &[])
+        };
+        let robot = with(r#"<mimic joint="turn" multiplier="-0.5" offset="0.1"/>"#, "").expect("valid");
+        assert_eq!(robot.num_dofs(), 2, "it is a degree of freedom of its own");
+        let mimics = robot.mimics();
+        let [(own, followed, mimic)] = mimics[..] else { panic!("one follows: {mimics:?}") };
+        assert_eq!((own, followed, mimic.multiplier, mimic.offset), (1, 0, -0.5, 0.1));
+        for (slide, turn, expected) in [
+            (r#"<mimic joint="trun"/>"#, "", "joint \"slide\": mimics joint \"trun\", which does not exist"),
+            (r#"<mimic joint="post"/>"#, "", "which is fixed"),
+            (r#"<mimic joint="slide"/>"#, "", "joint \"slide\": mimics itself"),
+            (r#"<mimic joint="turn"/>"#, r#"<mimic joint="slide"/>"#, "mimics itself"),
+            (r#"<mimic joint="turn" multiplier="inf"/>"#, "", "must be finite"),
+        ] {
+            let message = with(slide, turn).expect_err(expected).to_string();
+            assert!(message.contains(expected), "{message}");
+        }
     }
 
     #[test]
