@@ -23,7 +23,7 @@ const NOT_OK: u8 = 2;
 
 #[derive(Args)]
 pub(crate) struct ImportArgs {
-    /// Folder with the recordings: one sub-folder a take with take.toml, joints.csv and one CSV file a stream, or
+    /// Folder with the recordings: one sub-folder a take with take.toml, joints.csv and one CSV or Parquet file a stream, or
     /// whatever the mapping file says (docs/recordings.md)
     #[arg(long, value_name = "DIR")]
     csv: PathBuf,

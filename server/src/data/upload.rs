@@ -214,7 +214,10 @@ fn content_root(dir: &Path) -> Result<PathBuf, Error> {
         match &entries[..] {
             [] => return Err(Error::Content("the archive is empty; zip a folder with takes".to_owned())),
             [only]
-                if only.is_dir() && !only.join("joints.csv").exists() && !only.join("take.toml").exists() =>
+                if only.is_dir()
+                    && !["joints.csv", "joints.parquet", "take.toml"]
+                        .iter()
+                        .any(|file| only.join(file).exists()) =>
             {
                 root = only.clone();
             }

@@ -11,7 +11,7 @@ use super::{
     columns::{Assignment, Names, Scope, Target, assign},
     config::{FileConfig, Mapping, TakeConfig, Takes},
     name_pattern::matched,
-    sheet,
+    parquet, sheet,
 };
 use crate::{
     RecordingError,
@@ -21,7 +21,10 @@ use crate::{
 
 const TAKE_FILE: &str = "take.toml";
 const JOINTS_FILE: &str = "joints.csv";
-const OBJECT_FILE: &str = "object.csv";
+/// What the joint log is called, whatever its ending.
+const JOINTS_STEM: &str = "joints";
+/// What the poses of a moving object are called.
+const OBJECT_STEM: &str = "object";
 const CSV_ENDING: &str = ".csv";
 
 /// Where a take comes from.
@@ -170,21 +173,24 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
     let tables: Vec<(PathBuf, String)> = entries(dir)?
         .into_iter()
         .filter_map(|path| {
-            let stem = path.file_name()?.to_string_lossy().strip_suffix(CSV_ENDING)?.to_owned();
+            let name = path.file_name()?.to_string_lossy();
+            let stem =
+                name.strip_suffix(CSV_ENDING).or_else(|| name.strip_suffix(parquet::ENDING))?.to_owned();
             Some((path, stem))
         })
         .collect();
+    for (idx, (path, stem)) in tables.iter().enumerate() {
+        if let Some((other, _)) = tables[..idx].iter().find(|(_, other)| other == stem) {
+            let problem = format!("holds the same as {}; remove one of them", other.display());
+            return Err(RecordingError::content(path, "file", problem));
+        }
+    }
     // A stream may be called so too.
-    let is_object = |path: &Path| {
-        path.file_name().is_some_and(|name| name == OBJECT_FILE)
-            && station.layout.stream_index(OBJECT_FILE.trim_end_matches(CSV_ENDING)).is_none()
-    };
-    let (poses, tables): (Vec<_>, Vec<_>) = tables.into_iter().partition(|(path, _)| is_object(path));
+    let is_object = |stem: &str| stem == OBJECT_STEM && station.layout.stream_index(stem).is_none();
+    let (poses, tables): (Vec<_>, Vec<_>) = tables.into_iter().partition(|(_, stem)| is_object(stem));
     let poses = poses.into_iter().map(|(path, _)| open_plain(station, path, Scope::Object));
     let poses = poses.collect::<Result<Vec<_>, _>>()?;
-    let is_known = |stem: &str| {
-        station.layout.stream_index(stem).is_some() || format!("{stem}{CSV_ENDING}") == JOINTS_FILE
-    };
+    let is_known = |stem: &str| station.layout.stream_index(stem).is_some() || stem == JOINTS_STEM;
     if let [(path, stem)] = &tables[..]
         && !is_known(stem)
     {
@@ -200,22 +206,33 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
         );
         return Err(RecordingError::content(path, "file", problem));
     }
-    let mut opened = vec![open_plain(station, dir.join(JOINTS_FILE), Scope::Joints)?];
+    // What is missing is missed as CSV.
+    let table = |stem: &str| {
+        let there = tables.iter().find(|(_, other)| other == stem).map(|(path, _)| path.clone());
+        there.unwrap_or_else(|| dir.join(format!("{stem}{CSV_ENDING}")))
+    };
+    let mut opened = vec![open_plain(station, table(JOINTS_STEM), Scope::Joints)?];
     for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
-        opened.push(open_plain(
-            station,
-            dir.join(format!("{}{CSV_ENDING}", stream.id)),
-            Scope::Stream(stream_idx),
-        )?);
+        opened.push(open_plain(station, table(&stream.id), Scope::Stream(stream_idx))?);
     }
     opened.extend(poses);
     Ok(opened)
 }
 
+/// The text of the file at `path`, of a Parquet file that of the CSV file that it would be.
+fn read_table(path: &Path, config: &FileConfig) -> Result<Vec<u8>, RecordingError> {
+    let bytes = read_file(path, MAX_TAKE_BYTES)?;
+    if parquet::is_parquet(path, &bytes) {
+        parquet::as_csv(path, bytes, config, MAX_TAKE_BYTES)
+    } else {
+        Ok(bytes)
+    }
+}
+
 /// Opens a file without a mapping: comma-separated, with a header.
 fn open_plain(station: &Station, path: PathBuf, scope: Scope) -> Result<Opened, RecordingError> {
-    let bytes = read_file(&path, MAX_TAKE_BYTES)?;
     let config = FileConfig::plain();
+    let bytes = read_table(&path, &config)?;
     let header = sheet::first_row(&path, &bytes, &config)?;
     let prefix = match scope {
         Scope::Joints => Some('q'),
@@ -264,7 +281,7 @@ fn open_mapped(
     config: &FileConfig,
     mapping: &Mapping,
 ) -> Result<Opened, RecordingError> {
-    let bytes = read_file(&path, MAX_TAKE_BYTES)?;
+    let bytes = read_table(&path, config)?;
     let Some((line, cells)) = sheet::first_row(&path, &bytes, config)? else {
         let place = format!("line {}", config.skip_lines + 1);
         return Err(RecordingError::content(&path, place, "the file is empty, expected a row of values"));
@@ -272,7 +289,7 @@ fn open_mapped(
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let scope = match station.layout.stream_index(&stem) {
         Some(stream_idx) if is_about_stream(station, config, stream_idx) => Scope::Stream(stream_idx),
-        _ if format!("{stem}{CSV_ENDING}") == JOINTS_FILE => Scope::Joints,
+        _ if stem == JOINTS_STEM => Scope::Joints,
         _ if is_about_object(config) => Scope::Object,
         _ => Scope::All,
     };

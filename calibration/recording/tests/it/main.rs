@@ -6,6 +6,7 @@ mod growing;
 mod import;
 mod import_moving;
 mod import_names;
+mod import_parquet;
 mod live;
 mod moving;
 mod session;
