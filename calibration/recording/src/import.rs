@@ -2,10 +2,10 @@
 //!
 //! Without a mapping file every sub-folder is a take with `take.toml`, `joints.csv` and one `<stream>.csv` for each
 //! stream of the station, or one CSV file that holds all of them. Columns go by the names of joints and channels, in
-//! any order, or by number in the station's order. A Parquet file is read as the CSV file that it would be. A [`Mapping`] says what is what where recordings look different.
-//! `docs/recordings.md` describes every field. All times of a take are seconds on one clock; the take's time zero is
-//! the last whole second at or before its earliest sample, so that files which count from zero keep their times, and
-//! files with wall-clock times keep their precision.
+//! any order, or by number in the station's order. A Parquet file is read as the CSV file that it would be. A
+//! [`Mapping`] says what is what where recordings look different. `docs/recordings.md` describes every field. All times
+//! of a take are seconds on one clock; the take's time zero is the last whole second at or before its earliest sample,
+//! so that files which count from zero keep their times, and files with wall-clock times keep their precision.
 
 mod assemble;
 mod columns;

@@ -209,10 +209,6 @@ fn check(wanted: &NewStation, robot: &Robot) -> Result<(), ModelError> {
         if wanted.streams[..idx].iter().any(|other| other.id == stream.id) {
             return Err(error(&place, "is there twice; ids must differ".to_owned()));
         }
-        if !wanted.patches.iter().any(|patch| stream_of(wanted, patch) == stream.id) {
-            let problem = "has no patch; give it one, or take the stream away";
-            return Err(error(&place, problem.to_owned()));
-        }
     }
     let mut num_taxels: usize = 0;
     for (idx, patch) in wanted.patches.iter().enumerate() {
@@ -230,6 +226,13 @@ fn check(wanted: &NewStation, robot: &Robot) -> Result<(), ModelError> {
         if num_taxels > MAX_TAXELS {
             let problem = format!("makes it more than {MAX_TAXELS} taxels; is the grid meant to be as fine?");
             return Err(error(&place, problem));
+        }
+    }
+    // Last, because a patch with a misspelt stream is the likelier reason.
+    for stream in &wanted.streams {
+        if !wanted.patches.iter().any(|patch| stream_of(wanted, patch) == stream.id) {
+            let problem = "has no patch; give it one, or take the stream away";
+            return Err(error(&format!("stream {:?}", stream.id), problem.to_owned()));
         }
     }
     Ok(())

@@ -180,9 +180,9 @@ impl Robot {
     /// none here. A joint that mimics another is a degree of freedom of its own, and [`Joint::mimic`] says what it follows.
     ///
     /// Refused, naming the joint or link: a joint whose parent or child link is missing, loops and more than one root,
-    /// duplicate names, joints with several degrees of freedom, joints that mimic fixed ones or themselves, meshes, non-finite numbers, sizes that are
-    /// not positive, masses that are not positive and inertias that no body can have, crossed limits, a zero axis, unknown
-    /// or missing names in `dof_names`.
+    /// duplicate names, joints with several degrees of freedom, joints that mimic fixed ones or themselves, meshes,
+    /// non-finite numbers, sizes that are not positive, masses that are not positive and inertias that no body can have,
+    /// crossed limits, a zero axis, unknown or missing names in `dof_names`.
     pub fn from_urdf(file: &str, text: &str, dof_names: &[String]) -> Result<Self, ModelError> {
         urdf::read(file, text, dof_names)
     }

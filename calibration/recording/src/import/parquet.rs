@@ -52,7 +52,8 @@ pub(super) fn as_csv(
         return Err(RecordingError::content(path, field, problem));
     }
     let bytes = Bytes::from(bytes);
-    // The decoder has been seen to give errors, but it is a large program that reads what anybody may have damaged.
+    // The decoder gives errors for nearly all damage, but a byte changed in the right place makes it panic: a page that
+    // needs a dictionary which is not there, for one. That must not end the studio.
     let converted = catch_unwind(AssertUnwindSafe(|| converted(bytes, max_bytes)));
     converted.unwrap_or_else(|_| Err("its data contradict each other".to_owned())).map_err(|problem| {
         let problem = format!("cannot be read as Parquet: {problem}; write it again, or as CSV");
@@ -92,6 +93,16 @@ fn converted(bytes: Bytes, max_bytes: u64) -> Result<Vec<u8>, String> {
                 group.num_columns(),
                 kinds.len()
             ));
+        }
+        // The decoder asserts this instead of saying it.
+        let is_before = |offset: Option<i64>| offset.is_some_and(|offset| offset < 0);
+        let out_of_file = group.metadata().columns().iter().any(|chunk| {
+            chunk.compressed_size() < 0
+                || is_before(Some(chunk.data_page_offset()))
+                || is_before(chunk.dictionary_page_offset())
+        });
+        if out_of_file {
+            return Err(format!("row group {group_idx} says that it begins before the file"));
         }
         let num_rows =
             usize::try_from(group.metadata().num_rows()).map_err(|_| "a negative number of rows")?;

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3};
 use serde::Serialize;
 
-use crate::{JointKind, Link, Robot, SimplifiedUrdf};
+use crate::{JointKind, Link, Robot, SimplifiedUrdf, config::list};
 
 /// A robot as the reader understands it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -59,7 +59,7 @@ pub struct Follows {
 pub struct LinkReport {
     /// Name, which patches are placed by.
     pub link: String,
-    /// Whether no joint is on it.
+    /// Whether nothing with a shape is on it.
     pub tip: bool,
     /// Number of collision shapes.
     pub collision_shapes: usize,
@@ -93,14 +93,14 @@ pub fn explain(robot: &Robot, urdf: &SimplifiedUrdf) -> RobotReport {
             child: name_of(joint.child_link),
         }
     });
-    let is_tip = |link: usize| robot.joints.iter().all(|joint| joint.parent_link != link);
+    let tips = tips(robot);
     let mut links: Vec<LinkReport> = robot
         .links
         .iter()
         .enumerate()
         .map(|(idx, link)| LinkReport {
             link: link.name.clone(),
-            tip: is_tip(idx),
+            tip: tips.contains(&idx),
             collision_shapes: link.collisions.len(),
             visual_shapes: link.visuals.len(),
             size_m: bounds(link).map(|[min, max]| (max - min).into()),
@@ -112,10 +112,11 @@ pub fn explain(robot: &Robot, urdf: &SimplifiedUrdf) -> RobotReport {
         let open = robot.dofs().filter(|joint| joint.limits.is_none());
         open.map(|joint| joint.name.as_str()).collect()
     });
-    warn(&mut warnings, "has no shape, so a patch on it is placed at its origin", "link", {
-        let bare = robot.links.iter().filter(|link| bounds(link).is_none());
-        bare.map(|link| link.name.as_str()).collect()
-    });
+    let bare: Vec<&str> =
+        robot.links.iter().filter(|link| bounds(link).is_none()).map(|link| link.name.as_str()).collect();
+    if !bare.is_empty() {
+        warnings.push(format!("a patch on a link without a shape is placed at its origin: {}", list(bare)));
+    }
     warn(&mut warnings, "has no collision shape; its visual shape is used instead", "link", {
         let seen = |link: &&Link| link.collisions.is_empty() && !link.visuals.is_empty();
         robot.links.iter().filter(seen).map(|link| link.name.as_str()).collect()
@@ -131,6 +132,20 @@ pub fn explain(robot: &Robot, urdf: &SimplifiedUrdf) -> RobotReport {
         changes: urdf.changes.clone(),
         warnings,
     }
+}
+
+/// Links with a shape that carry no other such link; of a robot without shapes, links that carry none. A frame at a fingertip
+/// is no tip.
+fn tips(robot: &Robot) -> Vec<usize> {
+    let has_shape = |link: usize| bounds(&robot.links[link]).is_some();
+    let is_bare = (0..robot.links.len()).all(|link| !has_shape(link));
+    let counts = |link: usize| is_bare || has_shape(link);
+    let mut carries = vec![false; robot.links.len()];
+    // Joints come parents first, so what a link carries is known before its parent is looked at.
+    for joint in robot.joints.iter().rev() {
+        carries[joint.parent_link] |= carries[joint.child_link] || counts(joint.child_link);
+    }
+    (0..robot.links.len()).filter(|&link| counts(link) && !carries[link]).collect()
 }
 
 fn warn(warnings: &mut Vec<String>, problem: &str, what: &str, names: Vec<&str>) {
