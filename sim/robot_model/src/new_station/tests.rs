@@ -122,7 +122,8 @@ fn every_fault_says_where_it_is_and_what_to_do() {
         change(&mut wanted);
         refusal(&wanted)
     };
-    let cases: &[(&dyn Fn(&mut NewStation), &str)] = &[
+    type Change<'a> = &'a dyn Fn(&mut NewStation);
+    let cases: &[(Change<'_>, &str)] = &[
         (&|w| w.id = "my hand".to_owned(), "expected letters, digits"),
         (&|w| w.joint_rate_hz = f64::NAN, "joint_rate_hz is NaN"),
         (
