@@ -152,10 +152,10 @@ fn takes_that_are_parquet_files_follow_a_mapping() {
     import(&station(), &dir, options, &session).unwrap();
     let take = take_of(&session);
     assert!((take.joints.positions[2 * 20 + 1] - (1.5_f64 * 0.5).to_radians()).abs() < 1e-12);
-    let about_text = mapping("decimal_comma = true\n");
+    let about_text = mapping("skip_lines = 1\n");
     let options = ImportOptions { mapping: Some(&about_text), find_repetitions: false };
     let error = import(&station(), &dir, options, &root.path().join("other")).unwrap_err().to_string();
-    assert!(error.contains("tap_1.parquet") && error.contains("decimal_comma: is about text"), "{error}");
+    assert!(error.contains("tap_1.parquet") && error.contains("skip_lines: is about text"), "{error}");
 }
 
 #[test]
