@@ -632,6 +632,10 @@ fn check_span([start_s, end_s]: [f64; 2], first_s: f64, last_s: f64) -> Result<(
     if end_s < first_s || start_s > last_s || start_s < first_s.floor() {
         return Err(format!("[{start_s}, {end_s}] lies outside the recording, {first_s}..{last_s} s"));
     }
+    // As the take will hold it.
+    if ns_from_secs((end_s - last_s).max(0.0)).is_none() {
+        return Err(format!("[{start_s}, {end_s}] ends too long after the recording, {first_s}..{last_s} s"));
+    }
     Ok(())
 }
 
