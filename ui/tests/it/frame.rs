@@ -303,7 +303,8 @@ fn screens_without_the_live_hand_draw_the_stream_less_often() {
         assert_eq!(app(&bench.harness).screen(), screen);
         let shows_it = matches!(screen, Screen::Hand | Screen::Record | Screen::Timelines);
         let within_ms = bench.api.0.borrow().stream_within.as_millis();
-        assert_eq!(within_ms, if shows_it { 0 } else { 200 }, "{screen:?}");
+        // The next frame, but not zero: egui would draw two.
+        assert_eq!(within_ms, if shows_it { 1 } else { 200 }, "{screen:?}");
     }
 }
 
