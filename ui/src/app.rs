@@ -220,7 +220,9 @@ impl StudioApp {
         for command in commands {
             self.run_command(&ctx, command, &mut go_to);
         }
-        let screen = egui::CentralPanel::default().show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
+        let ground = screen_ground(ui.style(), self.route.screen);
+        let screen =
+            egui::CentralPanel::default().frame(ground).show(ui, |ui| self.screen_ui(ui, now_s, &mut go_to));
         self.picture_ui(&ctx, screen.response.rect, takes_picture);
         if self.store.control.take_control_wanted() {
             self.ask_for_control();
@@ -559,6 +561,13 @@ impl StudioApp {
             self.playback.step_frames(take, step);
         }
     }
+}
+
+/// The frame around a screen. On the Hand screen, which is drawn most often, what the canvas was cleared with is the
+/// background: without a graphics card every pixel that is filled twice costs time.
+fn screen_ground(style: &egui::Style, screen: Screen) -> egui::Frame {
+    let frame = egui::Frame::central_panel(style);
+    if screen == Screen::Hand { frame.fill(egui::Color32::TRANSPARENT) } else { frame }
 }
 
 /// How soon what comes on the stream is drawn on `screen`. Without a graphics card a frame costs a good part of a core.

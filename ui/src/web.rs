@@ -72,6 +72,10 @@ impl eframe::App for WebApp {
         self.app.ui(ui);
     }
 
+    fn clear_color(&self, visuals: &egui::Visuals) -> [f32; 4] {
+        visuals.panel_fill.to_normalized_gamma_f32()
+    }
+
     fn persist_egui_memory(&self) -> bool {
         // What is open and where belongs to the address, so that a link shows the same to everybody.
         false

@@ -46,7 +46,9 @@ impl TestRenderer for Raster {
     fn render(&mut self, ctx: &egui::Context, output: &FullOutput) -> Result<RgbaImage, String> {
         let pixels_per_point = ctx.pixels_per_point();
         let size = ctx.content_rect().size() * pixels_per_point;
-        let mut canvas = Canvas::new(size.x.round() as usize, size.y.round() as usize);
+        // As the page has its canvas cleared.
+        let ground = colour(ctx.global_style().visuals.panel_fill);
+        let mut canvas = Canvas::new(size.x.round() as usize, size.y.round() as usize, ground);
         for ClippedPrimitive { clip_rect, primitive } in
             ctx.tessellate(output.shapes.clone(), pixels_per_point)
         {
@@ -113,8 +115,8 @@ struct Canvas {
 }
 
 impl Canvas {
-    fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![[0.0; 4]; width * height] }
+    fn new(width: usize, height: usize, ground: Colour) -> Self {
+        Self { width, height, pixels: vec![ground; width * height] }
     }
 
     fn paint(&mut self, mesh: &Mesh, clip: Rect, texture: &Texture, pixels_per_point: f32) {

@@ -448,8 +448,9 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         }
     });
     let commandable = shot.take.is_none() && cx.store.control_state().is_some();
+    // Filled, as lists that scroll fade into the colour of their panel.
     Panel::right("hand_side")
-        .frame(frame)
+        .frame(frame.fill(palette.background))
         .resizable(false)
         .exact_size(if commandable { CONTROL_WIDTH } else { SIDE_WIDTH })
         .show_separator_line(false)
