@@ -15,7 +15,7 @@ mod strip;
 pub(crate) use stop::STOP_NAME;
 pub(crate) use stop::is_narrow;
 
-use std::time::Duration;
+use std::{collections::HashMap, time::Duration};
 
 use overlays::Place;
 
@@ -24,7 +24,7 @@ use crate::{
     commands::Command,
     playback::{HandSource, ModelRef, Playback},
     route::{HelpPlace, Route, Screen},
-    screens::{self, PickedFile, ScreenContext},
+    screens::{self, PickedFile, ScreenContext, Subject, View},
     store::{Connection, Store},
     surface::Surface,
     theme::{self, Palette},
@@ -102,16 +102,7 @@ pub struct StudioApp {
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
     lag: lag::Lag,
-    home: screens::home::HomeState,
-    record: screens::record::RecordState,
-    timelines: screens::timelines::TimelinesState,
-    calibrate: screens::calibrate::CalibrateState,
-    diagnose: screens::diagnose::DiagnoseState,
-    sessions: screens::sessions::SessionsState,
-    objects: screens::objects::ObjectsState,
-    trials: screens::trials::TrialsState,
-    jobs: screens::jobs::JobsState,
-    settings: screens::settings::SettingsState,
+    views: HashMap<Screen, Box<dyn View>>,
 }
 
 impl StudioApp {
@@ -149,16 +140,7 @@ impl StudioApp {
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),
             lag: lag::Lag::default(),
-            home: screens::home::HomeState::default(),
-            record: screens::record::RecordState::default(),
-            timelines: screens::timelines::TimelinesState::default(),
-            calibrate: screens::calibrate::CalibrateState::default(),
-            diagnose: screens::diagnose::DiagnoseState::default(),
-            sessions: screens::sessions::SessionsState::default(),
-            objects: screens::objects::ObjectsState::default(),
-            trials: screens::trials::TrialsState::default(),
-            jobs: screens::jobs::JobsState::default(),
-            settings: screens::settings::SettingsState::default(),
+            views: HashMap::new(),
         };
         app.store.ask_info();
         app.store.control.operator = app.platform.saved_operator();
@@ -172,9 +154,9 @@ impl StudioApp {
         self.route.screen
     }
 
-    /// The stretch of time that the timelines show, once a take is open there.
-    pub fn timelines_view(&self) -> Option<screens::timelines::view::TimeView> {
-        self.timelines.view()
+    /// How long a stretch of time `screen` shows, s, once it does.
+    pub fn shown_span_s(&self, screen: Screen) -> Option<f64> {
+        self.views.get(&screen)?.shown_span_s()
     }
 
     /// One frame.
@@ -291,20 +273,7 @@ impl StudioApp {
         if let Some(slug) = &route.lost {
             return screens::lost_ui(ui, &mut cx, slug);
         }
-        match route.screen {
-            Screen::Home => screens::home::home_ui(ui, &mut cx, &mut self.home),
-            Screen::Hand => screens::hand::hand_ui(ui, &mut cx),
-            Screen::Record => screens::record::record_ui(ui, &mut cx, &mut self.record),
-            Screen::Timelines => screens::timelines::timelines_ui(ui, &mut cx, &mut self.timelines),
-            Screen::Calibrate => screens::calibrate::calibrate_ui(ui, &mut cx, &mut self.calibrate),
-            Screen::Diagnose => screens::diagnose::diagnose_ui(ui, &mut cx, &mut self.diagnose),
-            Screen::Sessions => screens::sessions::sessions_ui(ui, &mut cx, &mut self.sessions),
-            Screen::Objects => screens::objects::objects_ui(ui, &mut cx, &mut self.objects),
-            Screen::Models => screens::models::models_ui(ui, &mut cx),
-            Screen::Trials => screens::trials::trials_ui(ui, &mut cx, &mut self.trials),
-            Screen::Jobs => screens::jobs::jobs_ui(ui, &mut cx, &mut self.jobs),
-            Screen::Settings => screens::settings::settings_ui(ui, &mut cx, &mut self.settings),
-        }
+        view_of(&mut self.views, route.screen).ui(ui, &mut cx);
         if pick_file {
             self.platform.pick_file();
         }
@@ -351,7 +320,7 @@ impl StudioApp {
     }
 
     fn apply_route(&mut self, route: Route) {
-        if matches!(route.screen, Screen::Hand | Screen::Timelines) {
+        if route.screen.about().subject == Subject::Take {
             let source = if route.live { HandSource::Live } else { HandSource::Recorded };
             self.playback.hand_source = source;
         }
@@ -390,7 +359,7 @@ impl StudioApp {
         if self.help.is_some() {
             return;
         }
-        let shows_take = matches!(self.route.screen, Screen::Hand | Screen::Timelines);
+        let shows_take = self.route.screen.about().subject == Subject::Take;
         let route = if shows_take {
             Route {
                 session: self.playback.session.clone(),
@@ -453,7 +422,7 @@ impl StudioApp {
                 self.overlays.open_palette();
             }
             Command::PreviousMismatch | Command::NextMismatch | Command::FitTake => {
-                self.timelines.push_command(command);
+                view_of(&mut self.views, Screen::Timelines).take_command(command);
             }
             Command::Stop => self.store.control.stop(),
             Command::ResetStop => self.store.control.reset_stop(),
@@ -466,29 +435,17 @@ impl StudioApp {
     }
 
     fn route_of(&self, screen: Screen) -> Route {
+        let subject = screen.about().subject;
         Route {
             // What is being recorded is the station's own business.
-            session: self.playback.session.clone().filter(|_| screen != Screen::Record),
-            take: match screen {
-                Screen::Hand | Screen::Timelines => self.playback.take.clone(),
-                Screen::Home
-                | Screen::Record
-                | Screen::Calibrate
-                | Screen::Diagnose
-                | Screen::Sessions
-                | Screen::Objects
-                | Screen::Models
-                | Screen::Trials
-                | Screen::Jobs
-                | Screen::Settings => None,
-            },
+            session: self.playback.session.clone().filter(|_| subject != Subject::Station),
+            take: self.playback.take.clone().filter(|_| subject == Subject::Take),
             run: match (screen, &self.playback.compared, &self.playback.diagnosed) {
                 (Screen::Calibrate, Some(ModelRef::Run(run)), _) => Some(run.clone()),
                 (Screen::Diagnose, _, Some(ModelRef::Diagnosis(run))) => Some(run.clone()),
                 _ => None,
             },
-            live: matches!(screen, Screen::Hand | Screen::Timelines)
-                && self.playback.hand_source == HandSource::Live,
+            live: subject == Subject::Take && self.playback.hand_source == HandSource::Live,
             ..Route::to(screen)
         }
     }
@@ -572,8 +529,10 @@ fn screen_ground(style: &egui::Style, screen: Screen) -> egui::Frame {
 
 /// How soon what comes on the stream is drawn on `screen`. Without a graphics card a frame costs a good part of a core.
 fn stream_within(screen: Screen) -> Duration {
-    match screen {
-        Screen::Hand | Screen::Record | Screen::Timelines => STREAM_REPAINT,
-        _ => BAR_REPAINT,
-    }
+    if screen.about().shows_stream { STREAM_REPAINT } else { BAR_REPAINT }
+}
+
+/// `screen`, as it was left.
+fn view_of(views: &mut HashMap<Screen, Box<dyn View>>, screen: Screen) -> &mut dyn View {
+    views.entry(screen).or_insert_with(screen.about().new).as_mut()
 }

@@ -4,6 +4,8 @@ use std::fmt;
 
 use percent_encoding::{AsciiSet, CONTROLS, percent_decode_str, utf8_percent_encode};
 
+use crate::screens::{self, About};
+
 /// Everything that would change the meaning of a hash if it stood there by itself.
 const RESERVED: &AsciiSet = &CONTROLS
     .add(b' ')
@@ -19,126 +21,57 @@ const RESERVED: &AsciiSet = &CONTROLS
     .add(b'?')
     .add(b'`');
 
-/// The screens of the rail, top to bottom.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Screen {
-    /// What the station does, what runs, what to do next.
-    Home,
-    /// The hand in 3-D and as a flat map.
-    Hand,
-    /// Guided recording of a calibration session.
-    Record,
-    /// Touch events on one time axis.
-    Timelines,
-    /// Fit the sensor model to a session.
-    Calibrate,
-    /// Name what the calibrated model lacks, and add it.
-    Diagnose,
-    /// What has been recorded.
-    Sessions,
-    /// What is touched and grasped.
-    Objects,
-    /// Campaigns: policies tried on the hand, trials scored.
-    Trials,
-    /// Long work: what waits, runs and has ended.
-    Jobs,
-    /// Sensor models and policies: what was made from what.
-    Models,
-    /// People, tokens, storage, the audit log.
-    Settings,
+/// Makes [`Screen`] from names of screens and of their modules, in the order of the rail.
+macro_rules! screens {
+    ($($name:ident: $module:ident,)*) => {
+        /// The screens of the rail.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Screen {
+            $(#[doc = concat!("[`screens::", stringify!($module), "`].")] $name,)*
+        }
+
+        impl Screen {
+            /// All screens, in the order of the rail.
+            pub const ALL: &[Self] = &[$(Self::$name,)*];
+
+            /// What is said of the screen.
+            pub fn about(self) -> &'static About {
+                match self {
+                    $(Self::$name => &screens::$module::ABOUT,)*
+                }
+            }
+        }
+    };
+}
+
+screens! {
+    Home: home,
+    Hand: hand,
+    Record: record,
+    Sessions: sessions,
+    Timelines: timelines,
+    Objects: objects,
+    Calibrate: calibrate,
+    Diagnose: diagnose,
+    Models: models,
+    Trials: trials,
+    Jobs: jobs,
+    Settings: settings,
 }
 
 impl Screen {
-    /// All screens, in the order of the rail.
-    pub const ALL: [Self; 12] = [
-        Self::Home,
-        Self::Hand,
-        Self::Record,
-        Self::Sessions,
-        Self::Timelines,
-        Self::Objects,
-        Self::Calibrate,
-        Self::Diagnose,
-        Self::Models,
-        Self::Trials,
-        Self::Jobs,
-        Self::Settings,
-    ];
-
-    /// What the screen is about; screens of one group stand together in the rail. `None` for those that are about all of
-    /// it.
-    pub fn group(self) -> Option<&'static str> {
-        match self {
-            Self::Hand | Self::Record => Some("Operate"),
-            Self::Sessions | Self::Timelines | Self::Objects => Some("Data"),
-            Self::Calibrate | Self::Diagnose | Self::Models => Some("Simulator"),
-            Self::Trials => Some("Learn"),
-            Self::Home | Self::Jobs | Self::Settings => None,
-        }
-    }
-
     /// The word in the rail.
     pub fn label(self) -> &'static str {
-        match self {
-            Self::Home => "Home",
-            Self::Hand => "Hand",
-            Self::Record => "Record",
-            Self::Timelines => "Timelines",
-            Self::Calibrate => "Calibrate",
-            Self::Diagnose => "Diagnose",
-            Self::Sessions => "Sessions",
-            Self::Objects => "Objects",
-            Self::Models => "Models",
-            Self::Trials => "Trials",
-            Self::Jobs => "Jobs",
-            Self::Settings => "Settings",
-        }
-    }
-
-    /// One line on what the screen is for.
-    pub fn purpose(self) -> &'static str {
-        match self {
-            Self::Home => "What the station does, what runs, and what to do next",
-            Self::Hand => "Watch the hand replay a take, taxels lit by what they felt",
-            Self::Record => "Record a calibration session, take by take, as a checklist says",
-            Self::Timelines => "Compare real and simulated touch on one time axis",
-            Self::Calibrate => "Fit the sensor model until simulated events line up with real ones",
-            Self::Diagnose => {
-                "Find where simulation and hand disagree, name the missing effect, add it to the model"
-            }
-            Self::Sessions => "What has been recorded, and whether it can be used",
-            Self::Objects => "What is touched and grasped: shape, mass, poses at rest",
-            Self::Models => "Sensor models and policies: what each was made from, and what was made of it",
-            Self::Trials => "Try policies on the hand, score each trial, compare success rates",
-            Self::Jobs => "Long work: what waits, what runs, how it ended",
-            Self::Settings => "People, API tokens, storage, the audit log",
-        }
+        self.about().label
     }
 
     /// Whether the screen has something to offer: recording needs a live station that takes commands.
     pub fn is_offered(self, commandable: bool) -> bool {
-        self != Self::Record || commandable
-    }
-
-    fn slug(self) -> &'static str {
-        match self {
-            Self::Home => "home",
-            Self::Hand => "hand",
-            Self::Record => "record",
-            Self::Timelines => "timelines",
-            Self::Calibrate => "calibrate",
-            Self::Diagnose => "diagnose",
-            Self::Sessions => "sessions",
-            Self::Objects => "objects",
-            Self::Models => "models",
-            Self::Trials => "trials",
-            Self::Jobs => "jobs",
-            Self::Settings => "settings",
-        }
+        commandable || !self.about().needs_station
     }
 
     fn from_slug(slug: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|screen| screen.slug() == slug)
+        Self::ALL.iter().copied().find(|screen| screen.about().slug == slug)
     }
 }
 
@@ -268,7 +201,7 @@ impl fmt::Display for Route {
         if let Some(slug) = &self.lost {
             return write!(f, "#/{}", encode(slug));
         }
-        write!(f, "#/{}", self.screen.slug())?;
+        write!(f, "#/{}", self.screen.about().slug)?;
         if let Some(session) = &self.session {
             write!(f, "/{}", encode(session))?;
         }

@@ -1,5 +1,6 @@
-//! One function per screen, and what they share: the context they get, and their empty, loading and error states.
+//! One module per screen, and what they share: the context they get, and their empty, loading and error states.
 
+mod about;
 pub mod calibrate;
 pub mod control;
 pub mod controls;
@@ -18,6 +19,7 @@ pub mod settings;
 pub mod timelines;
 pub mod trials;
 
+pub use about::{About, Subject, View};
 pub use help::{help_ui, said_ui, topic_heading_ui, topic_ui};
 use palpate_robot_model::Station;
 pub use palpate_wire::wording::words;
@@ -354,8 +356,12 @@ pub fn duration_text(seconds: f64) -> String {
 
 /// `ring_finger` as people write it: `Ring finger`.
 pub fn capitalised(id: &str) -> String {
-    let words = id.replace(['_', '-'], " ");
-    let mut letters = words.chars();
+    as_sentence(&id.replace(['_', '-'], " "))
+}
+
+/// `text` with a capital at its beginning.
+pub fn as_sentence(text: &str) -> String {
+    let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 

@@ -7,7 +7,7 @@ use super::{StudioApp, stop};
 use crate::{
     playback::HandSource,
     route::{HelpPlace, Route, Screen},
-    screens::{announced_ui, controls::name_button, words},
+    screens::{Subject, announced_ui, controls::name_button, words},
     store::{Connection, Loadable},
     theme::Palette,
 };
@@ -85,16 +85,16 @@ impl StudioApp {
         let commandable = self.store.is_commandable();
         let palette = Palette::of(ui.ctx().theme());
         let mut group = None;
-        for screen in Screen::ALL.into_iter().filter(|screen| screen.is_offered(commandable)) {
-            if screen.group() != group {
-                group = screen.group();
+        for screen in Screen::ALL.iter().copied().filter(|screen| screen.is_offered(commandable)) {
+            if screen.about().group != group {
+                group = screen.about().group;
                 group_ui(ui, &palette, group.filter(|_| !narrow));
             }
             let chosen = self.route.screen == screen && self.route.lost.is_none();
             let text = if narrow {
-                RichText::new(icon(screen)).size(18.0)
+                RichText::new(screen.about().icon).size(18.0)
             } else {
-                RichText::new(format!("{}  {}", icon(screen), screen.label())).size(15.0)
+                RichText::new(format!("{}  {}", screen.about().icon, screen.label())).size(15.0)
             };
             let mut button =
                 egui::Button::selectable(chosen, text).min_size(egui::vec2(ui.available_width(), row));
@@ -102,9 +102,9 @@ impl StudioApp {
                 button = button.right_text("");
             }
             let hint = if narrow {
-                format!("{}: {}", screen.label(), screen.purpose())
+                format!("{}: {}", screen.label(), screen.about().purpose)
             } else {
-                screen.purpose().to_owned()
+                screen.about().purpose.to_owned()
             };
             let response = ui.add(button).on_hover_text(hint);
             // The icon is decoration: the name is the word.
@@ -244,7 +244,7 @@ impl StudioApp {
     /// Session and take, or the live station, and what the recording is compared with. Names are pickers; long ones are
     /// cut in the middle.
     fn shown_ui(&mut self, ui: &mut egui::Ui, palette: &Palette, letters: usize) {
-        let shows_take = matches!(self.route.screen, Screen::Hand | Screen::Timelines);
+        let shows_take = self.route.screen.about().subject == Subject::Take;
         if shows_take && self.playback.hand_source == HandSource::Live {
             ui.label(RichText::new("Live station").strong());
             ui.separator();
@@ -286,7 +286,7 @@ impl StudioApp {
     /// On screens that are about one session, that is another address.
     fn look_at_session(&mut self, session: &str) {
         self.playback.open_session(session);
-        if matches!(self.route.screen, Screen::Sessions | Screen::Calibrate | Screen::Diagnose) {
+        if self.route.screen.about().subject == Subject::Session {
             self.go(Route::to(self.route.screen).with_session(session));
         }
     }
@@ -454,23 +454,6 @@ fn group_ui(ui: &mut egui::Ui, palette: &Palette, group: Option<&str>) {
         None => {
             ui.painter().hline(rect.x_range(), rect.center().y, egui::Stroke::new(1.0, palette.line));
         }
-    }
-}
-
-fn icon(screen: Screen) -> &'static str {
-    match screen {
-        Screen::Home => "\u{1f3e0}",
-        Screen::Hand => "\u{270b}",
-        Screen::Record => "\u{23fa}",
-        Screen::Timelines => "\u{2630}",
-        Screen::Calibrate => "\u{2696}",
-        Screen::Diagnose => "\u{1f50d}",
-        Screen::Sessions => "\u{1f5c0}",
-        Screen::Objects => "\u{1f4e6}",
-        Screen::Models => "\u{1f4d0}",
-        Screen::Trials => "\u{1f3af}",
-        Screen::Jobs => "\u{231b}",
-        Screen::Settings => "\u{2699}",
     }
 }
 

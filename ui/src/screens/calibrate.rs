@@ -9,8 +9,8 @@ use std::sync::Arc;
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
 
 use super::{
-    Part, ScreenContext, copy_as, empty_ui, failed_ui, heading_ui, is_missing, loading_ui,
-    missing_session_ui,
+    About, Part, ScreenContext, Subject, View, copy_as, empty_ui, failed_ui, heading_ui, is_missing,
+    loading_ui, missing_session_ui,
     run_controls::{
         HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
         route_to_run, session_ui, start_ui,
@@ -19,9 +19,23 @@ use super::{
 };
 use crate::{playback::ModelRef, route::Screen, store::Loadable};
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Calibrate",
+    slug: "calibrate",
+    icon: "\u{2696}",
+    purpose: "Fit the sensor model until simulated events line up with real ones",
+    group: Some("Simulator"),
+    document: ("calibration", None),
+    subject: Subject::Session,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<CalibrateState>::default(),
+};
+
 /// What the operator chose on this screen and has not run yet.
 #[derive(Debug, Default)]
-pub struct CalibrateState {
+struct CalibrateState {
     use_grid: bool,
     hold_out: HoldOutChoice,
     model_name: String,
@@ -31,46 +45,48 @@ pub struct CalibrateState {
     table: tables::Table,
 }
 
-/// The screen.
-pub fn calibrate_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut CalibrateState) {
-    let sessions = match cx.store.sessions() {
-        Loadable::Ready(sessions) => sessions,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of sessions did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-    };
-    if sessions.iter().all(|session| session.error.is_some()) {
-        let text =
-            "Calibration fits the simulator's sense of touch to recorded takes. It needs a session first.";
-        if empty_ui(ui, "Nothing to calibrate on", text, "Bring in a session") {
-            cx.go_to_screen(Screen::Sessions);
-        }
-        return;
-    }
-    if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
-        return missing_session_ui(ui, cx, &session);
-    }
-    open_a_session(cx, &sessions);
-    follow_started_run(cx, state);
-
-    let chosen = cx.route.run.clone();
-    two_parts_ui(ui, "calibrate_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
-        match part {
-            Part::Choice => {
-                choose_ui(ui, cx, state, &sessions);
-                ui.add_space(12.0);
-                if let Loadable::Ready(runs) = cx.store.runs() {
-                    let about = |request: &CalibrationRequest| {
-                        request.method.as_deref().unwrap_or("exact").to_owned()
-                    };
-                    earlier_runs_ui(ui, cx, &runs, Screen::Calibrate, about);
-                }
+impl View for CalibrateState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let sessions = match cx.store.sessions() {
+            Loadable::Ready(sessions) => sessions,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
             }
-            Part::Chosen => match &chosen {
-                Some(run_id) => run_ui(ui, cx, state, run_id),
-                None => intro_ui(ui, cx),
-            },
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
+        };
+        if sessions.iter().all(|session| session.error.is_some()) {
+            let text = "Calibration fits the simulator's sense of touch to recorded takes. It needs a session first.";
+            if empty_ui(ui, "Nothing to calibrate on", text, "Bring in a session") {
+                cx.go_to_screen(Screen::Sessions);
+            }
+            return;
         }
-    });
+        if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
+            return missing_session_ui(ui, cx, &session);
+        }
+        open_a_session(cx, &sessions);
+        follow_started_run(cx, self);
+
+        let chosen = cx.route.run.clone();
+        two_parts_ui(ui, "calibrate_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
+            match part {
+                Part::Choice => {
+                    choose_ui(ui, cx, self, &sessions);
+                    ui.add_space(12.0);
+                    if let Loadable::Ready(runs) = cx.store.runs() {
+                        let about = |request: &CalibrationRequest| {
+                            request.method.as_deref().unwrap_or("exact").to_owned()
+                        };
+                        earlier_runs_ui(ui, cx, &runs, Screen::Calibrate, about);
+                    }
+                }
+                Part::Chosen => match &chosen {
+                    Some(run_id) => run_ui(ui, cx, self, run_id),
+                    None => intro_ui(ui, cx),
+                },
+            }
+        });
+    }
 }
 
 fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {

@@ -14,7 +14,7 @@ use egui::RichText;
 use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
 
 use super::{
-    Part, ScreenContext,
+    About, Part, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
     copy_as, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, missing_session_ui,
     run_controls::{
@@ -28,9 +28,23 @@ use crate::{playback::ModelRef, route::Screen, store::Loadable};
 /// Null sessions behind a bar that is set here: as many as hold its 95 % point still.
 const NULL_SESSIONS: usize = 200;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Diagnose",
+    slug: "diagnose",
+    icon: "\u{1f50d}",
+    purpose: "Find where simulation and hand disagree, name the missing effect, add it to the model",
+    group: Some("Simulator"),
+    document: ("diagnosis", None),
+    subject: Subject::Session,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<DiagnoseState>::default(),
+};
+
 /// What the operator chose on this screen.
 #[derive(Debug, Default)]
-pub struct DiagnoseState {
+struct DiagnoseState {
     hold_out: HoldOutChoice,
     /// Saved model to start from; `None` calibrates first.
     start_from: Option<String>,
@@ -58,47 +72,47 @@ struct Shown {
     in_use: Option<Option<String>>,
 }
 
-/// The screen.
-pub fn diagnose_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
-    let sessions = match cx.store.sessions() {
-        Loadable::Ready(sessions) => sessions,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of sessions did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-    };
-    if sessions.iter().all(|session| session.error.is_some()) {
-        let text = "Diagnosis names what the simulator lacks, from recorded takes. It needs a session first.";
-        if empty_ui(ui, "Nothing to diagnose", text, "Bring in a session") {
-            cx.go_to_screen(Screen::Sessions);
-        }
-        return;
-    }
-    if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
-        return missing_session_ui(ui, cx, &session);
-    }
-    open_a_session(cx, &sessions);
-    follow_started_run(cx, state);
-
-    let chosen = cx.route.run.clone();
-    two_parts_ui(
-        ui,
-        "diagnose_choice",
-        ["Choose and run", "Result"],
-        chosen.as_deref(),
-        |ui, part| match part {
-            Part::Choice => {
-                choose_ui(ui, cx, state, &sessions);
-                ui.add_space(12.0);
-                if let Loadable::Ready(runs) = cx.store.diagnoses() {
-                    earlier_runs_ui(ui, cx, &runs, Screen::Diagnose, about_request);
-                }
-                keep::models_ui(ui, cx);
+impl View for DiagnoseState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let sessions = match cx.store.sessions() {
+            Loadable::Ready(sessions) => sessions,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
             }
-            Part::Chosen => match &chosen {
-                Some(run_id) => run_ui(ui, cx, state, run_id),
-                None => intro_ui(ui, cx),
-            },
-        },
-    );
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
+        };
+        if sessions.iter().all(|session| session.error.is_some()) {
+            let text =
+                "Diagnosis names what the simulator lacks, from recorded takes. It needs a session first.";
+            if empty_ui(ui, "Nothing to diagnose", text, "Bring in a session") {
+                cx.go_to_screen(Screen::Sessions);
+            }
+            return;
+        }
+        if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
+            return missing_session_ui(ui, cx, &session);
+        }
+        open_a_session(cx, &sessions);
+        follow_started_run(cx, self);
+
+        let chosen = cx.route.run.clone();
+        two_parts_ui(ui, "diagnose_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
+            match part {
+                Part::Choice => {
+                    choose_ui(ui, cx, self, &sessions);
+                    ui.add_space(12.0);
+                    if let Loadable::Ready(runs) = cx.store.diagnoses() {
+                        earlier_runs_ui(ui, cx, &runs, Screen::Diagnose, about_request);
+                    }
+                    keep::models_ui(ui, cx);
+                }
+                Part::Chosen => match &chosen {
+                    Some(run_id) => run_ui(ui, cx, self, run_id),
+                    None => intro_ui(ui, cx),
+                },
+            }
+        });
+    }
 }
 
 fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {

@@ -1,7 +1,5 @@
 //! The way from a screen into the manual: a `?` beside its heading, and links where a message names a document.
 
-use palpate_wire::markdown;
-
 use super::{controls::name_button, heading_ui};
 use crate::route::{HelpPlace, Screen};
 
@@ -20,22 +18,13 @@ pub enum Topic {
 impl Topic {
     /// Every topic.
     pub fn all() -> impl Iterator<Item = Self> {
-        Screen::ALL.into_iter().map(Self::Screen).chain([Self::Devices])
+        Screen::ALL.iter().copied().map(Self::Screen).chain([Self::Devices])
     }
 
     /// The document on it, and the address of the heading there, if that is not the first.
     pub fn document(self) -> (&'static str, Option<&'static str>) {
         match self {
-            Self::Screen(Screen::Home | Screen::Timelines) => (markdown::TOUR, Some("a-five-minute-tour")),
-            Self::Screen(Screen::Hand) => ("safety", None),
-            Self::Screen(Screen::Record | Screen::Sessions) => ("recordings", None),
-            Self::Screen(Screen::Calibrate) => ("calibration", None),
-            Self::Screen(Screen::Diagnose) => ("diagnosis", None),
-            Self::Screen(Screen::Objects) => ("objects", None),
-            Self::Screen(Screen::Trials) => ("campaigns", None),
-            Self::Screen(Screen::Jobs) => ("jobs", None),
-            Self::Screen(Screen::Models) => ("artifacts", None),
-            Self::Screen(Screen::Settings) => ("people", None),
+            Self::Screen(screen) => screen.about().document,
             Self::Devices => ("hardware", None),
         }
     }
@@ -78,7 +67,7 @@ pub fn help_ui(ui: &mut egui::Ui, words: &str) {
 
 /// Text for people; where it names a document as `docs/jobs.md`, that is a link to it.
 pub fn said_ui(ui: &mut egui::Ui, text: &str) {
-    let parts = markdown::named_docs(text);
+    let parts = palpate_wire::markdown::named_docs(text);
     if parts.iter().all(|(_, doc)| doc.is_none()) {
         ui.label(text);
         return;

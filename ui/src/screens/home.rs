@@ -8,13 +8,14 @@ use palpate_wire::{
         CalibrationRequest, CampaignSummary, DiagnosisRequest, Job, JobState, ModelSummary, Role,
         SessionSummary, Source,
     },
+    markdown,
     proto::device_status::Link,
     wording::counted,
 };
 
 use self::next::{CampaignFacts, Facts, SessionFacts, Step};
 use super::{
-    ScreenContext,
+    About, ScreenContext, Subject, View,
     control::wording::{link_word, phase_color, phase_mark_ui, phase_word},
     duration_text, heading_ui,
     jobs::{NEW, working_now},
@@ -37,36 +38,51 @@ const NEXT: &str = "What next";
 /// Lists show so many entries; their screens have the rest.
 const MAX_LISTED: usize = 5;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Home",
+    slug: "home",
+    icon: "\u{1f3e0}",
+    purpose: "What the station does, what runs, and what to do next",
+    group: None,
+    document: (markdown::TOUR, Some("a-five-minute-tour")),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<HomeState>::default(),
+};
+
 /// What was started here and has not been taken yet.
 #[derive(Debug, Default)]
-pub struct HomeState {
+struct HomeState {
     waits_for: Option<Screen>,
 }
 
-/// The screen.
-pub fn home_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HomeState) {
-    follow_started(cx, state);
-    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-        ui.set_max_width(ui.available_width().min(MAX_WIDTH));
-        ui.add_space(4.0);
-        next_ui(ui, cx, state);
-        if ui.available_width() < TWO_COLUMNS {
-            station_ui(ui, cx);
-            running_ui(ui, cx);
-            sessions_ui(ui, cx);
-            models_ui(ui, cx);
-            campaigns_ui(ui, cx);
-            return;
-        }
-        ui.columns(2, |columns| {
-            let [left, right] = columns else { return };
-            station_ui(left, cx);
-            running_ui(left, cx);
-            sessions_ui(right, cx);
-            models_ui(right, cx);
-            campaigns_ui(right, cx);
+impl View for HomeState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        follow_started(cx, self);
+        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            ui.set_max_width(ui.available_width().min(MAX_WIDTH));
+            ui.add_space(4.0);
+            next_ui(ui, cx, self);
+            if ui.available_width() < TWO_COLUMNS {
+                station_ui(ui, cx);
+                running_ui(ui, cx);
+                sessions_ui(ui, cx);
+                models_ui(ui, cx);
+                campaigns_ui(ui, cx);
+                return;
+            }
+            ui.columns(2, |columns| {
+                let [left, right] = columns else { return };
+                station_ui(left, cx);
+                running_ui(left, cx);
+                sessions_ui(right, cx);
+                models_ui(right, cx);
+                campaigns_ui(right, cx);
+            });
         });
-    });
+    }
 }
 
 fn card(

@@ -9,7 +9,7 @@ use egui::RichText;
 use palpate_wire::api::{Job, JobState};
 
 use super::{
-    ScreenContext,
+    About, ScreenContext, Subject, View,
     controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as, duration_text, empty_ui, failed_ui, heading_ui, loading_ui, progress_bar, topic_ui,
 };
@@ -24,9 +24,23 @@ const LOG_EVERY_S: f64 = 2.0;
 /// Narrower than this, the list goes when a job is open.
 const NARROW: f32 = 700.0;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Jobs",
+    slug: "jobs",
+    icon: "\u{231b}",
+    purpose: "Long work: what waits, what runs, how it ended",
+    group: None,
+    document: ("jobs", None),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<JobsState>::default(),
+};
+
 /// What the operator chose on this screen.
 #[derive(Debug, Default)]
-pub struct JobsState {
+struct JobsState {
     state: Option<JobState>,
     kind: Option<String>,
     /// Deleting was asked for and waits for a second press.
@@ -39,59 +53,60 @@ pub struct JobsState {
 /// In place of the id of a job in the address: the form that starts one.
 pub const NEW: &str = "new";
 
-/// The screen.
-pub fn jobs_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState) {
-    let jobs = match cx.store.jobs.list() {
-        Loadable::Ready(jobs) => jobs,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of jobs did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for jobs"),
-    };
-    if let Loadable::Ready(id) = &cx.store.jobs.cloned {
-        *cx.go_to = Some(Route { job: Some(id.clone()), ..Route::to(Screen::Jobs) });
-        cx.store.jobs.cloned = Loadable::Idle;
-    }
-    if cx.route.job.as_deref() == Some(NEW) {
-        new_ui(ui, cx, state, &jobs);
-        return;
-    }
-    if jobs.is_empty() {
-        let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
-            this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind: docs/jobs.md.";
-        if empty_ui(ui, "No job yet", text, "Start a job") {
-            *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
+impl View for JobsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let jobs = match cx.store.jobs.list() {
+            Loadable::Ready(jobs) => jobs,
+            Loadable::Failed(error) => return failed_ui(ui, cx, "The list of jobs did not arrive", &error),
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for jobs"),
+        };
+        if let Loadable::Ready(id) = &cx.store.jobs.cloned {
+            *cx.go_to = Some(Route { job: Some(id.clone()), ..Route::to(Screen::Jobs) });
+            cx.store.jobs.cloned = Loadable::Idle;
         }
-        return;
-    }
-    let asked = cx.route.job.clone();
-    let shown = asked.as_ref().and_then(|id| jobs.iter().find(|job| job.id == *id));
-    let is_narrow = ui.available_width() < NARROW;
-    if is_narrow {
-        match (shown, asked) {
-            (Some(job), _) => {
-                if ui.button("Back to all jobs").clicked() {
-                    *cx.go_to = Some(Route::to(Screen::Jobs));
+        if cx.route.job.as_deref() == Some(NEW) {
+            new_ui(ui, cx, self, &jobs);
+            return;
+        }
+        if jobs.is_empty() {
+            let text = "A job is long work in a process of its own: a calibration, a diagnosis, a training. It goes on when \
+                this page is closed and outlives the studio. Calibrate and Diagnose start jobs, scripts start every kind: docs/jobs.md.";
+            if empty_ui(ui, "No job yet", text, "Start a job") {
+                *cx.go_to = Some(Route { job: Some(NEW.to_owned()), ..Route::to(Screen::Jobs) });
+            }
+            return;
+        }
+        let asked = cx.route.job.clone();
+        let shown = asked.as_ref().and_then(|id| jobs.iter().find(|job| job.id == *id));
+        let is_narrow = ui.available_width() < NARROW;
+        if is_narrow {
+            match (shown, asked) {
+                (Some(job), _) => {
+                    if ui.button("Back to all jobs").clicked() {
+                        *cx.go_to = Some(Route::to(Screen::Jobs));
+                    }
+                    job_ui(ui, cx, self, job);
                 }
-                job_ui(ui, cx, state, job);
+                (None, _) => list_ui(ui, cx, self, &jobs, None),
             }
-            (None, _) => list_ui(ui, cx, state, &jobs, None),
+            return;
         }
-        return;
+        egui::Panel::left("jobs_list").resizable(false).exact_size(380.0).show(ui, |ui| {
+            list_ui(ui, cx, self, &jobs, shown.or(jobs.first()));
+        });
+        egui::CentralPanel::default().show(ui, |ui| match (shown, asked) {
+            (None, Some(id)) => {
+                ui.label(format!(
+                    "Job {id} is not among those that are listed. Older jobs are at the list's end."
+                ));
+            }
+            (job, _) => {
+                if let Some(job) = job.or(jobs.first()) {
+                    job_ui(ui, cx, self, job);
+                }
+            }
+        });
     }
-    egui::Panel::left("jobs_list").resizable(false).exact_size(380.0).show(ui, |ui| {
-        list_ui(ui, cx, state, &jobs, shown.or(jobs.first()));
-    });
-    egui::CentralPanel::default().show(ui, |ui| match (shown, asked) {
-        (None, Some(id)) => {
-            ui.label(format!(
-                "Job {id} is not among those that are listed. Older jobs are at the list's end."
-            ));
-        }
-        (job, _) => {
-            if let Some(job) = job.or(jobs.first()) {
-                job_ui(ui, cx, state, job);
-            }
-        }
-    });
 }
 
 fn new_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, jobs: &[Job]) {

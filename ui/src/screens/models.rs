@@ -6,8 +6,8 @@ use egui::RichText;
 use palpate_wire::api::{Artifact, ArtifactKey, ArtifactSort, Lineage, ModelEffect};
 
 use super::{
-    Part, ScreenContext, controls::name_button, empty_ui, failed_ui, heading_ui, loading_ui, two_parts_ui,
-    words,
+    About, Part, ScreenContext, Subject, View, controls::name_button, empty_ui, failed_ui, heading_ui,
+    loading_ui, two_parts_ui, words,
 };
 use crate::{
     api_client::segment,
@@ -33,38 +33,58 @@ enum Towards {
     Uses,
 }
 
-/// The screen.
-pub fn models_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    let lineage = match cx.store.lineage() {
-        Loadable::Ready(lineage) => lineage,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of models did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for models and policies"),
-    };
-    let listed = |sort| lineage.artifacts.iter().filter(move |artifact| artifact.key.sort == sort);
-    let first = LISTED.iter().find_map(|(sort, _)| listed(*sort).next()).map(|first| first.key.clone());
-    let asked = cx.route.artifact.clone();
-    let shown = asked.as_deref().map_or(first, ArtifactKey::parse);
-    two_parts_ui(ui, "models_list", ["All", "Chosen"], asked.as_deref(), |ui, part| match part {
-        Part::Choice => {
-            ui.add_space(4.0);
-            super::topic_heading_ui(ui, "Models and policies", Screen::Models);
-            for (sort, heading) in LISTED {
-                let mut artifacts = listed(sort).peekable();
-                if artifacts.peek().is_none() {
-                    continue;
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Models",
+    slug: "models",
+    icon: "\u{1f4d0}",
+    purpose: "Sensor models and policies: what each was made from, and what was made of it",
+    group: Some("Simulator"),
+    document: ("artifacts", None),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<ModelsState>::default(),
+};
+
+/// The screen, which remembers nothing: its address says what is shown.
+#[derive(Debug, Default)]
+struct ModelsState;
+
+impl View for ModelsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let lineage = match cx.store.lineage() {
+            Loadable::Ready(lineage) => lineage,
+            Loadable::Failed(error) => return failed_ui(ui, cx, "The list of models did not arrive", &error),
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for models and policies"),
+        };
+        let listed = |sort| lineage.artifacts.iter().filter(move |artifact| artifact.key.sort == sort);
+        let first = LISTED.iter().find_map(|(sort, _)| listed(*sort).next()).map(|first| first.key.clone());
+        let asked = cx.route.artifact.clone();
+        let shown = asked.as_deref().map_or(first, ArtifactKey::parse);
+        two_parts_ui(ui, "models_list", ["All", "Chosen"], asked.as_deref(), |ui, part| match part {
+            Part::Choice => {
+                ui.add_space(4.0);
+                super::topic_heading_ui(ui, "Models and policies", Screen::Models);
+                for (sort, heading) in LISTED {
+                    let mut artifacts = listed(sort).peekable();
+                    if artifacts.peek().is_none() {
+                        continue;
+                    }
+                    ui.add_space(6.0);
+                    ui.label(RichText::new(heading).color(cx.palette.text_weak));
+                    artifacts.for_each(|artifact| {
+                        entry_ui(ui, cx, artifact, shown.as_ref() == Some(&artifact.key));
+                    });
                 }
-                ui.add_space(6.0);
-                ui.label(RichText::new(heading).color(cx.palette.text_weak));
-                artifacts
-                    .for_each(|artifact| entry_ui(ui, cx, artifact, shown.as_ref() == Some(&artifact.key)));
+                ui.add_space(12.0);
             }
-            ui.add_space(12.0);
-        }
-        Part::Chosen => match &shown {
-            Some(key) => chosen_ui(ui, cx, &lineage, key),
-            None => nothing_ui(ui, cx),
-        },
-    });
+            Part::Chosen => match &shown {
+                Some(key) => chosen_ui(ui, cx, &lineage, key),
+                None => nothing_ui(ui, cx),
+            },
+        });
+    }
 }
 
 fn nothing_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {

@@ -9,7 +9,7 @@ use palpate_robot_model::{ObjectModel, ObjectShape};
 use palpate_wire::api::{ObjectDocument, ObjectEntry, RestPoseDocument};
 
 use super::{
-    ScreenContext,
+    About, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
     empty_ui, failed_ui,
     hand::ObjectView,
@@ -35,64 +35,81 @@ const PICTURE_HEIGHT: f32 = 300.0;
 /// Room for the `?` beside the box of objects there, points.
 const HELP_WIDTH: f32 = 48.0;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Objects",
+    slug: "objects",
+    icon: "\u{1f4e6}",
+    purpose: "What is touched and grasped: shape, mass, poses at rest",
+    group: Some("Data"),
+    document: ("objects", None),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<ObjectsState>::default(),
+};
+
 /// What the operator chose on this screen.
 #[derive(Default)]
-pub struct ObjectsState {
+struct ObjectsState {
     view: ObjectView,
     /// Pose shown, of the object with this id.
     pose: (String, usize),
     shapes: BTreeMap<String, Result<Arc<ObjectShape>, String>>,
 }
 
-/// The screen.
-pub fn objects_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut ObjectsState) {
-    let objects = match cx.store.objects() {
-        Loadable::Ready(objects) => objects,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of objects did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for objects"),
-    };
-    let asked = cx.route.object.as_deref();
-    let Some(shown) = objects.iter().find(|object| Some(object.id.as_str()) == asked).or(objects.first())
-    else {
-        let text = "An object is what the hand touches or grasps: convex parts in a file. Put files into the \
-            folder objects of the data folder; docs/objects.md shows how they look.";
-        if empty_ui(ui, "No object yet", text, "Look again") {
-            cx.store.ask_objects_again();
-        }
-        return;
-    };
-    if ui.available_width() < NARROW {
-        return narrow_ui(ui, cx, state, &objects, shown);
-    }
-    egui::Panel::left("objects_list").resizable(false).exact_size(292.0).show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            ui.add_space(4.0);
-            topic_heading_ui(ui, "Objects", Screen::Objects);
-            for (group, heading) in GROUPS {
-                let members = || objects.iter().filter(|object| group_of(object) == group);
-                if members().next().is_some() {
-                    ui.add_space(6.0);
-                    ui.label(RichText::new(heading).color(cx.palette.text_weak));
-                }
-                for object in members() {
-                    entry_ui(ui, cx, object, object.id == shown.id);
-                }
+impl View for ObjectsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let objects = match cx.store.objects() {
+            Loadable::Ready(objects) => objects,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The list of objects did not arrive", &error);
             }
-        });
-    });
-    match &shown.content {
-        Ok(document) => {
-            egui::Panel::right("object_facts").resizable(false).exact_size(320.0).show(ui, |ui| {
-                egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-                    facts_ui(ui, cx, shown, document);
-                    poses_ui(ui, cx, state, &shown.id, document);
-                    takes_ui(ui, cx, shown);
-                });
-            });
-            egui::CentralPanel::default().show(ui, |ui| picture_ui(ui, cx, state, &shown.id, document));
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for objects"),
+        };
+        let asked = cx.route.object.as_deref();
+        let Some(shown) = objects.iter().find(|object| Some(object.id.as_str()) == asked).or(objects.first())
+        else {
+            let text = "An object is what the hand touches or grasps: convex parts in a file. Put files into the \
+                folder objects of the data folder; docs/objects.md shows how they look.";
+            if empty_ui(ui, "No object yet", text, "Look again") {
+                cx.store.ask_objects_again();
+            }
+            return;
+        };
+        if ui.available_width() < NARROW {
+            return narrow_ui(ui, cx, self, &objects, shown);
         }
-        Err(problem) => {
-            egui::CentralPanel::default().show(ui, |ui| unusable_ui(ui, cx, shown, problem));
+        egui::Panel::left("objects_list").resizable(false).exact_size(292.0).show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                ui.add_space(4.0);
+                topic_heading_ui(ui, "Objects", Screen::Objects);
+                for (group, heading) in GROUPS {
+                    let members = || objects.iter().filter(|object| group_of(object) == group);
+                    if members().next().is_some() {
+                        ui.add_space(6.0);
+                        ui.label(RichText::new(heading).color(cx.palette.text_weak));
+                    }
+                    for object in members() {
+                        entry_ui(ui, cx, object, object.id == shown.id);
+                    }
+                }
+            });
+        });
+        match &shown.content {
+            Ok(document) => {
+                egui::Panel::right("object_facts").resizable(false).exact_size(320.0).show(ui, |ui| {
+                    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                        facts_ui(ui, cx, shown, document);
+                        poses_ui(ui, cx, self, &shown.id, document);
+                        takes_ui(ui, cx, shown);
+                    });
+                });
+                egui::CentralPanel::default().show(ui, |ui| picture_ui(ui, cx, self, &shown.id, document));
+            }
+            Err(problem) => {
+                egui::CentralPanel::default().show(ui, |ui| unusable_ui(ui, cx, shown, problem));
+            }
         }
     }
 }

@@ -20,7 +20,7 @@ use palpate_wire::{
 };
 
 use self::interruptions::Interruptions;
-use super::{ScreenContext, empty_ui, failed_ui, hand::PlacementView, loading_ui};
+use super::{About, ScreenContext, Subject, View, empty_ui, failed_ui, hand::PlacementView, loading_ui};
 use crate::{
     app::is_narrow,
     route::Screen,
@@ -30,9 +30,23 @@ use crate::{
 const LIST_WIDTH: f32 = 250.0;
 const INCOMING_WIDTH: f32 = 300.0;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Record",
+    slug: "record",
+    icon: "\u{23fa}",
+    purpose: "Record a calibration session, take by take, as a checklist says",
+    group: Some("Operate"),
+    document: ("recordings", None),
+    subject: Subject::Station,
+    needs_station: true,
+    shows_stream: true,
+    new: || Box::<RecordState>::default(),
+};
+
 /// What the screen remembers between frames.
 #[derive(Default)]
-pub struct RecordState {
+struct RecordState {
     start: start::StartState,
     /// The remark that is being typed.
     note: String,
@@ -106,40 +120,44 @@ impl Scene<'_> {
     }
 }
 
-/// The screen.
-pub fn record_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut RecordState) {
-    if !cx.store.is_commandable() {
-        let text = "Recording needs a live station: start `palpate serve --station FILE` on the machine that its \
-                    devices are connected to, or `palpate serve --emulate` to try it without hardware. docs/hardware.md says \
-                    how a station is set up.";
-        if empty_ui(ui, "No live station", text, "Look at recordings") {
-            cx.go_to_screen(Screen::Sessions);
+impl View for RecordState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        if !cx.store.is_commandable() {
+            let text = "Recording needs a live station: start `palpate serve --station FILE` on the machine that its \
+                        devices are connected to, or `palpate serve --emulate` to try it without hardware. docs/hardware.md says \
+                        how a station is set up.";
+            if empty_ui(ui, "No live station", text, "Look at recordings") {
+                cx.go_to_screen(Screen::Sessions);
+            }
+            return;
         }
-        return;
-    }
-    let station = match cx.store.live_station() {
-        Loadable::Ready(station) => station,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The live station could not be read", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the live station"),
-    };
-    let document = match cx.store.recording() {
-        Loadable::Ready(document) => document,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The checklist did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the checklist"),
-    };
-    let names = channel_names(&station);
-    if !is_narrow(ui.ctx()) {
-        Panel::right("record_incoming")
-            .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
-            .resizable(false)
-            .exact_size(INCOMING_WIDTH)
-            .show(ui, |ui| incoming::incoming_ui(ui, cx, &station, document.session.as_ref(), &names));
-    }
-    match &document.session {
-        Some(session) => session_ui(ui, cx, state, session, &station, &names),
-        None => {
-            state.start_pose = StartPose::Unknown;
-            egui::CentralPanel::default().show(ui, |ui| start::start_ui(ui, cx, &mut state.start, &document));
+        let station = match cx.store.live_station() {
+            Loadable::Ready(station) => station,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The live station could not be read", &error);
+            }
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the live station"),
+        };
+        let document = match cx.store.recording() {
+            Loadable::Ready(document) => document,
+            Loadable::Failed(error) => return failed_ui(ui, cx, "The checklist did not arrive", &error),
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the checklist"),
+        };
+        let names = channel_names(&station);
+        if !is_narrow(ui.ctx()) {
+            Panel::right("record_incoming")
+                .frame(egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 0)))
+                .resizable(false)
+                .exact_size(INCOMING_WIDTH)
+                .show(ui, |ui| incoming::incoming_ui(ui, cx, &station, document.session.as_ref(), &names));
+        }
+        match &document.session {
+            Some(session) => session_ui(ui, cx, self, session, &station, &names),
+            None => {
+                self.start_pose = StartPose::Unknown;
+                egui::CentralPanel::default()
+                    .show(ui, |ui| start::start_ui(ui, cx, &mut self.start, &document));
+            }
         }
     }
 }

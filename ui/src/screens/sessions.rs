@@ -8,62 +8,75 @@ use egui::RichText;
 use palpate_wire::api::{SessionDetail, SessionSummary};
 
 use super::{
-    Part, ScreenContext, controls::file_link_ui, duration_text, failed_ui, heading_ui, loading_ui,
-    missing_session_ui, two_parts_ui, words,
+    About, Part, ScreenContext, Subject, View, controls::file_link_ui, duration_text, failed_ui, heading_ui,
+    loading_ui, missing_session_ui, two_parts_ui, words,
 };
 use crate::{
     route::{Route, Screen},
     store::Loadable,
 };
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Sessions",
+    slug: "sessions",
+    icon: "\u{1f5c0}",
+    purpose: "What has been recorded, and whether it can be used",
+    group: Some("Data"),
+    document: ("recordings", None),
+    subject: Subject::Session,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<SessionsState>::default(),
+};
+
 /// What the operator chose on this screen.
 #[derive(Debug, Default)]
-pub struct SessionsState {
+struct SessionsState {
     import: import::ImportState,
 }
 
-/// The screen.
-pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut SessionsState) {
-    let sessions = match cx.store.sessions() {
-        Loadable::Ready(sessions) => sessions,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of sessions did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-    };
-    import::take_picked_files(cx, &mut state.import);
-    let is_known = |id: &String| sessions.iter().any(|session| session.id == *id);
-    // One that was just imported may not be on the list yet.
-    let imported = cx.store.imported.ready().map(|detail| detail.summary.id.clone());
-    let missing = cx.route.session.clone().filter(|id| !is_known(id) && imported.as_ref() != Some(id));
-    let shown = cx.route.session.clone().or_else(|| cx.playback.session.clone());
-    let shown = shown.filter(is_known);
-    let shown = shown.or_else(|| sessions.first().map(|session| session.id.clone()));
-
-    let chosen = cx.route.session.clone();
-    two_parts_ui(
-        ui,
-        "sessions_list",
-        ["All sessions", "Session"],
-        chosen.as_deref(),
-        |ui, part| match part {
-            Part::Choice => {
-                ui.add_space(4.0);
-                super::topic_heading_ui(ui, "Sessions", Screen::Sessions);
-                undo_ui(ui, cx);
-                for session in sessions.iter() {
-                    entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));
-                }
-                ui.add_space(8.0);
-                import::import_ui(ui, cx, &mut state.import);
-                ui.add_space(8.0);
-                deleted::deleted_ui(ui, cx);
+impl View for SessionsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let sessions = match cx.store.sessions() {
+            Loadable::Ready(sessions) => sessions,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
             }
-            Part::Chosen => match (&missing, &shown) {
-                (Some(missing), _) => missing_session_ui(ui, cx, missing),
-                (None, Some(id)) => session_ui(ui, cx, id),
-                (None, None) => nothing_ui(ui),
-            },
-        },
-    );
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
+        };
+        import::take_picked_files(cx, &mut self.import);
+        let is_known = |id: &String| sessions.iter().any(|session| session.id == *id);
+        // One that was just imported may not be on the list yet.
+        let imported = cx.store.imported.ready().map(|detail| detail.summary.id.clone());
+        let missing = cx.route.session.clone().filter(|id| !is_known(id) && imported.as_ref() != Some(id));
+        let shown = cx.route.session.clone().or_else(|| cx.playback.session.clone());
+        let shown = shown.filter(is_known);
+        let shown = shown.or_else(|| sessions.first().map(|session| session.id.clone()));
+
+        let chosen = cx.route.session.clone();
+        two_parts_ui(ui, "sessions_list", ["All sessions", "Session"], chosen.as_deref(), |ui, part| {
+            match part {
+                Part::Choice => {
+                    ui.add_space(4.0);
+                    super::topic_heading_ui(ui, "Sessions", Screen::Sessions);
+                    undo_ui(ui, cx);
+                    for session in sessions.iter() {
+                        entry_ui(ui, cx, session, shown.as_ref() == Some(&session.id));
+                    }
+                    ui.add_space(8.0);
+                    import::import_ui(ui, cx, &mut self.import);
+                    ui.add_space(8.0);
+                    deleted::deleted_ui(ui, cx);
+                }
+                Part::Chosen => match (&missing, &shown) {
+                    (Some(missing), _) => missing_session_ui(ui, cx, missing),
+                    (None, Some(id)) => session_ui(ui, cx, id),
+                    (None, None) => nothing_ui(ui),
+                },
+            }
+        });
+    }
 }
 
 fn nothing_ui(ui: &mut egui::Ui) {

@@ -7,15 +7,29 @@ mod tokens;
 
 use palpate_wire::api::{Me, Via};
 
-use super::{ScreenContext, failed_ui, loading_ui, topic_heading_ui};
+use super::{About, ScreenContext, Subject, View, failed_ui, loading_ui, topic_heading_ui};
 use crate::{
     route::{Route, Screen},
     store::Loadable,
 };
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Settings",
+    slug: "settings",
+    icon: "\u{2699}",
+    purpose: "People, API tokens, storage, the audit log",
+    group: None,
+    document: ("people", None),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<SettingsState>::default(),
+};
+
 /// What was written on this screen and not sent.
 #[derive(Debug, Default)]
-pub struct SettingsState {
+struct SettingsState {
     people: people::PeopleState,
     tokens: tokens::TokensState,
     audit: audit::AuditState,
@@ -25,49 +39,50 @@ pub struct SettingsState {
 const PARTS: [(&str, &str); 4] =
     [("people", "People"), ("tokens", "API tokens"), ("storage", "Storage"), ("audit", "Audit log")];
 
-/// The screen.
-pub fn settings_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut SettingsState) {
-    let me = match cx.store.people.me() {
-        Loadable::Ready(me) => me,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "Who you are did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Asking who you are"),
-    };
-    let part = cx.route.part.clone().unwrap_or_default();
-    let part = PARTS.iter().map(|(slug, _)| *slug).find(|slug| *slug == part).unwrap_or("people");
-    ui.add_space(4.0);
-    topic_heading_ui(ui, "Settings", Screen::Settings);
-    me_ui(ui, cx, &me);
-    ui.horizontal_wrapped(|ui| {
-        for (slug, label) in PARTS {
-            let is_chosen = slug == part;
-            let response =
-                ui.add(egui::Button::selectable(is_chosen, label).min_size(egui::vec2(72.0, 34.0)));
-            response.widget_info(|| {
-                egui::WidgetInfo::selected(egui::accesskit::Role::Tab, true, is_chosen, label)
-            });
-            if response.clicked() {
-                *cx.go_to = Some(Route { part: Some(slug.to_owned()), ..Route::to(Screen::Settings) });
-            }
-        }
-    });
-    ui.separator();
-    if let Some(problem) = cx.store.people.problem.clone() {
+impl View for SettingsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let me = match cx.store.people.me() {
+            Loadable::Ready(me) => me,
+            Loadable::Failed(error) => return failed_ui(ui, cx, "Who you are did not arrive", &error),
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Asking who you are"),
+        };
+        let part = cx.route.part.clone().unwrap_or_default();
+        let part = PARTS.iter().map(|(slug, _)| *slug).find(|slug| *slug == part).unwrap_or("people");
+        ui.add_space(4.0);
+        topic_heading_ui(ui, "Settings", Screen::Settings);
+        me_ui(ui, cx, &me);
         ui.horizontal_wrapped(|ui| {
-            ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
-            if ui.button("Dismiss").clicked() {
-                cx.store.people.problem = None;
+            for (slug, label) in PARTS {
+                let is_chosen = slug == part;
+                let response =
+                    ui.add(egui::Button::selectable(is_chosen, label).min_size(egui::vec2(72.0, 34.0)));
+                response.widget_info(|| {
+                    egui::WidgetInfo::selected(egui::accesskit::Role::Tab, true, is_chosen, label)
+                });
+                if response.clicked() {
+                    *cx.go_to = Some(Route { part: Some(slug.to_owned()), ..Route::to(Screen::Settings) });
+                }
             }
         });
-    }
-    egui::ScrollArea::vertical().id_salt(part).auto_shrink(false).show(ui, |ui| {
-        match part {
-            "tokens" => tokens::tokens_ui(ui, cx, &mut state.tokens, &me),
-            "storage" => storage::storage_ui(ui, cx),
-            "audit" => audit::audit_ui(ui, cx, &mut state.audit),
-            _ => people::people_ui(ui, cx, &mut state.people, &me),
+        ui.separator();
+        if let Some(problem) = cx.store.people.problem.clone() {
+            ui.horizontal_wrapped(|ui| {
+                ui.colored_label(cx.palette.mismatch, format!("\u{26a0} {problem}"));
+                if ui.button("Dismiss").clicked() {
+                    cx.store.people.problem = None;
+                }
+            });
         }
-        ui.add_space(12.0);
-    });
+        egui::ScrollArea::vertical().id_salt(part).auto_shrink(false).show(ui, |ui| {
+            match part {
+                "tokens" => tokens::tokens_ui(ui, cx, &mut self.tokens, &me),
+                "storage" => storage::storage_ui(ui, cx),
+                "audit" => audit::audit_ui(ui, cx, &mut self.audit),
+                _ => people::people_ui(ui, cx, &mut self.people, &me),
+            }
+            ui.add_space(12.0);
+        });
+    }
 }
 
 /// Who sits here, as the server sees it.

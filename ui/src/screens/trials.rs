@@ -12,7 +12,7 @@ use egui::RichText;
 use palpate_wire::api::{Campaign, CampaignSummary, Role, Scope, TrialState};
 
 use super::{
-    ScreenContext,
+    About, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
     empty_ui, failed_ui, loading_ui, progress_bar, said_ui, topic_heading_ui, topic_ui,
 };
@@ -24,9 +24,23 @@ use crate::{
 /// Narrower than this, the list of campaigns is a box on top.
 const NARROW: f32 = 700.0;
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Trials",
+    slug: "trials",
+    icon: "\u{1f3af}",
+    purpose: "Try policies on the hand, score each trial, compare success rates",
+    group: Some("Learn"),
+    document: ("campaigns", None),
+    subject: Subject::Other,
+    needs_station: false,
+    shows_stream: false,
+    new: || Box::<TrialsState>::default(),
+};
+
 /// What the operator chose on this screen.
 #[derive(Debug, Default)]
-pub struct TrialsState {
+struct TrialsState {
     /// The plan that is being written.
     form: Option<form::FormState>,
     score: score::ScoreState,
@@ -56,62 +70,65 @@ impl Part {
     }
 }
 
-/// The screen.
-pub fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TrialsState) {
-    let campaigns = match cx.store.campaigns.list() {
-        Loadable::Ready(campaigns) => campaigns,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of campaigns did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for campaigns"),
-    };
-    if let Loadable::Ready(id) = cx.store.campaigns.made.clone() {
-        cx.store.campaigns.made = Loadable::Idle;
-        state.form = None;
-        *cx.go_to = Some(to(&id, Part::Run));
-    }
-    if let Some(form) = &mut state.form {
-        if form::form_ui(ui, cx, form) {
-            state.form = None;
+impl View for TrialsState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let campaigns = match cx.store.campaigns.list() {
+            Loadable::Ready(campaigns) => campaigns,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, "The list of campaigns did not arrive", &error);
+            }
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for campaigns"),
+        };
+        if let Loadable::Ready(id) = cx.store.campaigns.made.clone() {
+            cx.store.campaigns.made = Loadable::Idle;
+            self.form = None;
+            *cx.go_to = Some(to(&id, Part::Run));
         }
-        return;
-    }
-    let asked = cx.route.campaign.clone();
-    let Some(shown) = asked.or_else(|| campaigns.first().map(|campaign| campaign.id.clone())) else {
-        let text = "A campaign tries policies on the hand, object by object, from the same starts for each. People score \
-            every trial, also from another room; success rates with intervals and comparisons come out: docs/campaigns.md.";
-        if !plans(cx) {
-            egui::CentralPanel::default().show(ui, |ui| {
-                ui.heading("No campaign yet");
-                said_ui(ui, text);
-                ui.label("Operators plan campaigns.");
-            });
+        if let Some(form) = &mut self.form {
+            if form::form_ui(ui, cx, form) {
+                self.form = None;
+            }
             return;
         }
-        if empty_ui(ui, "No campaign yet", text, "Plan a campaign") {
-            state.form = Some(form::FormState::default());
-        }
-        return;
-    };
-    if ui.available_width() < NARROW {
-        if narrow_list_ui(ui, cx, &campaigns, &shown) {
-            state.form = Some(form::FormState::default());
-        }
-        campaign_ui(ui, cx, state, &shown);
-        return;
-    }
-    egui::Panel::left("campaigns_list").resizable(false).exact_size(260.0).show(ui, |ui| {
-        egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-            ui.add_space(4.0);
-            topic_heading_ui(ui, "Campaigns", Screen::Trials);
-            for campaign in campaigns.iter() {
-                entry_ui(ui, cx, campaign, campaign.id == shown);
+        let asked = cx.route.campaign.clone();
+        let Some(shown) = asked.or_else(|| campaigns.first().map(|campaign| campaign.id.clone())) else {
+            let text = "A campaign tries policies on the hand, object by object, from the same starts for each. People score \
+                every trial, also from another room; success rates with intervals and comparisons come out: docs/campaigns.md.";
+            if !plans(cx) {
+                egui::CentralPanel::default().show(ui, |ui| {
+                    ui.heading("No campaign yet");
+                    said_ui(ui, text);
+                    ui.label("Operators plan campaigns.");
+                });
+                return;
             }
-            ui.add_space(8.0);
-            if plans(cx) && ui.button("Plan a campaign").clicked() {
-                state.form = Some(form::FormState::default());
+            if empty_ui(ui, "No campaign yet", text, "Plan a campaign") {
+                self.form = Some(form::FormState::default());
             }
+            return;
+        };
+        if ui.available_width() < NARROW {
+            if narrow_list_ui(ui, cx, &campaigns, &shown) {
+                self.form = Some(form::FormState::default());
+            }
+            campaign_ui(ui, cx, self, &shown);
+            return;
+        }
+        egui::Panel::left("campaigns_list").resizable(false).exact_size(260.0).show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                ui.add_space(4.0);
+                topic_heading_ui(ui, "Campaigns", Screen::Trials);
+                for campaign in campaigns.iter() {
+                    entry_ui(ui, cx, campaign, campaign.id == shown);
+                }
+                ui.add_space(8.0);
+                if plans(cx) && ui.button("Plan a campaign").clicked() {
+                    self.form = Some(form::FormState::default());
+                }
+            });
         });
-    });
-    egui::CentralPanel::default().show(ui, |ui| campaign_ui(ui, cx, state, &shown));
+        egui::CentralPanel::default().show(ui, |ui| campaign_ui(ui, cx, self, &shown));
+    }
 }
 
 /// Whether whoever sits here may make campaigns.

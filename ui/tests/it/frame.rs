@@ -297,7 +297,7 @@ fn lists_follow_what_others_do() {
 #[test]
 fn screens_without_the_live_hand_draw_the_stream_less_often() {
     let mut bench = Bench::of(FakeWindow::at("#/home"), &nothing_recorded(), [1280.0, 800.0]);
-    for screen in Screen::ALL {
+    for &screen in Screen::ALL {
         bench.window.0.borrow_mut().entries.push(format!("#/{}", screen.label().to_lowercase()));
         bench.harness.run_steps(4);
         assert_eq!(app(&bench.harness).screen(), screen);

@@ -237,7 +237,7 @@ fn space_that_comes_just_after_the_station_disarmed_by_itself_still_stops() {
 fn stop_is_at_hand_on_every_screen_for_everybody() {
     let mut bench = Bench::at("#/hand");
     bench.state.holder = "Bo".to_owned();
-    for screen in Screen::ALL {
+    for &screen in Screen::ALL {
         bench.harness.get_by_role_and_label(Role::Button, screen.label()).click();
         bench.harness.run_steps(4);
         assert_eq!(app(&bench.harness).screen(), screen);

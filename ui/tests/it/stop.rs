@@ -101,7 +101,7 @@ fn stops(bench: &mut Bench, what: &str) {
 fn nothing_meets_stop_on_any_screen_at_any_size() {
     for size in SIZES {
         let mut bench = bench(size);
-        for screen in Screen::ALL {
+        for &screen in Screen::ALL {
             bench.window.0.borrow_mut().entries.push(format!("#/{}", screen.label().to_lowercase()));
             bench.harness.run_steps(4);
             bench.tell();

@@ -2,7 +2,7 @@
 
 use egui::{Key, accesskit::Role};
 use egui_kittest::{Harness, kittest::Queryable as _};
-use palpate_ui::{StudioApp, playback::ModelRef};
+use palpate_ui::{StudioApp, playback::ModelRef, route::Screen};
 
 use crate::fixture::{FRAME_S, FakeWindow, LAG_FRAMES, app, app_mut, full_api, page, page_of, station};
 
@@ -158,7 +158,7 @@ fn wheel_zooms_at_the_pointer_and_fit_shows_all_again() {
 }
 
 fn view_span_s(harness: &Harness<'static, Option<StudioApp>>) -> f64 {
-    app(harness).timelines_view().expect("a take is open").span_s()
+    app(harness).shown_span_s(Screen::Timelines).expect("a take is open")
 }
 
 #[test]

@@ -20,7 +20,7 @@ mod tests;
 mod transport;
 mod view3d;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use egui::{Color32, Key, Panel, Rgba, RichText, accesskit::Role};
 use nalgebra::Isometry3;
@@ -46,7 +46,7 @@ pub use self::{
     placement_view::{Placement, PlacementView},
 };
 use super::{
-    ScreenContext,
+    About, ScreenContext, Subject, View,
     control::{
         devices::devices_ui,
         joints::Controls,
@@ -65,6 +65,20 @@ use crate::{
 const SIDE_WIDTH: f32 = 360.0;
 /// With sliders, which are finer the longer they are.
 const CONTROL_WIDTH: f32 = 410.0;
+
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Hand",
+    slug: "hand",
+    icon: "\u{270b}",
+    purpose: "Watch the hand replay a take, taxels lit by what they felt",
+    group: Some("Operate"),
+    document: ("safety", None),
+    subject: Subject::Take,
+    needs_station: false,
+    shows_stream: true,
+    new: || Box::<HandState>::default(),
+};
 
 /// What the screen remembers between frames.
 #[derive(Default)]
@@ -143,26 +157,24 @@ struct Banner {
     nothing_to_compare: bool,
 }
 
-/// The screen.
-pub fn hand_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    let id = egui::Id::unique("hand screen");
-    let shared: Arc<Mutex<HandState>> = ui.data_mut(|data| Arc::clone(data.get_temp_mut_or_default(id)));
-    let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
-    if !cx.store.is_live() && cx.store.info.ready().is_some() {
-        cx.playback.hand_source = HandSource::Recorded;
-    }
-    // Who has just taken control wants to see what moves.
-    let has_control = cx.store.control.lease() != 0;
-    if has_control && !state.had_control {
-        cx.playback.hand_source = HandSource::Live;
-    }
-    state.had_control = has_control;
-    let shot = match cx.playback.hand_source {
-        HandSource::Recorded => recorded_shot(ui, cx, &mut state),
-        HandSource::Live => live_shot(ui, cx, &mut state),
-    };
-    if let Some(shot) = shot {
-        shot_ui(ui, cx, &mut state, &shot);
+impl View for HandState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        if !cx.store.is_live() && cx.store.info.ready().is_some() {
+            cx.playback.hand_source = HandSource::Recorded;
+        }
+        // Who has just taken control wants to see what moves.
+        let has_control = cx.store.control.lease() != 0;
+        if has_control && !self.had_control {
+            cx.playback.hand_source = HandSource::Live;
+        }
+        self.had_control = has_control;
+        let shot = match cx.playback.hand_source {
+            HandSource::Recorded => recorded_shot(ui, cx, self),
+            HandSource::Live => live_shot(ui, cx, self),
+        };
+        if let Some(shot) = shot {
+            shot_ui(ui, cx, self, &shot);
+        }
     }
 }
 

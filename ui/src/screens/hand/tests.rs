@@ -16,9 +16,9 @@ use proptest::prelude::*;
 use prost::Message as _;
 
 use super::{
-    HandState,
+    HandState, View as _,
     camera::{Camera, Ray},
-    hand_ui, recorded_shot,
+    recorded_shot,
     scene::{Geometry, SceneColors, Shown, Subject, TaxelLook},
     view3d::{Moment, clear_camera, home},
 };
@@ -372,7 +372,8 @@ fn page_of(station: &Station, source: Source, trace: &TakeTrace) -> Page {
 }
 
 fn harness(page: Page) -> (Harness<'static>, Rc<RefCell<Page>>) {
-    harness_of(page, hand_ui)
+    let mut state = HandState::default();
+    harness_of(page, move |ui, cx| state.ui(ui, cx))
 }
 
 fn harness_of(

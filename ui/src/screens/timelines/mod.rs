@@ -16,13 +16,13 @@ use std::sync::Arc;
 
 use egui::{Color32, RichText};
 use palpate_robot_model::Station;
-use palpate_wire::proto::ReplayTrace;
+use palpate_wire::{markdown, proto::ReplayTrace};
 
 use self::{
     lanes::{Mismatch, TakeLanes},
     view::TimeView,
 };
-use super::{ScreenContext, ensure_take_ui, failed_ui, loading_ui};
+use super::{About, ScreenContext, Subject, View, ensure_take_ui, failed_ui, loading_ui};
 use crate::{
     commands::Command,
     playback::{HandSource, ModelRef, ShownChannels},
@@ -31,9 +31,23 @@ use crate::{
     take_data::{TakeData, check_replay},
 };
 
+/// This screen.
+pub const ABOUT: About = About {
+    label: "Timelines",
+    slug: "timelines",
+    icon: "\u{2630}",
+    purpose: "Compare real and simulated touch on one time axis",
+    group: Some("Data"),
+    document: (markdown::TOUR, Some("a-five-minute-tour")),
+    subject: Subject::Take,
+    needs_station: false,
+    shows_stream: true,
+    new: || Box::<TimelinesState>::default(),
+};
+
 /// What the screen keeps from frame to frame.
 #[derive(Debug, Default)]
-pub struct TimelinesState {
+struct TimelinesState {
     commands: Vec<Command>,
     view: Option<TimeView>,
     view_of: Option<(String, String)>,
@@ -42,18 +56,6 @@ pub struct TimelinesState {
     /// The mismatch that was jumped to last, by its place in the list.
     at_mismatch: Option<usize>,
     live: live::LiveState,
-}
-
-impl TimelinesState {
-    /// Leaves a command for the screen's next frame.
-    pub fn push_command(&mut self, command: Command) {
-        self.commands.push(command);
-    }
-
-    /// The stretch of time on the screen, once a take is.
-    pub fn view(&self) -> Option<TimeView> {
-        self.view
-    }
 }
 
 /// The lanes, and what they were worked out from.
@@ -94,98 +96,108 @@ struct Simulation {
     error: Option<String>,
 }
 
-/// The screen.
-pub fn timelines_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut TimelinesState) {
-    let commands = std::mem::take(&mut state.commands);
-    if cx.playback.hand_source == HandSource::Live {
-        return live::live_ui(ui, cx, &mut state.live);
-    }
-    if cx.store.is_live() {
-        live::source_ui(ui, cx);
-    }
-    if !ensure_take_ui(ui, cx) {
-        return;
-    }
-    let (Some(session), Some(take_id)) = (cx.playback.session.clone(), cx.playback.take.clone()) else {
-        return;
-    };
-    toolbar::toolbar_ui(ui, cx, state, &session, &take_id);
-    ui.separator();
+impl View for TimelinesState {
+    fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
+        let commands = std::mem::take(&mut self.commands);
+        if cx.playback.hand_source == HandSource::Live {
+            return live::live_ui(ui, cx, &mut self.live);
+        }
+        if cx.store.is_live() {
+            live::source_ui(ui, cx);
+        }
+        if !ensure_take_ui(ui, cx) {
+            return;
+        }
+        let (Some(session), Some(take_id)) = (cx.playback.session.clone(), cx.playback.take.clone()) else {
+            return;
+        };
+        toolbar::toolbar_ui(ui, cx, self, &session, &take_id);
+        ui.separator();
 
-    let take = match cx.store.take(&session, &take_id) {
-        Loadable::Ready(take) => take,
-        Loadable::Failed(error) => {
-            return failed_ui(ui, cx, &format!("Take {take_id} of {session} did not open"), &error);
+        let take = match cx.store.take(&session, &take_id) {
+            Loadable::Ready(take) => take,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, &format!("Take {take_id} of {session} did not open"), &error);
+            }
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, &format!("Loading {take_id}")),
+        };
+        let station = match cx.store.station(&session) {
+            Loadable::Ready(station) => station,
+            Loadable::Failed(error) => {
+                return failed_ui(ui, cx, &format!("The station of {session} did not open"), &error);
+            }
+            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Loading the station"),
+        };
+        cx.playback.duration_s = take.duration_s();
+        cx.playback.seek(cx.playback.time_s);
+        let (simulations, replays) = simulations(cx, &session, &take_id);
+        let lanes = match lanes_of(self, &take, replays, &station) {
+            Ok(lanes) => lanes,
+            Err(error) => return failed_ui(ui, cx, "This take cannot be drawn", &error),
+        };
+        if take.num_frames() == 0 {
+            let text = "It holds no joint frame, so there is nothing to draw.";
+            if super::empty_ui(ui, "This take is empty", text, "Choose another take") {
+                cx.go_to_screen(Screen::Sessions);
+            }
+            return;
         }
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, &format!("Loading {take_id}")),
-    };
-    let station = match cx.store.station(&session) {
-        Loadable::Ready(station) => station,
-        Loadable::Failed(error) => {
-            return failed_ui(ui, cx, &format!("The station of {session} did not open"), &error);
+        for simulation in &simulations {
+            if let Some(error) = &simulation.error {
+                ui.horizontal_wrapped(|ui| {
+                    let text =
+                        format!("\u{26a0} The {} simulation did not arrive: {error}", simulation.label);
+                    ui.label(RichText::new(text).color(cx.palette.mismatch));
+                    if ui.button("Try again").clicked() {
+                        cx.store.retry_failed();
+                    }
+                });
+            }
         }
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Loading the station"),
-    };
-    cx.playback.duration_s = take.duration_s();
-    cx.playback.seek(cx.playback.time_s);
-    let (simulations, replays) = simulations(cx, &session, &take_id);
-    let lanes = match lanes_of(state, &take, replays, &station) {
-        Ok(lanes) => lanes,
-        Err(error) => return failed_ui(ui, cx, "This take cannot be drawn", &error),
-    };
-    if take.num_frames() == 0 {
-        let text = "It holds no joint frame, so there is nothing to draw.";
-        if super::empty_ui(ui, "This take is empty", text, "Choose another take") {
-            cx.go_to_screen(Screen::Sessions);
+
+        let key = (session, take_id);
+        let mut view = match self.view {
+            Some(view) if self.view_of.as_ref() == Some(&key) => view,
+            _ => TimeView::fit(take.duration_s()),
+        };
+        let channels = shown_channels(cx, &lanes);
+        let judged = simulations.iter().rev().find_map(|simulation| simulation.row);
+        let mismatches = judged.map(|sim| mismatches_of(self, &lanes, &channels, sim));
+        let mut jumped = false;
+        for command in commands {
+            let found = mismatches.as_deref().unwrap_or_default();
+            jumped |= run_command(command, cx, &mut view, found, &mut self.at_mismatch);
         }
-        return;
-    }
-    for simulation in &simulations {
-        if let Some(error) = &simulation.error {
-            ui.horizontal_wrapped(|ui| {
-                let text = format!("\u{26a0} The {} simulation did not arrive: {error}", simulation.label);
-                ui.label(RichText::new(text).color(cx.palette.mismatch));
-                if ui.button("Try again").clicked() {
-                    cx.store.retry_failed();
-                }
-            });
+        if cx.playback.playing {
+            view.reveal(cx.playback.time_s);
         }
+        // The mark lasts as long as the cursor stays where the jump put it.
+        let at = self.at_mismatch.and_then(|idx| {
+            let mismatch = *mismatches.as_deref()?.get(idx)?;
+            ((mismatch.start_s - cx.playback.time_s).abs() <= NEAR_S).then_some((idx, mismatch))
+        });
+        let picture = paint::Picture {
+            take: &take,
+            station: &station,
+            lanes: &lanes,
+            simulations: &simulations,
+            channels: &channels,
+            num_mismatches: mismatches.map(|found| found.len()),
+            at,
+            jumped,
+        };
+        paint::picture_ui(ui, cx, &picture, &mut view);
+        self.view = Some(view);
+        self.view_of = Some(key);
     }
 
-    let key = (session, take_id);
-    let mut view = match state.view {
-        Some(view) if state.view_of.as_ref() == Some(&key) => view,
-        _ => TimeView::fit(take.duration_s()),
-    };
-    let channels = shown_channels(cx, &lanes);
-    let judged = simulations.iter().rev().find_map(|simulation| simulation.row);
-    let mismatches = judged.map(|sim| mismatches_of(state, &lanes, &channels, sim));
-    let mut jumped = false;
-    for command in commands {
-        let found = mismatches.as_deref().unwrap_or_default();
-        jumped |= run_command(command, cx, &mut view, found, &mut state.at_mismatch);
+    fn take_command(&mut self, command: Command) {
+        self.commands.push(command);
     }
-    if cx.playback.playing {
-        view.reveal(cx.playback.time_s);
+
+    fn shown_span_s(&self) -> Option<f64> {
+        self.view.map(|view| view.span_s())
     }
-    // The mark lasts as long as the cursor stays where the jump put it.
-    let at = state.at_mismatch.and_then(|idx| {
-        let mismatch = *mismatches.as_deref()?.get(idx)?;
-        ((mismatch.start_s - cx.playback.time_s).abs() <= NEAR_S).then_some((idx, mismatch))
-    });
-    let picture = paint::Picture {
-        take: &take,
-        station: &station,
-        lanes: &lanes,
-        simulations: &simulations,
-        channels: &channels,
-        num_mismatches: mismatches.map(|found| found.len()),
-        at,
-        jumped,
-    };
-    paint::picture_ui(ui, cx, &picture, &mut view);
-    state.view = Some(view);
-    state.view_of = Some(key);
 }
 
 /// The simulations chosen, and the replays that are here.

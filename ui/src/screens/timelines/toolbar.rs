@@ -49,7 +49,7 @@ pub(super) fn toolbar_ui(
             let button = ui.button(text).on_hover_text(label);
             name_button(&button, label);
             if button.clicked() {
-                state.push_command(command);
+                state.commands.push(command);
                 ui.ctx().request_repaint();
             }
         }
