@@ -162,6 +162,10 @@ pub struct Store {
     recording: Loadable<Arc<RecordingDocument>>,
     /// A newer checklist is on its way.
     recording_asked: bool,
+    /// What was done since it was asked for has been answered already, so that it may be older than what is known.
+    recording_overtaken: bool,
+    /// The station has stopped streaming a recording, and the checklist was not asked for since.
+    recording_ended: bool,
     /// Revision of the checklist as the station streamed it last.
     streamed_revision: Option<u64>,
     /// When the newest live frame came: on the page's clock and the operator's.
@@ -517,7 +521,7 @@ impl Store {
             Request::SetLiveModel(body) => {
                 self.live_model = Loadable::from_result(result.map(|_| body.model));
             }
-            Request::Recording => self.receive_recording(parse_json(result)),
+            Request::Recording => self.receive_asked_recording(parse_json(result)),
             Request::StartRecording(_) => self.receive_acted(result),
             Request::ActOnRecording(action) => {
                 self.receive_acted(result);

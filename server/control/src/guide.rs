@@ -20,6 +20,16 @@ use crate::recorder::RecorderCommand;
 mod run;
 mod view;
 
+/// A degree of freedom of a plan.
+#[derive(Clone, Debug)]
+pub(crate) struct GuideJoint {
+    pub(crate) name: String,
+    /// How near to the start pose it has to be, rad or m.
+    pub(crate) near: f64,
+    /// `rad` or `m`.
+    pub(crate) unit: &'static str,
+}
+
 /// A plan, ready to be followed: its motions are planned.
 #[derive(Clone, Debug)]
 pub(crate) struct GuidePlan {
@@ -27,8 +37,8 @@ pub(crate) struct GuidePlan {
     pub(crate) id: String,
     /// Its steps, in order; at least one.
     pub(crate) steps: Vec<GuideStep>,
-    /// Name of each degree of freedom, and how near to the start pose it has to be, rad or m.
-    pub(crate) joints: Vec<(String, f64)>,
+    /// The degrees of freedom.
+    pub(crate) joints: Vec<GuideJoint>,
     /// Ids of the channels, in the layout's order.
     pub(crate) channels: Vec<String>,
     /// How long the baseline is captured, s.
@@ -540,15 +550,14 @@ impl Guide {
             return Some("not every joint has said where it is; check the devices".to_owned());
         };
         let start = &self.plan.steps[step].start;
-        let far =
-            self.plan.joints.iter().zip(start).zip(measured).map(|(((name, tolerance), start), measured)| {
-                // Not a number is as far as can be.
-                let distance = (measured - start).abs();
-                let times = distance / tolerance;
-                (name, distance, if times.is_finite() { times } else { f64::INFINITY })
-            });
-        let (name, distance, times) = far.max_by(|a, b| a.2.total_cmp(&b.2))?;
-        (times > 1.0).then(|| format!("joint {name:?} is {distance:.3} from its start position"))
+        let far = self.plan.joints.iter().zip(start).zip(measured).map(|((joint, start), measured)| {
+            // Not a number is as far as can be.
+            let distance = (measured - start).abs();
+            let times = distance / joint.near;
+            (joint, distance, if times.is_finite() { times } else { f64::INFINITY })
+        });
+        let (GuideJoint { name, unit, .. }, distance, times) = far.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        (times > 1.0).then(|| format!("joint {name:?} is {distance:.3} {unit} from its start position"))
     }
 
     /// Makes `step` the one under way.

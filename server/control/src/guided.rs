@@ -23,7 +23,7 @@ use palpate_wire::{
 use crate::{
     error::ControlError,
     follow::Follow,
-    guide::{Effect, Guide, GuidePlan, GuideStep},
+    guide::{Effect, Guide, GuideJoint, GuidePlan, GuideStep},
     prepare::{AddedStep, Prepared},
     recorder::{Recorder, RecorderConfig},
 };
@@ -379,7 +379,8 @@ fn guide_plan(station: &Station, prepared: &Prepared) -> Result<GuidePlan, Contr
             (true, _) => NEAR_CARRIER,
             (false, _) => NEAR_HAND,
         };
-        (joint.name.clone(), near)
+        let unit = if joint.kind == JointKind::Prismatic { "m" } else { "rad" };
+        GuideJoint { name: joint.name.clone(), near, unit }
     });
     Ok(GuidePlan {
         id: plan.id.clone(),

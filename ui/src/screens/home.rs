@@ -228,7 +228,12 @@ fn facts(cx: &mut ScreenContext<'_>) -> Loadable<Facts> {
     let (Some(me), Some(sessions), Some(models), Some(runs), Some(diagnoses), Some(campaigns)) = all else {
         return Loadable::Loading;
     };
-    let newest = next::newest_session(sessions).map(|session| {
+    let recording = if commandable { cx.store.recording() } else { Loadable::Idle };
+    let recording = recording.ready();
+    let recorded = recording.and_then(|document| document.session.as_ref());
+    let recorded = recorded.filter(|session| session.current.is_some());
+    let recorded_id = recorded.map(|session| session.session.as_str());
+    let newest = next::newest_session(sessions, recorded_id).map(|session| {
         let diagnosis = next::newest_run(diagnoses, &session.id);
         // Only of the one that may be waiting to be looked at.
         let unsaved = diagnosis.as_ref().filter(|run| run.state == JobState::Done && run.saved_as.is_none());
@@ -247,14 +252,10 @@ fn facts(cx: &mut ScreenContext<'_>) -> Loadable<Facts> {
     });
     // What is next does not wait for it.
     let working = cx.store.jobs.list().ready().map_or_else(Vec::new, |jobs| working_now(jobs));
-    let recording = if commandable { cx.store.recording() } else { Loadable::Idle };
-    let recording = recording.ready();
     Loadable::Ready(Facts {
         role: Some(me.role),
         commandable,
-        recording: recording.is_some_and(|document| {
-            document.session.as_ref().is_some_and(|session| session.current.is_some())
-        }),
+        recording: recorded.is_some(),
         wanted: recording.map_or(0, |document| document.wanted.len()),
         newest,
         campaigns: campaigns.iter().filter_map(CampaignFacts::of).collect(),

@@ -106,7 +106,7 @@ impl Store {
     pub(super) fn receive_acted(&mut self, result: Result<Vec<u8>, String>) {
         self.recording_busy = false;
         match result {
-            Ok(body) => self.receive_recording(parse_json(Ok(body))),
+            Ok(body) => self.receive_done(body),
             Err(problem) => self.recording_problem = Some(problem),
         }
     }
@@ -115,14 +115,34 @@ impl Store {
     pub(super) fn receive_wanted(&mut self, result: Result<Vec<u8>, String>) {
         self.wanted_busy = false;
         match result {
-            Ok(body) => self.receive_recording(parse_json(Ok(body))),
+            Ok(body) => self.receive_done(body),
             Err(problem) => self.wanted_problem = Some(problem),
         }
     }
 
-    /// Answers overtake each other: an older checklist never replaces a newer one of the same station.
-    pub(super) fn receive_recording(&mut self, recording: Loadable<RecordingDocument>) {
+    /// The checklist as it is after what was done.
+    fn receive_done(&mut self, body: Vec<u8>) {
+        self.receive_recording(parse_json(Ok(body)));
+        self.recording_overtaken |= self.recording_asked;
+    }
+
+    /// The checklist that was asked for; asked for once more where it may be of before something was done.
+    pub(super) fn receive_asked_recording(&mut self, recording: Loadable<RecordingDocument>) {
         self.recording_asked = false;
+        if std::mem::take(&mut self.recording_overtaken) {
+            return self.ask_recording();
+        }
+        self.receive_recording(recording);
+    }
+
+    fn ask_recording(&mut self) {
+        self.recording_asked = true;
+        self.recording_ended = false;
+        self.outbox.push(Request::Recording);
+    }
+
+    /// Answers overtake each other: an older checklist never replaces a newer one of the same station.
+    fn receive_recording(&mut self, recording: Loadable<RecordingDocument>) {
         let newest = self.streamed_revision;
         if let (Some(known), Some(new)) = (self.recording.ready(), recording.ready())
             && new.revision < known.revision
@@ -155,15 +175,14 @@ impl Store {
         self.control.follow(state, now_s);
         self.notice.follow(state, time_of_day);
         let newest = state.recording.as_ref().map(|status| status.revision);
-        let ended = newest.is_none() && self.streamed_revision.is_some();
+        self.recording_ended |= newest.is_none() && self.streamed_revision.is_some();
         self.streamed_revision = newest;
         let Some(known) = self.recording.ready().map(|document| document.revision) else { return };
-        if (ended || newest.is_some_and(|newest| newest != known))
+        if (self.recording_ended || newest.is_some_and(|newest| newest != known))
             && !self.recording_asked
             && !self.recording_busy
         {
-            self.recording_asked = true;
-            self.outbox.push(Request::Recording);
+            self.ask_recording();
         }
     }
 }

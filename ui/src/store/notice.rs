@@ -1,6 +1,8 @@
 //! Keeps the station's reason to hold, stop or disarm, with the time and the name of who had control, until somebody has
 //! read it.
 
+use std::collections::BTreeSet;
+
 use palpate_wire::proto::{ControlState, control_state::Phase};
 
 /// The safety layer says this, with a verb before it, where heartbeats of the operator's page stayed away.
@@ -15,34 +17,41 @@ pub struct Notice {
     at: String,
     /// Who had control when it was first told, or last before; empty for nobody.
     holder: String,
-    dismissed: bool,
+    /// What has been told since all was well last, part by part: one of several may come and go.
+    told: BTreeSet<String>,
+    /// What of it somebody has read.
+    read: BTreeSet<String>,
     last_holder: String,
 }
 
 impl Notice {
     /// Takes in what the station says now.
     pub(super) fn follow(&mut self, state: &ControlState, time_of_day: &str) {
-        // Seconds in a reason may count on; it is the same reason all the same.
-        if without_digits(&state.reason) != without_digits(&self.reason) {
+        let parts = parts(&state.reason);
+        if !parts.is_subset(&self.told) {
             time_of_day.clone_into(&mut self.at);
             let holder = if state.holder.is_empty() { &self.last_holder } else { &state.holder };
             self.holder = holder.clone();
-            self.dismissed = false;
         }
+        if parts.is_empty() {
+            self.told.clear();
+            self.read.clear();
+        }
+        self.told.extend(parts);
         state.reason.clone_into(&mut self.reason);
         if !state.holder.is_empty() {
             state.holder.clone_into(&mut self.last_holder);
         }
         // What keeps a robot from moving, or moved it last, is read again when it comes again.
         if may_move(state.phase()) {
-            self.dismissed = false;
+            self.read.clear();
         }
     }
 
     /// What must be read: the words before the reason (when, and whose page went silent), and the reason. `None` when all
     /// is well, or once it was dismissed.
     pub fn text(&self) -> Option<(String, &str)> {
-        if self.reason.is_empty() || self.dismissed {
+        if parts(&self.reason).is_subset(&self.read) {
             return None;
         }
         let when = match (self.holder.as_str(), self.reason.contains(SILENCE)) {
@@ -60,7 +69,7 @@ impl Notice {
 
     /// Somebody has read it. It comes back when the station tells another reason.
     pub fn dismiss(&mut self) {
-        self.dismissed = true;
+        self.read.extend(parts(&self.reason));
     }
 }
 
@@ -68,8 +77,10 @@ fn may_move(phase: Phase) -> bool {
     matches!(phase, Phase::Arming | Phase::Armed | Phase::Holding | Phase::Disarming)
 }
 
-fn without_digits(text: &str) -> String {
-    text.chars().filter(|c| !c.is_ascii_digit()).collect()
+/// The parts of a reason. Digits do not count: seconds in a reason may count on, and it is the same reason all the same.
+fn parts(reason: &str) -> BTreeSet<String> {
+    let parts = reason.split("; ").filter(|part| !part.is_empty());
+    parts.map(|part| part.chars().filter(|c| !c.is_ascii_digit()).collect()).collect()
 }
 
 #[cfg(test)]
@@ -101,6 +112,26 @@ mod tests {
         assert_eq!(notice.text(), None, "it was read");
         notice.follow(&state(Phase::Disarmed, "Bo", "device \"xarm\" is lost"), "10:00:04");
         assert_eq!(notice.text().map(|(when, _)| when).as_deref(), Some("10:00:04, while Bo had control:"));
+    }
+
+    #[test]
+    fn what_was_read_stays_read_while_something_beside_it_comes_and_goes() {
+        let mut notice = Notice::default();
+        let mut follow =
+            |notice: &mut Notice, reason, at| notice.follow(&state(Phase::Disarmed, "", reason), at);
+        follow(&mut notice, "servo 6 stopped itself", "10:00:00");
+        follow(&mut notice, "servo 6 stopped itself; the audit log is full", "10:00:01");
+        assert_eq!(notice.text().map(|(when, _)| when).as_deref(), Some("10:00:01:"), "something was added");
+        notice.dismiss();
+        for (reason, at) in [
+            ("servo 6 stopped itself", "10:00:02"),
+            ("servo 6 stopped itself; the audit log is full", "10:00:03"),
+        ] {
+            follow(&mut notice, reason, at);
+            assert_eq!(notice.text(), None, "{reason}");
+        }
+        follow(&mut notice, "servo 6 stopped itself; the disk is full", "10:00:04");
+        assert!(notice.text().is_some(), "nobody has read of the disk");
     }
 
     #[test]

@@ -2,7 +2,10 @@
 
 use egui::{Key, accesskit::Role};
 use egui_kittest::kittest::Queryable as _;
-use palpate_ui::{api_client::Request, route::Screen};
+use palpate_ui::{
+    api_client::{ApiEvent, Request},
+    route::Screen,
+};
 use palpate_wire::{
     api::{
         PlanSummary, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, RecordingStep,
@@ -351,7 +354,7 @@ fn a_running_take_shows_progress_coverage_and_losses_and_takes_notes() {
         ..Default::default()
     });
     bench.tell();
-    bench.harness.get_by_label("slide, index tip");
+    bench.harness.get_by_label("Slide, index tip");
     bench.harness.get_by_label_contains("5 samples lost");
     bench.harness.get_by_label_contains("make room");
     bench.harness.get_by_label_contains("3 channels in this take");
@@ -436,6 +439,29 @@ fn the_newest_checklist_is_fetched_when_the_station_says_that_it_changed() {
     bench.harness.get_by_label("Bring the robot to its start");
     let asked = std::mem::take(&mut bench.api.0.borrow_mut().sent);
     assert_eq!(asked.iter().filter(|request| **request == Request::Recording).count(), 1);
+}
+
+#[test]
+fn a_checklist_that_was_overtaken_by_leaving_the_session_is_asked_for_again() {
+    let mut bench = armed(RecordingPhase::PlaceObject);
+    bench.api.0.borrow_mut().silent = true;
+    bench.state.recording =
+        Some(RecordingStatus { revision: 8, phase: "start_pose".to_owned(), ..Default::default() });
+    bench.tell();
+    bench.click("Leave session");
+    let answer = |document: &RecordingDocument| Ok(serde_json::to_vec(document).expect("it serialises"));
+    let left = RecordingDocument { revision: 9, session: None, ..document(RecordingPhase::PlaceObject) };
+    let old = RecordingDocument { revision: 8, ..document(RecordingPhase::StartPose) };
+    let leave = Request::ActOnRecording(RecordingAction::Leave);
+    bench.state.recording = None;
+    deliver(&bench.api, [ApiEvent::Answer { request: leave, result: answer(&left) }]);
+    bench.tell();
+    let sent = std::mem::take(&mut bench.api.0.borrow_mut().sent);
+    assert_eq!(sent.iter().filter(|request| **request == Request::Recording).count(), 1, "{sent:?}");
+    deliver(&bench.api, [ApiEvent::Answer { request: Request::Recording, result: answer(&old) }]);
+    bench.harness.run_steps(2);
+    bench.harness.get_by_label("Record a calibration session");
+    assert!(bench.api.0.borrow().sent.contains(&Request::Recording), "what came was old");
 }
 
 #[test]

@@ -36,7 +36,10 @@ fn plan() -> GuidePlan {
             step("ball", "roll", vec![1]),
             step("wedge", "tap", vec![2]),
         ],
-        joints: vec![("slide".to_owned(), 0.005), ("curl".to_owned(), 0.05)],
+        joints: vec![
+            GuideJoint { name: "slide".to_owned(), near: 0.005, unit: "m" },
+            GuideJoint { name: "curl".to_owned(), near: 0.05, unit: "rad" },
+        ],
         channels: ["a", "b", "c"].map(str::to_owned).to_vec(),
         baseline_s: 1.0,
         countdown_s: 3.0,
@@ -383,10 +386,10 @@ fn what_is_not_possible_now_is_refused_with_what_is() {
     refused(
         &mut bench,
         run.clone(),
-        "joint \"curl\" is 0.200 from its start position; go to the start pose first",
+        "joint \"curl\" is 0.200 rad from its start position; go to the start pose first",
     );
     bench.measured = vec![f64::NAN, -0.5];
-    refused(&mut bench, run.clone(), "joint \"slide\" is NaN from its start position");
+    refused(&mut bench, run.clone(), "joint \"slide\" is NaN m from its start position");
     bench.measured = vec![0.1, -0.5];
     bench.act(run.clone()).unwrap();
     refused(&mut bench, run, "a take is being recorded; wait for its end, or cancel");
@@ -513,7 +516,7 @@ fn a_robot_that_is_pushed_away_before_the_motion_does_not_jump() {
     bench.tick(3.0);
     bench.answer();
     assert!(
-        bench.session().problem.contains("joint \"curl\" is 1.000 from its start"),
+        bench.session().problem.contains("joint \"curl\" is 1.000 rad from its start"),
         "{:?}",
         bench.session()
     );

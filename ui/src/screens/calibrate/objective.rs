@@ -46,7 +46,7 @@ fn empty(painter: &egui::Painter, palette: &Palette, inner: Rect, text: &str) {
 fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: egui::Vec2) {
     let objective = &report.objective;
     let (alphas, lambdas) = (&objective.alphas_per_m, &objective.lambda_pres_pa);
-    let title = "Mismatch of pressure taxels (bright is better)";
+    let title = "Pressure mismatch (bright is better)";
     let (inner, response, painter) = frame(ui, palette, size, title);
     let name = format!(
         "Objective over alpha and lambda_pre; optimum at alpha {:.0} per m, lambda_pre {:.0} Pa",
@@ -110,7 +110,7 @@ fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size:
 fn curve_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: egui::Vec2) {
     let objective = &report.objective;
     let (lambdas, values) = (&objective.lambda_cons_m, &objective.proximity_l1);
-    let title = "Mismatch of proximity patches";
+    let title = "Proximity mismatch";
     let (inner, response, painter) = frame(ui, palette, size, title);
     let name = format!("Objective over lambda_con; optimum at {:.2} mm", report.theta.lambda_con_m * 1e3);
     response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, &name));

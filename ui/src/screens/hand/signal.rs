@@ -129,11 +129,13 @@ impl Sample {
 
 /// A reading with its unit and sensible digits.
 pub(super) fn reading_text(reading: f32, raw_unit: &str, kind: SensorKind, signal: Signal) -> String {
+    // Zero added makes 0 of the -0 that a small negative number is rounded to.
+    let rounded = reading.round() + 0.0;
     match (signal, kind) {
-        (Signal::Real, _) => format!("{reading:.0} {raw_unit}"),
+        (Signal::Real, _) => format!("{rounded:.0} {raw_unit}"),
         (_, SensorKind::Proximity) => format!("{:.1} mm", reading * 1e3),
         (_, SensorKind::Pressure) if reading.abs() >= 1e3 => format!("{:.2} kPa", reading / 1e3),
-        (_, SensorKind::Pressure) => format!("{reading:.0} Pa"),
+        (_, SensorKind::Pressure) => format!("{rounded:.0} Pa"),
     }
 }
 

@@ -18,7 +18,7 @@ pub struct Facts {
     pub recording: bool,
     /// Takes that a diagnosis asked for.
     pub wanted: usize,
-    /// The newest session that can be opened.
+    /// The newest session that can be opened, holds takes and is not being recorded.
     pub newest: Option<SessionFacts>,
     /// Campaigns that can be read, newest first.
     pub campaigns: Vec<CampaignFacts>,
@@ -308,9 +308,16 @@ fn of_session(session: &SessionFacts, working: &[String]) -> Option<Step> {
     }
 }
 
-/// The session that was recorded last, of those that can be opened.
-pub fn newest_session(sessions: &[SessionSummary]) -> Option<&SessionSummary> {
-    sessions.iter().filter(|session| session.error.is_none()).max_by(|a, b| a.recorded.cmp(&b.recorded))
+/// The session that was recorded last, of those that can be opened and hold something. The one that is being `recorded`
+/// is not through yet.
+pub fn newest_session<'a>(
+    sessions: &'a [SessionSummary],
+    recorded: Option<&str>,
+) -> Option<&'a SessionSummary> {
+    let is_usable = |session: &&SessionSummary| {
+        session.error.is_none() && session.takes > 0 && recorded != Some(&session.id)
+    };
+    sessions.iter().filter(is_usable).max_by(|a, b| a.recorded.cmp(&b.recorded))
 }
 
 /// The newest run about `session`; runs come newest first.

@@ -115,8 +115,9 @@ fn form_ui(
         Holder::Nobody => take_control_ui(ui, cx),
         Holder::Me => {
             let live = cx.store.control.is_open() && cx.store.frozen_since(cx.now_s).is_none();
-            let ready = problem.is_none() && live && !cx.store.recording_busy;
-            let face = "Start session  (Enter)";
+            let starts = cx.store.recording_busy;
+            let ready = problem.is_none() && live && !starts;
+            let face = if starts { "Starting\u{2026}" } else { "Start session  (Enter)" };
             let clicked = primary_button_ui(ui, &cx.palette, "Start session", face, ready).clicked();
             let enter = enter || {
                 let free = ui.memory(|memory| memory.focused().is_none());

@@ -10,7 +10,7 @@ use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{
     route::{Route, Screen},
     screens::{
-        ScreenContext, duration_text,
+        ScreenContext, as_sentence, duration_text,
         hand::{Placement, PlacementView},
         progress_bar,
     },
@@ -183,7 +183,7 @@ fn countdown_ui(ui: &mut egui::Ui, left_s: f32, palette: &Palette) {
 fn running_ui(ui: &mut egui::Ui, scene: &Scene<'_>, step: &RecordingStep) {
     let status = &scene.status;
     let activity = if status.activity.is_empty() { "Recording" } else { &status.activity };
-    big_ui(ui, activity);
+    big_ui(ui, &as_sentence(activity));
     let fraction = status.fraction.clamp(0.0, 1.0);
     let left_s = step.duration_s * f64::from(1.0 - fraction);
     let text = format!("{:.0} %, {} left", fraction * 100.0, duration_text(left_s));

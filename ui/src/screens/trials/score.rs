@@ -8,7 +8,7 @@ use crate::{
     api_client::CampaignAct,
     playback::HandSource,
     route::{Route, Screen},
-    screens::{ScreenContext, duration_text},
+    screens::{ScreenContext, as_sentence, duration_text},
 };
 
 /// Verdicts, their keys and what they mean.
@@ -143,7 +143,8 @@ fn trial_ui(
     ui.add_space(6.0);
     let free = !cx.store.campaigns.is_busy;
     for (verdict, key, letter, meaning) in KEYS {
-        let text = RichText::new(format!("{letter}   {}", capitalised(verdict.label()))).strong();
+        let text =
+            RichText::new(format!("{letter}   {}", crate::screens::as_sentence(verdict.label()))).strong();
         let button = egui::Button::new(text)
             .right_text(RichText::new(""))
             .min_size(egui::vec2(ui.available_width().min(420.0), 44.0));
@@ -168,11 +169,6 @@ fn trial_ui(
             break;
         }
     }
-}
-
-fn capitalised(label: &str) -> String {
-    let mut letters = label.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 fn live_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
