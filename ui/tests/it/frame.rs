@@ -309,6 +309,24 @@ fn screens_without_the_live_hand_draw_the_stream_less_often() {
 }
 
 #[test]
+fn on_a_phone_the_hand_has_every_taxel_and_nothing_over_another() {
+    let window = FakeWindow::at("#/hand/bench-1?take=take-01");
+    let harness = page_of(&full_api(), &window, [390.0, 844.0]);
+    let rects = |names: &[&str]| {
+        names.iter().map(|name| harness.get_by_label(name).rect()).collect::<Vec<egui::Rect>>()
+    };
+    let row = rects(&["One frame back", "Play", "One frame on"]);
+    assert!(row.is_sorted_by(|left, right| left.right() <= right.left()), "{row:?}");
+    let slider = rects(&["Time in the take"])[0];
+    assert!(slider.bottom() <= row[0].top() && slider.width() > 200.0, "{slider:?}");
+    let taxels: Vec<egui::Rect> =
+        harness.get_all_by_label_contains("not active").map(|taxel| taxel.rect()).collect();
+    assert_eq!(taxels.len(), crate::fixture::station().layout.num_channels());
+    let page = egui::Rect::from_min_max(egui::pos2(68.0, 200.0), egui::pos2(390.0, slider.top()));
+    assert!(taxels.iter().all(|taxel| page.contains_rect(*taxel)), "{taxels:?}");
+}
+
+#[test]
 fn a_button_that_is_pressed_for_long_is_pressed() {
     let mut harness = page(&full_api(), &FakeWindow::at("#/home"));
     let pos = harness.get_by_role_and_label(Role::Button, "Jobs").rect().center();

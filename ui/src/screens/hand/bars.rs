@@ -1,6 +1,6 @@
 //! Rows around the picture: where the data comes from, named views, what colours mean, live rates.
 
-use egui::{Align, Layout, RichText, accesskit::Role};
+use egui::{RichText, accesskit::Role};
 use palpate_robot_model::Station;
 use palpate_wire::wording;
 
@@ -187,7 +187,7 @@ pub(super) fn legend_ui(
 /// Measured rates of the live station.
 pub(super) fn live_rates_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, station: &Station) {
     let Some(frame) = cx.store.live_frame() else { return };
-    ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label(format!("Running for {}", duration_text(frame.time_s)));
         let names = std::iter::once("joints")
             .chain(station.layout.streams.iter().map(|stream| stream.label.as_str()));

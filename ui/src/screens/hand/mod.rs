@@ -55,6 +55,7 @@ use super::{
     empty_ui, ensure_take_ui, failed_ui, loading_ui, words,
 };
 use crate::{
+    app::is_narrow,
     playback::{HandSource, ModelRef},
     route::Screen,
     store::Loadable,
@@ -79,6 +80,9 @@ pub const ABOUT: About = About {
     shows_stream: true,
     new: || Box::<HandState>::default(),
 };
+
+/// On a narrow page: how much of the height the map has, below the picture.
+const BELOW: f32 = 0.6;
 
 /// What the screen remembers between frames.
 #[derive(Default)]
@@ -446,10 +450,16 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         replays: [0, 1, 2].map(|idx| shot.replays[idx].as_deref()),
     };
 
+    // A phone is for looking: the map stands below the picture, and nothing is moved from it.
+    let narrow = is_narrow(ui.ctx());
     let frame = egui::Frame::NONE;
     Panel::top("hand_controls").frame(frame).show_separator_line(false).show(ui, |ui| {
         controls_ui(ui, cx, state, shot, residual.is_some());
-        views_ui(ui, state, &geometry, &moment);
+        if narrow {
+            ui.collapsing("View", |ui| views_ui(ui, state, &geometry, &moment));
+        } else {
+            views_ui(ui, state, &geometry, &moment);
+        }
         ui.add_space(4.0);
     });
     Panel::bottom("hand_transport").frame(frame).show_separator_line(false).show(ui, |ui| {
@@ -459,42 +469,39 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
             None => live_rates_ui(ui, cx, &shot.station),
         }
     });
-    let commandable = shot.take.is_none() && cx.store.control_state().is_some();
+    let commandable = shot.take.is_none() && cx.store.control_state().is_some() && !narrow;
+    let side = if narrow {
+        Panel::bottom("hand_below").exact_size((ui.available_height() * BELOW).floor())
+    } else {
+        Panel::right("hand_side").exact_size(if commandable { CONTROL_WIDTH } else { SIDE_WIDTH })
+    };
     // Filled, as lists that scroll fade into the colour of their panel.
-    Panel::right("hand_side")
-        .frame(frame.fill(palette.background))
-        .resizable(false)
-        .exact_size(if commandable { CONTROL_WIDTH } else { SIDE_WIDTH })
-        .show_separator_line(false)
-        .show(ui, |ui| {
-            let map = FlatMap {
-                station: &shot.station,
-                samples,
-                real: (signal != Signal::Real && !shown.is_empty()).then_some(shot.real.as_slice()),
-                signal,
-                colors: &colors,
-                name: &name,
-            };
-            let full_scale = residual.as_ref().map(|residual| residual.full_scale_per_s);
-            let tab = if commandable { tabs_ui(ui, &mut state.tab) } else { SideTab::Touch };
-            if tab == SideTab::Touch {
-                side_ui(ui, cx, &map, &details, (coloring, full_scale));
-                return;
-            }
-            let controls = state.controls_of(&shot.station);
-            let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
-            ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
-                egui::ScrollArea::vertical().id_salt(tab.label()).auto_shrink(false).show(
-                    ui,
-                    |ui| match tab {
-                        SideTab::Control => {
-                            control_panel_ui(ui, cx, &mut state.panel, &controls, &shot.positions);
-                        }
-                        _ => devices_ui(ui, cx),
-                    },
-                );
+    side.frame(frame.fill(palette.background)).resizable(false).show_separator_line(false).show(ui, |ui| {
+        let map = FlatMap {
+            station: &shot.station,
+            samples,
+            real: (signal != Signal::Real && !shown.is_empty()).then_some(shot.real.as_slice()),
+            signal,
+            colors: &colors,
+            name: &name,
+        };
+        let full_scale = residual.as_ref().map(|residual| residual.full_scale_per_s);
+        let tab = if commandable { tabs_ui(ui, &mut state.tab) } else { SideTab::Touch };
+        if tab == SideTab::Touch {
+            side_ui(ui, cx, &map, &details, (coloring, full_scale));
+            return;
+        }
+        let controls = state.controls_of(&shot.station);
+        let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
+        ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
+            egui::ScrollArea::vertical().id_salt(tab.label()).auto_shrink(false).show(ui, |ui| match tab {
+                SideTab::Control => {
+                    control_panel_ui(ui, cx, &mut state.panel, &controls, &shot.positions);
+                }
+                _ => devices_ui(ui, cx),
             });
         });
+    });
     egui::CentralPanel::default().frame(egui::Frame::NONE).show(ui, |ui| {
         let rect = ui.available_rect_before_wrap();
         if rect.width() < 40.0 || rect.height() < 40.0 {
@@ -556,7 +563,8 @@ fn side_ui(
     scale: (Coloring, Option<f64>),
 ) {
     let room = ui.available_rect_before_wrap().shrink2(egui::vec2(8.0, 0.0));
-    let map_height = (room.height() * 0.52).clamp(120.0, 420.0);
+    let share = if is_narrow(ui.ctx()) { 0.68 } else { 0.52 };
+    let map_height = (room.height() * share).clamp(120.0, 420.0);
     let rect = egui::Rect::from_min_size(room.min, egui::vec2(room.width(), map_height));
     ui.scope_builder(egui::UiBuilder::new().max_rect(room), |ui| {
         flat_map_ui(ui, rect, map, cx.playback, &cx.palette);

@@ -3,6 +3,7 @@
 use egui::RichText;
 
 use crate::{
+    app::is_narrow,
     playback::Playback,
     screens::{
         controls::{name_button, speed_ui},
@@ -12,8 +13,12 @@ use crate::{
     theme::Palette,
 };
 
-/// One row of controls. Keys for the same: space, comma, full stop.
+/// One row of controls; on a narrow page the slider has a row of its own. Keys for the same: space, comma, full stop.
 pub(super) fn transport_ui(ui: &mut egui::Ui, playback: &mut Playback, take: &TakeData, palette: &Palette) {
+    let narrow = is_narrow(ui.ctx());
+    if narrow {
+        slider_ui(ui, playback);
+    }
     ui.horizontal(|ui| {
         let square = egui::vec2(36.0, 32.0);
         let named = |ui: &mut egui::Ui, text: &str, name: &str, size: egui::Vec2| {
@@ -35,28 +40,35 @@ pub(super) fn transport_ui(ui: &mut egui::Ui, playback: &mut Playback, take: &Ta
 
         ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
             speed_ui(ui, playback);
-            let total = duration_text(playback.duration_s);
-            ui.label(RichText::new(format!("of {total}")).color(palette.text_weak));
+            if !narrow {
+                let total = duration_text(playback.duration_s);
+                ui.label(RichText::new(format!("of {total}")).color(palette.text_weak));
+            }
             ui.add_sized(
-                [86.0, 20.0],
+                [if narrow { 64.0 } else { 86.0 }, 20.0],
                 egui::Label::new(RichText::new(time_text(playback.time_s)).monospace()),
             );
-
-            ui.spacing_mut().slider_width = (ui.available_width() - 8.0).max(80.0);
-            let mut time_s = playback.time_s;
-            let slider =
-                egui::Slider::new(&mut time_s, 0.0..=playback.duration_s.max(1e-3)).show_value(false);
-            let response = ui.add(slider);
-            let value = time_text(playback.time_s);
-            ui.ctx().accesskit_node_builder(response.id, |node| {
-                node.set_label("Time in the take");
-                node.set_value(value.clone());
-            });
-            if response.changed() {
-                playback.seek(time_s);
+            if !narrow {
+                slider_ui(ui, playback);
             }
         });
     });
+}
+
+/// Drags the time in the take, as wide as there is room.
+fn slider_ui(ui: &mut egui::Ui, playback: &mut Playback) {
+    ui.spacing_mut().slider_width = (ui.available_width() - 8.0).max(80.0);
+    let mut time_s = playback.time_s;
+    let slider = egui::Slider::new(&mut time_s, 0.0..=playback.duration_s.max(1e-3)).show_value(false);
+    let response = ui.add(slider);
+    let value = time_text(playback.time_s);
+    ui.ctx().accesskit_node_builder(response.id, |node| {
+        node.set_label("Time in the take");
+        node.set_value(value.clone());
+    });
+    if response.changed() {
+        playback.seek(time_s);
+    }
 }
 
 /// `12.34 s`, or `2:05.30` from a minute on: the same width while it runs.

@@ -10,10 +10,12 @@ use super::{
     lanes::{Mismatch, TakeLanes},
     view::{TimeView, tick_text, ticks},
 };
-use crate::take_data::TakeData;
+use crate::{app::is_narrow, take_data::TakeData};
 
 /// Width of the names left of the lanes, points.
 const NAMES_WIDTH: f32 = 216.0;
+/// The same on a narrow page.
+const NARROW_NAMES_WIDTH: f32 = 140.0;
 const RULER_HEIGHT: f32 = 40.0;
 const MIN_TICK_PX: f32 = 90.0;
 /// How far the wheel turns for a zoom by e, points.
@@ -70,8 +72,9 @@ pub(super) fn picture_ui(
     legend_ui(ui, cx, picture);
     let area = ui.available_rect_before_wrap();
     // The scroll bar of the channels lies to the right of the plot.
-    let width = (area.width() - NAMES_WIDTH - ui.spacing().scroll.allocated_width()).max(50.0);
-    let plot = Rect::from_min_size(area.min + vec2(NAMES_WIDTH, 0.0), vec2(width, area.height()));
+    let names = if is_narrow(ui.ctx()) { NARROW_NAMES_WIDTH } else { NAMES_WIDTH };
+    let width = (area.width() - names - ui.spacing().scroll.allocated_width()).max(50.0);
+    let plot = Rect::from_min_size(area.min + vec2(names, 0.0), vec2(width, area.height()));
     wheel(ui, plot, view);
     let axis = Axis { view: *view, left: plot.left(), width };
 
@@ -246,10 +249,16 @@ fn ruler_ui(
     }
     let names = Rect::from_min_max(row.min, pos2(axis.left - 8.0, row.bottom()));
     let frame = picture.take.frame_at(time_s).map_or(0, |frame| frame + 1);
+    let time = format!("{time_s:.3} s");
+    let text = if is_narrow(ui.ctx()) {
+        time
+    } else {
+        format!("{time}, frame {frame}/{}", picture.take.num_frames())
+    };
     ui.painter().with_clip_rect(names).text(
         names.left_center(),
         Align2::LEFT_CENTER,
-        format!("{time_s:.3} s, frame {frame}/{}", picture.take.num_frames()),
+        text,
         FontId::monospace(13.0),
         cx.palette.real,
     );
