@@ -4,7 +4,7 @@
 //! independent parts, because `lambda_con` acts on proximity channels only and `(alpha, lambda_pre)` on pressure
 //! channels only. For a fixed alpha each part compares precomputed scores with one threshold, so that the objective is
 //! a step function of it that changes at the scores alone: [`Ranked`] sorts them once and knows it for every real
-//! threshold. [`exact`] therefore searches alpha only; [`grid`] is the paper's method, and counts every point afresh.
+//! threshold. [`exact()`] therefore searches alpha only; [`grid()`] is the paper's method, and counts every point afresh.
 //!
 //! Admissible thresholds are those of a sensor model file: `lambda_con` up to [`palpate_sim::replay::NEAR_M`] and
 //! `lambda_pre` from zero (a negative one would make every taxel active without any touch).

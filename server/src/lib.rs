@@ -1,6 +1,6 @@
 //! The studio's server and everything the `palpate` command line does.
 //!
-//! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve`] binds it to a socket. The folder
+//! [`app`] is the whole HTTP service as an axum router over an [`AppState`]; [`serve()`] binds it to a socket. The folder
 //! `http` uses the state, the state uses `station`, `jobs` and `data`. Long work lives in [`jobs`], which the command
 //! line and the server call alike. Data is plain files below one folder ([`Store`]): `sessions/`, `models/`, `objects/`
 //! (one's own), `runs/` (a folder a job), `bars/`, and `trash/` for what was deleted. The table of jobs is a database

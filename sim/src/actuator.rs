@@ -1,6 +1,6 @@
 //! A joint and the servo that drives it: goal position in, joint position out.
 //!
-//! [`Plant`] is everything that the model knows of one actuator; [`rollout`] drives it. An effect of [`ACTUATOR`] is a
+//! [`Plant`] is everything that the model knows of one actuator; [`rollout()`] drives it. An effect of [`ACTUATOR`] is a
 //! change of the plant, one module each, as data in [`Effect`]: like the tactile ones they compose.
 
 mod armature_inertia;

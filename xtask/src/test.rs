@@ -97,7 +97,7 @@ impl Tests {
     }
 }
 
-/// Formatting, lints with warnings denied, whether `palpate` compiles by itself, and every test.
+/// Formatting, lints and documentation with warnings denied, whether `palpate` compiles by itself, and every test.
 pub(crate) fn check() -> anyhow::Result<()> {
     let (root, begun) = (paths::root(), Instant::now());
     skip::check()?;
@@ -115,6 +115,15 @@ pub(crate) fn check() -> anyhow::Result<()> {
         let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;
         linted.and(built.map(drop))
     })?;
+    // Links in the documentation lead somewhere. It shares its work on dependencies with the lints.
+    let mut documents = shell::cargo(&root);
+    documents
+        .args(["doc", "--no-deps", "--document-private-items", "--workspace"])
+        .env("RUSTDOCFLAGS", "--deny warnings --allow rustdoc::private_intra_doc_links");
+    if let Some(dir) = grasp_world()? {
+        mujoco::add(&mut documents, &dir);
+    }
+    shell::run(&mut documents)?;
     build::check_alone()?;
     let tested = run(&TestArgs { filter: None });
     shell::print_long_steps(begun);

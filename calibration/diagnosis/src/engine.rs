@@ -12,7 +12,7 @@
 //! - [`choose`]: what to name of what was tried
 //! - [`merge`]: one name for what several explain in parts
 //! - [`reconsider`]: a second look at names that little tells apart
-//! - [`name`]: rounds of screening and fitting, until nothing reaches the bar
+//! - [`mod@name`]: rounds of screening and fitting, until nothing reaches the bar
 
 mod adequacy;
 mod agreement;

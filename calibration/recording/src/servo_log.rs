@@ -78,9 +78,9 @@ impl ServoLog {
         paths.iter().map(|path| Self::read(path)).collect()
     }
 
-    /// Reads a log in the format of BAM's raw recordings (github.com/Rhoban/bam): one JSON object with `mass` [kg],
-    /// `length` [m], `kp` [register], `vin` [V], `motor`, `trajectory` and `entries`, each with `timestamp` [s],
-    /// `position` [rad], `goal_position` [rad], `torque_enable`, and optionally `load` [PWM register] and `input_volts` [V].
+    /// Reads a log in the format of BAM's raw recordings (github.com/Rhoban/bam): one JSON object with `mass` (kg),
+    /// `length` (m), `kp` (register), `vin` (V), `motor`, `trajectory` and `entries`, each with `timestamp` (s),
+    /// `position` (rad), `goal_position` (rad), `torque_enable`, and optionally `load` (PWM register) and `input_volts` (V).
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
         let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::from_bytes(path, &bytes)

@@ -1,6 +1,6 @@
 //! A policy on a hand: a client of a studio like any page, in a process of its own.
 //!
-//! [`run`] takes control through the command socket, sends heartbeats and targets, reads the live stream, and runs trials
+//! [`run()`] takes control through the command socket, sends heartbeats and targets, reads the live stream, and runs trials
 //! of a [`policy`]. The safety layer knows no exception for it; a rollout that dies, freezes or misbehaves ends as a page
 //! does that does the same. What the policy saw and wanted, what the safety layer let through and what happened is
 //! [recorded](record), and a [verdict] is suggested from what the robot itself felt. Observations and targets are made by

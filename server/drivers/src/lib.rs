@@ -3,7 +3,7 @@
 //! [`Devices`] starts one thread for each device of a station file. What a device has to say comes as a
 //! [`DeviceEvent`], dated by one [`HostClock`]; what motors shall do is the newest [`palpate_safety::Setpoint`], and only
 //! that. A device that is not there, or goes, is looked for until it comes back. [`DeviceHealth`] tells how it has been
-//! doing, [`probe`] looks at all of them once.
+//! doing, [`probe()`] looks at all of them once.
 //!
 //! The crate decides nothing about motion: limits, leases and stops are the safety layer's. What it does decide is
 //! what happens when nobody stands behind a setpoint any more: joints hold, then go limp.

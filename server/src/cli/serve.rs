@@ -52,7 +52,7 @@ pub(crate) struct ServeArgs {
     /// A host name by which browsers reach this studio, besides localhost and addresses; may be given several times
     #[arg(long = "allow-host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// An origin whose pages may watch over Foxglove's protocol, e.g. https://app.foxglove.dev; may be given several times
+    /// An origin whose pages may watch over Foxglove's protocol, e.g. `https://app.foxglove.dev`; may be given several times
     #[arg(long = "foxglove-origin", value_name = "ORIGIN")]
     foxglove_origins: Vec<String>,
     /// Listen beyond this computer without login and TLS: anybody in the network may then take control of the robot

@@ -155,7 +155,7 @@ fn gather(
     Ok((path, files))
 }
 
-/// Refuses a folder that [`write`] would refuse, before anybody is asked anything.
+/// Refuses a folder that [`write()`] would refuse, before anybody is asked anything.
 pub fn check_target(dir: &Path) -> Result<(), Error> {
     let exists =
         |problem: &str| Err(Error::Exists(format!("{dir:?} {problem}; give another folder with --out")));

@@ -6,7 +6,7 @@
 //! place where success is likeliest, a closing that waits for the opposing digits at the first contact, and then, by what
 //! was felt, the lift or another place. What it uses a robot has: commands, joint readings, touch and the time.
 //!
-//! Simulating closings needs the feature `mujoco`: [`simulate`]. Nothing else here needs physics, and nothing draws a random
+//! Simulating closings needs the feature `mujoco`: [`simulate()`]. Nothing else here needs physics, and nothing draws a random
 //! number.
 
 mod belief;

@@ -1,7 +1,7 @@
 //! A station made from a URDF and a few words about its skin: the files that a station needs, with comments that say what to
 //! change.
 //!
-//! [`explain`] says what is understood of a robot, [`build`] makes the files. Both are given texts and give texts; whoever
+//! [`explain()`] says what is understood of a robot, [`build`] makes the files. Both are given texts and give texts; whoever
 //! calls writes them. What [`build`] gives was read back as a [`Station`], so it can be used as it is.
 
 mod explain;

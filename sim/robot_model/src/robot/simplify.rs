@@ -1,4 +1,4 @@
-//! A URDF as [`Robot::from_urdf`] reads it, made from one with meshes.
+//! A URDF as [`crate::Robot::from_urdf`] reads it, made from one with meshes.
 //!
 //! Robots are drawn and touched as primitives, so a mesh becomes the box around its vertices. A text that needs nothing of
 //! this stays as it is, comments included.
