@@ -4,7 +4,7 @@ use palpate_recording::Take;
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{
     geometry::SignedDistance,
-    replay::{ContactTrace, PatchTrace, contact_trace},
+    replay::{ContactTrace, PatchTrace, contact_trace_among},
 };
 
 use crate::CalibrationError;
@@ -41,10 +41,11 @@ impl PairedTake {
         })?;
         let distance = SignedDistance::new(&object.shape)
             .map_err(|problem| fail(format!("object {:?} cannot be touched: {problem}", object.id)))?;
-        let contact = contact_trace(
+        let contact = contact_trace_among(
             &station.robot,
             &station.layout,
             &distance,
+            &take.meta.surroundings,
             &take.object_path(),
             &take.joints.positions,
         )

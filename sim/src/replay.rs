@@ -4,7 +4,9 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{KnownPoses, LinkTracker, ObjectPath, Patch, Robot, SensorKind, TactileLayout};
+use palpate_robot_model::{
+    FixedBox, KnownPoses, LinkTracker, ObjectPath, ObjectShape, Patch, Robot, SensorKind, TactileLayout,
+};
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
@@ -158,25 +160,53 @@ pub fn contact_trace(
     base_from_object: &ObjectPath,
     positions: &[f64],
 ) -> Result<ContactTrace, ReplayError> {
+    contact_trace_among(robot, layout, object, &[], base_from_object, positions)
+}
+
+/// The same with `surroundings`, such as a table, beside the object: the nearest body counts. Without any, the bits are those
+/// of [`contact_trace`].
+pub fn contact_trace_among(
+    robot: &Robot,
+    layout: &TactileLayout,
+    object: &SignedDistance,
+    surroundings: &[FixedBox],
+    base_from_object: &ObjectPath,
+    positions: &[f64],
+) -> Result<ContactTrace, ReplayError> {
     let everywhere = vec![true; layout.patches.len()];
-    trace_of(robot, layout, f64::NEG_INFINITY, object, base_from_object, positions, None, &everywhere)
+    let bodies = Bodies { object, base_from_object, surroundings };
+    trace_of(robot, layout, f64::NEG_INFINITY, &bodies, positions, None, &everywhere)
+}
+
+/// What can be touched in a take.
+pub(crate) struct Bodies<'a> {
+    pub(crate) object: &'a SignedDistance,
+    pub(crate) base_from_object: &'a ObjectPath,
+    pub(crate) surroundings: &'a [FixedBox],
 }
 
 /// [`contact_trace`] of the patches in `wanted`, with the gaps of proximity patches whose nearest node is nearer than
 /// `gaps_below_m` ([`crate::Response::pad_softness_m`] asks for them); those of all others hold no frame. Poses of links that
 /// are `known` are not computed.
-#[expect(clippy::too_many_arguments, reason = "what touches what, and where")]
 pub(crate) fn trace_of(
     robot: &Robot,
     layout: &TactileLayout,
     gaps_below_m: f64,
-    object: &SignedDistance,
-    base_from_object: &ObjectPath,
+    bodies: &Bodies<'_>,
     positions: &[f64],
     known: Option<&KnownPoses<'_>>,
     wanted: &[bool],
 ) -> Result<ContactTrace, ReplayError> {
+    let Bodies { object, base_from_object, surroundings } = *bodies;
     let num_frames = check(robot, base_from_object.poses(), positions)?;
+    let fixed = |fixed: &FixedBox| {
+        if !geometry::is_finite(&fixed.base_from_box) {
+            return Err(ReplayError::Object("the pose of a box beside it is not finite".to_owned()));
+        }
+        let distance = SignedDistance::new(&ObjectShape::Box { size_m: fixed.size_m });
+        Ok((distance.map_err(ReplayError::Object)?, fixed.base_from_box.inverse()))
+    };
+    let surroundings = surroundings.iter().map(fixed).collect::<Result<Vec<_>, _>>()?;
     if let ObjectPath::Moving(poses) = base_from_object
         && poses.len() != num_frames
     {
@@ -203,7 +233,22 @@ pub(crate) fn trace_of(
             let root_from_link = tracker.at(frame, of_frame);
             let object_from_base = object_from_base[frame * stride];
             for ((_, probe), felt) in probes.iter().zip(&mut felt) {
-                probe.feel(object, &(object_from_base * root_from_link[probe.link]), felt);
+                let root_from_link = &root_from_link[probe.link];
+                let object_from_link = object_from_base * root_from_link;
+                if surroundings.is_empty() {
+                    probe.feel(object, &object_from_link, felt);
+                    continue;
+                }
+                let feel = |body: &SignedDistance, body_from_link: &Isometry3<f64>| {
+                    let mut of_frame = probe.empty_chunk(1);
+                    probe.feel(body, body_from_link, &mut of_frame);
+                    of_frame
+                };
+                let mut nearest = feel(object, &object_from_link);
+                for (body, body_from_base) in &surroundings {
+                    nearest.keep_nearer(feel(body, &(body_from_base * root_from_link)));
+                }
+                felt.push(nearest);
             }
         }
         felt
@@ -415,6 +460,27 @@ impl Probe {
 }
 
 impl ChunkTrace {
+    /// Adds the frames of `next`, of the same patch.
+    fn push(&mut self, next: Self) {
+        match (self, next) {
+            (
+                Self::Proximity { min_distance_m, gaps },
+                Self::Proximity { min_distance_m: next_m, gaps: next_gaps },
+            ) => {
+                min_distance_m.extend(next_m);
+                gaps.append(&next_gaps);
+            }
+            (
+                Self::Pressure { counts, entries },
+                Self::Pressure { counts: next_counts, entries: next_entries },
+            ) => {
+                counts.extend(next_counts);
+                entries.extend(next_entries);
+            }
+            _ => unreachable!("a patch has one kind"),
+        }
+    }
+
     /// Of two traces of the same single frame, the nearer: what a node presses into is the body that it is deepest in.
     fn keep_nearer(&mut self, other: Self) {
         match (self, other) {
@@ -569,7 +635,6 @@ pub enum ReplayError {
 
 #[cfg(test)]
 mod tests {
-    use palpate_robot_model::ObjectShape;
     use proptest::prelude::*;
 
     use super::*;

@@ -23,6 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         fixture_trusted: true,
         operator: "example".to_owned(),
         software: "palpate write_take example".to_owned(),
+        surroundings: Vec::new(),
     };
     let sink = BufWriter::new(File::create_new(take_path)?);
     let mut writer = TakeWriter::new(sink, &station, &meta, START_UNIX_NS)?;

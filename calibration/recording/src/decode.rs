@@ -245,6 +245,14 @@ impl About {
             fixture_trusted,
             operator: metadata.get("operator").cloned().unwrap_or_default(),
             software: metadata.get("software").cloned().unwrap_or_default(),
+            surroundings: match metadata.get("surroundings") {
+                None => Vec::new(),
+                Some(text) => format::split_boxes(text).ok_or_else(|| {
+                    let expected = "for each box ten numbers: position, quaternion (w x y z), edges above 0; boxes with \
+                                    semicolons between them";
+                    wrong("surroundings", expected)
+                })?,
+            },
         };
         let station_toml =
             self.station_toml.ok_or_else(|| missing(&format!("attachment {STATION_ATTACHMENT:?}")))?;

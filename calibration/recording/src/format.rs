@@ -1,6 +1,7 @@
 //! What writer and reader agree on: topics, schema names, metadata keys, times.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit, UnitQuaternion};
+use palpate_robot_model::FixedBox;
 use prost_types::Timestamp;
 
 /// Version of the take format, as in the metadata.
@@ -69,6 +70,26 @@ pub(crate) fn join_numbers(numbers: &[f64]) -> String {
 pub(crate) fn split_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Vec<f64> = text.split_whitespace().map(|word| word.parse().ok()).collect::<Option<_>>()?;
     numbers.try_into().ok().filter(|numbers: &[f64; N]| numbers.iter().all(|number| number.is_finite()))
+}
+
+/// Boxes as text: ten numbers each (position, quaternion, edges), semicolons between them.
+pub(crate) fn join_boxes(boxes: &[FixedBox]) -> String {
+    let numbers = boxes.iter().map(|fixed| {
+        let (position_m, quaternion_wxyz) = pose_numbers(&fixed.base_from_box);
+        join_numbers(&[&position_m[..], &quaternion_wxyz, &fixed.size_m].concat())
+    });
+    numbers.collect::<Vec<_>>().join("; ")
+}
+
+/// The inverse of [`join_boxes`].
+pub(crate) fn split_boxes(text: &str) -> Option<Vec<FixedBox>> {
+    let fixed = |text: &str| {
+        let [x, y, z, w, i, j, k, along_x, along_y, along_z] = split_numbers::<10>(text)?;
+        let size_m = [along_x, along_y, along_z];
+        let base_from_box = pose_from_numbers([x, y, z], [w, i, j, k])?;
+        size_m.iter().all(|&edge_m| edge_m > 0.0).then_some(FixedBox { base_from_box, size_m })
+    };
+    text.split(';').map(fixed).collect()
 }
 
 /// Position (x y z) and quaternion (w x y z) of a pose.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectPath, Station};
+use palpate_robot_model::{FixedBox, ObjectPath, Station};
 
 use crate::{
     RecordingError, decode,
@@ -49,6 +49,8 @@ pub struct TakeMeta {
     pub operator: String,
     /// Software that wrote it.
     pub software: String,
+    /// What else stands there and can be touched, and does not move; empty for an object on its own.
+    pub surroundings: Vec<FixedBox>,
 }
 
 /// Joint positions over a take.

@@ -20,8 +20,8 @@ use crate::{
     format::{
         FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, LOG_SCHEMA, LOG_TOPIC,
         MARKER_SCHEMA, MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF, STATION_ATTACHMENT,
-        TACTILE_SCHEMA, TAKE_METADATA, UNIT_TOLERANCE, join_numbers, ns_from_secs, pose_numbers,
-        tactile_topic, timestamp_from_ns,
+        TACTILE_SCHEMA, TAKE_METADATA, UNIT_TOLERANCE, join_boxes, join_numbers, ns_from_secs, pose_numbers,
+        split_boxes, tactile_topic, timestamp_from_ns,
     },
 };
 
@@ -90,6 +90,11 @@ impl<W: Write + Seek> TakeWriter<W> {
         meta: &TakeMeta,
         start_unix_ns: u64,
     ) -> Result<Self, RecordingError> {
+        if !meta.surroundings.is_empty() && split_boxes(&join_boxes(&meta.surroundings)).is_none() {
+            let problem =
+                format!("{:?}; expected boxes with finite poses and edges above 0", meta.surroundings);
+            return Err(refused("surroundings", problem));
+        }
         let options = WriteOptions::new()
             .library(format!("palpate_recording {}", env!("CARGO_PKG_VERSION")))
             // The bytes of a take depend on its content only, not on how many cores wrote it.
@@ -399,6 +404,9 @@ fn joint_states(
 
 fn metadata_of(station: &Station, meta: &TakeMeta, start_unix_ns: u64) -> BTreeMap<String, String> {
     let (position_m, quaternion_wxyz) = pose_numbers(&meta.base_from_object);
+    // Takes without have the bytes of versions that knew none.
+    let surroundings =
+        (!meta.surroundings.is_empty()).then(|| ("surroundings", join_boxes(&meta.surroundings)));
     [
         ("format", FORMAT.to_string()),
         ("station", station.id.clone()),
@@ -412,6 +420,7 @@ fn metadata_of(station: &Station, meta: &TakeMeta, start_unix_ns: u64) -> BTreeM
         ("software", meta.software.clone()),
     ]
     .into_iter()
+    .chain(surroundings)
     .map(|(key, value)| (key.to_owned(), value))
     .collect()
 }

@@ -179,6 +179,7 @@ pub(crate) fn take_meta(
         fixture_trusted: true,
         operator: emulation.truth.operator.clone(),
         software: concat!("palpate emulator ", env!("CARGO_PKG_VERSION")).to_owned(),
+        surroundings: Vec::new(),
     }
 }
 

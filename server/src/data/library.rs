@@ -220,6 +220,7 @@ pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> 
         station: &take.station,
         object,
         base_from_object: &take.object_path(),
+        surroundings: &take.meta.surroundings,
         frame_times_s: &take.joints.times_s,
         positions: &take.joints.positions,
         arrival_times_s: &[],

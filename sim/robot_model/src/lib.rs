@@ -25,7 +25,7 @@ pub use hardware::{
 };
 pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
-pub use object_path::ObjectPath;
+pub use object_path::{FixedBox, ObjectPath};
 pub use place::Place;
 pub use pose::PoseConfig;
 pub use robot::{

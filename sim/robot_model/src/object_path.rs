@@ -2,6 +2,15 @@
 
 use nalgebra::Isometry3;
 
+/// A box that stands still beside an object, as a table does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FixedBox {
+    /// Where its middle is, in the base frame.
+    pub base_from_box: Isometry3<f64>,
+    /// Its edges along its own axes, m; each above 0.
+    pub size_m: [f64; 3],
+}
+
 /// Poses of an object in the base frame, over the frames of a take.
 ///
 /// ```

@@ -22,6 +22,33 @@ pub struct StationFiles {
     pub files: BTreeMap<String, Vec<u8>>,
 }
 
+impl StationFiles {
+    /// These files and those of the object called `id`: the `text` of its file, and the `meshes` that this names, by their names
+    /// there. The object must not be among the station's.
+    pub fn with_object(
+        &self,
+        id: &str,
+        text: &str,
+        meshes: &BTreeMap<String, Vec<u8>>,
+    ) -> Result<Self, String> {
+        let mut more = self.clone();
+        let mut about: toml::Table =
+            self.station_toml.parse().map_err(|error| format!("the station file: {error}"))?;
+        // A folder of its own: paths in there mean what they mean beside the object's file.
+        let folder = format!("added/{id}");
+        let path = format!("{folder}/object.toml");
+        match about.entry("objects").or_insert_with(|| toml::Value::Array(Vec::new())) {
+            toml::Value::Array(objects) => objects.push(path.clone().into()),
+            _ => return Err("the station file's objects are no list".to_owned()),
+        }
+        more.station_toml = toml::to_string(&about).map_err(|error| format!("the station file: {error}"))?;
+        more.files.insert(path, text.as_bytes().to_vec());
+        let meshes = meshes.iter().map(|(name, bytes)| (format!("{folder}/{name}"), bytes.clone()));
+        more.files.extend(meshes);
+        Ok(more)
+    }
+}
+
 /// A station, read and checked.
 #[derive(Clone, Debug)]
 pub struct Station {

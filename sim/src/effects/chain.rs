@@ -11,13 +11,13 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use palpate_robot_model::{
-    KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
+    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
 };
 
 use super::{Effect, EffectKind, FingerTouches, TACTILE, places};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
-use crate::replay::{ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
+use crate::replay::{Bodies, ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
 use crate::{Response, Theta};
 pub(crate) use by_frame::{FrameChain, FrameMemory, FrameScene};
 pub use load::Load;
@@ -34,6 +34,8 @@ pub struct TakeScene<'a> {
     pub object: &'a ObjectModel,
     /// Where it is said to be at the frames.
     pub base_from_object: &'a ObjectPath,
+    /// What else can be touched and stands still; no effect moves it.
+    pub surroundings: &'a [FixedBox],
     /// Host time of each joint frame since the take's start, s.
     pub frame_times_s: &'a [f64],
     /// Measured joint positions, `num_frames x num_dofs`, row-major, rad or m.
@@ -189,8 +191,11 @@ impl<'a> Chain<'a> {
             robot,
             layout,
             self.gaps_below_m(layout),
-            &distance,
-            &kinematics.base_from_object,
+            &Bodies {
+                object: &distance,
+                base_from_object: &kinematics.base_from_object,
+                surroundings: scene.surroundings,
+            },
             &kinematics.positions,
             known.as_ref(),
             wanted,

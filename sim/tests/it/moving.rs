@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
-use palpate_robot_model::{ObjectModel, ObjectPath, Place, Station};
+use palpate_robot_model::{FixedBox, ObjectModel, ObjectPath, ObjectShape, Place, Station};
 use palpate_sim::effects::{Effect, Sensed, TACTILE, TakeScene};
 use palpate_sim::geometry::SignedDistance;
 use palpate_sim::live::{LiveScene, LiveTouch};
-use palpate_sim::replay::{ContactTrace, PatchTrace, ReplayError, contact_trace};
+use palpate_sim::replay::{ContactTrace, PatchTrace, ReplayError, contact_trace, contact_trace_among};
 use palpate_sim::{SensorModel, Theta};
 use proptest::prelude::*;
 
@@ -99,6 +99,7 @@ impl Twice {
             station: &self.station,
             object: &self.object,
             base_from_object: path,
+            surroundings: &[],
             frame_times_s: &self.times_s,
             positions,
             arrival_times_s: &[],
@@ -188,6 +189,51 @@ fn one_pose_for_every_frame_has_the_bits_of_an_object_that_stands_still() {
     let mut model = SensorModel::plain("offset", THETA);
     model.effects.push(offset(&twice.station, "wedge_80mm"));
     assert!(twice.sense(&same, &model) == twice.sense(&twice.by_hand, &model));
+}
+
+#[test]
+fn surroundings_are_felt_as_an_object_in_their_place_and_the_nearest_body_counts() {
+    let twice = Twice::new("wedge_80mm", [0.01, -0.01], [0.2, 0.1, 0.4]);
+    let (path, positions) = &twice.by_hand;
+    // Larger than the wedge, so that the pad presses into it where it presses into the wedge.
+    let size_m = [0.1, 0.09, 0.1];
+    let block = ObjectShape::Box { size_m };
+    let fixed = FixedBox { base_from_box: path.at(0), size_m };
+    let far = ObjectPath::Still(Isometry3::translation(0.0, 0.0, -3.0));
+    let among = |shape: &ObjectShape, surroundings: &[FixedBox], path: &ObjectPath| {
+        let distance = SignedDistance::new(shape).expect("a shape");
+        let Station { robot, layout, .. } = &twice.station;
+        contact_trace_among(robot, layout, &distance, surroundings, path, positions).expect("a path")
+    };
+    let alone = among(&block, &[], path);
+    let pressed = |trace: &ContactTrace| match &*trace.patches[0] {
+        PatchTrace::Pressure { entries, .. } => entries.iter().map(|(_, pressure_pa)| pressure_pa).sum(),
+        PatchTrace::Proximity { min_distance_m, .. } => -min_distance_m.iter().sum::<f64>(),
+    };
+    assert!(among(&block, &[fixed], &far) == alone, "beside an object that is far away");
+    assert!(among(&block, &[fixed], path) == alone, "where the object is as well");
+    let wedge = &twice.object.shape;
+    assert!(among(wedge, &[fixed], &far) == alone && among(wedge, &[], path) == twice.trace(&twice.by_hand));
+    let both = among(wedge, &[fixed], path);
+    assert!(pressed(&both) >= pressed(&alone).max(pressed(&twice.trace(&twice.by_hand))));
+
+    // The chain feels them too, and an effect on the object leaves them where they are.
+    let mut model = SensorModel::plain("plain", THETA);
+    let scene = |surroundings| TakeScene {
+        station: &twice.station,
+        object: &twice.object,
+        base_from_object: &far,
+        surroundings,
+        frame_times_s: &twice.times_s,
+        positions,
+        arrival_times_s: &[],
+        frozen_for_s: &[],
+    };
+    let surroundings = [fixed];
+    let felt = model.sense(&scene(&surroundings)).expect("it fits");
+    assert!(felt != model.sense(&scene(&[])).expect("it fits"));
+    model.effects.push(offset(&twice.station, "wedge_80mm"));
+    assert!(felt == model.sense(&scene(&surroundings)).expect("it fits"));
 }
 
 #[test]

@@ -145,6 +145,7 @@ impl TouchScene {
             station: &self.station,
             object: &self.object,
             base_from_object: &base_from_object,
+            surroundings: &[],
             frame_times_s: times_s,
             positions,
             arrival_times_s: &[],

@@ -306,6 +306,7 @@ impl<'a> Observed<'a> {
             station,
             object: self.object,
             base_from_object: &self.object_path,
+            surroundings: &self.take.meta.surroundings,
             frame_times_s: &self.take.joints.times_s,
             positions: &self.take.joints.positions,
             arrival_times_s: &[],

@@ -54,6 +54,7 @@ pub(crate) fn take(spec: &TakeSpec) -> Vec<u8> {
         fixture_trusted: true,
         operator: String::new(),
         software: "tests".to_owned(),
+        surroundings: Vec::new(),
     };
     let mut writer =
         TakeWriter::new(Cursor::new(Vec::new()), &station, &meta, 1_700_000_000_000_000_000).unwrap();

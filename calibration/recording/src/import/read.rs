@@ -265,6 +265,7 @@ pub(super) fn take(
         fixture_trusted,
         operator: config.operator.unwrap_or_default(),
         software: concat!("palpate ", env!("CARGO_PKG_VERSION"), " (CSV import)").to_owned(),
+        surroundings: Vec::new(),
     };
     let id = take_id(source)?;
     report.take.clone_from(&id);

@@ -3,8 +3,10 @@
 use std::{fs, io::Cursor, path::Path};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use palpate_recording::{LiveTake, TactileSampleRef, Take, TakeWriter, check_session, close_partial};
-use palpate_robot_model::ObjectPath;
+use palpate_recording::{
+    LiveTake, TactileSampleRef, Take, TakeMeta, TakeWriter, check_session, close_partial,
+};
+use palpate_robot_model::{FixedBox, ObjectPath};
 use palpate_wire::{api::CheckReport, foxglove::PoseInFrame};
 use proptest::prelude::*;
 use prost::Message as _;
@@ -82,7 +84,11 @@ fn poses() -> impl Strategy<Value = Vec<(u64, Isometry3<f64>)>> {
 
 /// The shortest take that can be read, with `poses` at times in ns.
 fn short_take(poses: &[(u64, Isometry3<f64>)]) -> Vec<u8> {
-    let mut writer = TakeWriter::new(Cursor::new(Vec::new()), &station(), &meta(), START_UNIX_NS).unwrap();
+    short_take_of(&meta(), poses)
+}
+
+fn short_take_of(meta: &TakeMeta, poses: &[(u64, Isometry3<f64>)]) -> Vec<u8> {
+    let mut writer = TakeWriter::new(Cursor::new(Vec::new()), &station(), meta, START_UNIX_NS).unwrap();
     writer.joints(0, &[0.0, 0.0]).unwrap();
     for (stream_idx, active) in [&[false; 3][..], &[false; 2]].into_iter().enumerate() {
         let sample = TactileSampleRef { raw: &[], active, device_time_ns: 0 };
@@ -131,6 +137,23 @@ proptest! {
         prop_assert_eq!(log.at(log.times_s[0] - before_s), log.poses.first().copied());
         prop_assert_eq!(log.at(log.times_s[log.times_s.len() - 1] + before_s), log.poses.last().copied());
     }
+}
+
+#[test]
+fn boxes_beside_the_object_are_read_back_and_a_take_without_any_does_not_speak_of_them() {
+    let pose = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.3, 0.2, -1.0));
+    let table = FixedBox { base_from_box: Isometry3::translation(0.0, 0.0, -0.1), size_m: [1.0, 0.8, 0.2] };
+    let wall = FixedBox { base_from_box: pose, size_m: [0.01, 0.7, 0.1 + 0.2] };
+    let meta = TakeMeta { surroundings: vec![table, wall], ..meta() };
+    let bytes = short_take_of(&meta, &[]);
+    assert_eq!(read(&bytes).meta, meta, "to the bit");
+    let speaks = |bytes: &[u8]| bytes.windows(12).any(|part| part == b"surroundings");
+    assert!(speaks(&bytes) && !speaks(&short_take(&[])));
+    // What could not be read is not written.
+    let flat = FixedBox { size_m: [1.0, 0.0, 1.0], ..table };
+    let meta = TakeMeta { surroundings: vec![table, flat], ..meta };
+    let refused = TakeWriter::new(Cursor::new(Vec::new()), &station(), &meta, START_UNIX_NS).err().unwrap();
+    assert!(refused.to_string().contains("edges above 0"), "{refused}");
 }
 
 #[test]

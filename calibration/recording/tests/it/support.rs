@@ -34,6 +34,7 @@ pub(crate) fn meta() -> TakeMeta {
         fixture_trusted: true,
         operator: "somebody".to_owned(),
         software: "tests".to_owned(),
+        surroundings: Vec::new(),
     }
 }
 

@@ -112,6 +112,7 @@ impl Film {
             fixture_trusted: true,
             operator: self.policy.clone(),
             software: SOFTWARE.to_owned(),
+            surroundings: Vec::new(),
         };
         let start_unix_ns = START_UNIX_NS + take_idx as u64 * BETWEEN_NS;
         let mut writer = TakeWriter::new(BufWriter::new(file), station, &meta, start_unix_ns)?;

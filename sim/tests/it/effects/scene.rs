@@ -45,6 +45,7 @@ impl Take {
             station,
             object: &self.object,
             base_from_object: &self.base_from_object,
+            surroundings: &[],
             frame_times_s: &self.times_s,
             positions,
             arrival_times_s: &[],
