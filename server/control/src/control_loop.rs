@@ -228,6 +228,12 @@ impl ControlLoop {
             Message::Act(claim, action, reply) => {
                 let _ = reply.send(if is_ending { ended() } else { self.act(&claim, &action) });
             }
+            Message::BeginTake(claim, prepared, reply) => {
+                let _ = reply.send(if is_ending { ended() } else { self.begin_take(&claim, *prepared) });
+            }
+            Message::ActOnTake(claim, action, reply) => {
+                let _ = reply.send(self.act_on_take(&claim, &action));
+            }
             Message::Want(claim, wanted, reply) => {
                 let _ = reply.send(self.want(&claim, wanted));
             }
@@ -297,13 +303,17 @@ impl ControlLoop {
             let who = self.desk.who(now_ns, &self.supervisor, caller);
             self.refused(now_ns, &who, describe(request), problem);
         }
-        if let (Ok(_), Some(reflex), Some(Request::Targets(targets))) =
-            (&handled, &mut self.reflex, &request.request)
-        {
-            reflex.told(&targets.dofs, &targets.positions);
+        match (&handled, &request.request) {
+            (Ok(_), Some(Request::Targets(targets))) => {
+                if let Some(reflex) = &mut self.reflex {
+                    reflex.told(&targets.dofs, &targets.positions);
+                }
+                self.told(now_ns, targets);
+            }
+            (Ok(_), Some(Request::LeadThrough(lead))) if lead.on => self.touch_begins(now_ns),
+            _ => {}
         }
-        let ended =
-            handled.map_err(Refused::into_text).and_then(|effect| self.effect(now_ns, caller, effect));
+        let ended = handled.map_err(Refused::into_text).and_then(|effect| self.effect(times, caller, effect));
         self.desk.reply(now_ns, &self.supervisor, caller.connection, sequence, ended)
     }
 
@@ -316,9 +326,11 @@ impl ControlLoop {
         }
     }
 
-    fn effect(&mut self, now_ns: u64, caller: &Caller, effect: Effect) -> Result<(), String> {
+    fn effect(&mut self, times: Times, caller: &Caller, effect: Effect) -> Result<(), String> {
+        let Times { now_ns, received_ns } = times;
         match effect {
             Effect::Nothing => Ok(()),
+            Effect::ObjectPose(pose) => self.object_is_at(now_ns, received_ns, &pose),
             Effect::ClearFault(device) => {
                 self.devices.clear_fault(&device).map_err(|error| error.to_string())?;
                 let who = self.desk.who(now_ns, &self.supervisor, caller);

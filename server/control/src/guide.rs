@@ -396,6 +396,7 @@ impl Guide {
             fixture_trusted: self.fixture_trusted,
             operator: self.operator.clone(),
             software: self.plan.software.clone(),
+            surroundings: Vec::new(),
         };
         let start =
             RecorderCommand::StartTake { step, meta, at_ns: now_ns, planned: planned.touches.clone() };

@@ -23,6 +23,7 @@ use palpate_wire::{
 use crate::{
     error::ControlError,
     follow::Follow,
+    free::Free,
     guide::{Effect, Guide, GuideJoint, GuidePlan, GuideStep},
     prepare::{AddedStep, Prepared},
     recorder::{Recorder, RecorderConfig},
@@ -46,6 +47,8 @@ pub type PlaceObject = Box<dyn Fn(&str) -> Result<(), String> + Send>;
 /// The session that is under way, if one is.
 pub(crate) struct Guided {
     pub(crate) guide: Option<Guide>,
+    /// The take outside guided sessions that is being recorded, or the newest that was.
+    pub(crate) free: Option<Free>,
     pub(crate) recorder: Recorder,
     /// The motion that is under way, if one is.
     pub(crate) motion: Option<Follow>,
@@ -75,6 +78,7 @@ impl Guided {
         let placer = place_object.map(Placer::start).transpose()?;
         Ok(Self {
             guide: None,
+            free: None,
             recorder,
             motion: None,
             station,
@@ -158,7 +162,15 @@ impl Guided {
         Ok(effects)
     }
 
+    /// Refuses to record anything else while a guided session is under way, or a take outside one is being recorded.
     pub(crate) fn refuse_second_session(&self) -> Result<(), ControlError> {
+        if let Some(free) = self.free.as_ref().filter(|free| !free.is_over()) {
+            let free = free.view();
+            return Err(ControlError::Refused(format!(
+                "a take of session {:?} is being recorded outside guided sessions; end it before anything else is begun",
+                free.session
+            )));
+        }
         match &self.guide {
             None => Ok(()),
             Some(guide) => Err(ControlError::Refused(format!(
@@ -187,12 +199,14 @@ impl Guided {
             plans: self.plans.clone(),
             wanted: self.wanted.clone(),
             session: self.guide.as_ref().map(Guide::session),
+            free: self.free.as_ref().map(Free::view),
         }
     }
 
     /// What pages are told with every frame.
     pub(crate) fn status(&self, now_ns: u64) -> Option<RecordingStatus> {
-        let mut status = self.guide.as_ref()?.status(now_ns);
+        let free = || self.free.as_ref().and_then(|free| free.status(now_ns));
+        let mut status = self.guide.as_ref().map(|guide| guide.status(now_ns)).or_else(free)?;
         status.revision = self.revision();
         status.lost_samples = self.recorder.lost_samples();
         status.free_bytes = self.recorder.free_bytes();
@@ -205,7 +219,20 @@ impl Guided {
     }
 
     fn revision(&self) -> u64 {
-        self.revisions_before + self.guide.as_ref().map_or(0, Guide::revision)
+        let free = self.free.as_ref().map_or(0, Free::revision);
+        self.revisions_before + self.guide.as_ref().map_or(0, Guide::revision) + free
+    }
+
+    /// Revisions of a take that is forgotten.
+    pub(crate) fn count_revisions(&mut self, revisions: u64) {
+        self.revisions_before += revisions;
+    }
+
+    /// Shows pages where an object is, if the station knows what it looks like.
+    pub(crate) fn show_object(&mut self, (object, base_from_object): (String, Isometry3<f64>)) {
+        if self.station.objects.contains_key(&object) {
+            self.object = Some((object, base_from_object));
+        }
     }
 
     /// Whether the station moves by itself, or is about to.

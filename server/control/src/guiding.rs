@@ -105,12 +105,15 @@ impl ControlLoop {
     /// One turn of the session: what the recorder says, what time it is, where the motion stands.
     pub(crate) fn guide(&mut self, now_ns: u64) {
         while let Some(event) = self.guided.recorder.poll() {
-            if let Some(guide) = &mut self.guided.guide {
+            if self.guided.free.as_ref().is_some_and(|free| !free.is_over()) {
+                self.take_recorded(now_ns, event);
+            } else if let Some(guide) = &mut self.guided.guide {
                 let effects = guide.recorder(event);
                 self.carry_out(now_ns, &Who::part(GUIDE), effects);
             }
         }
         self.guided.forget_finished();
+        self.tick_take(now_ns);
         if let Some(problem) = self.guided.misplaced() {
             self.audit.note(now_ns, GUIDE, &problem);
             self.fail_motion(now_ns, &problem);
@@ -260,7 +263,7 @@ fn describe(action: &RecordingAction) -> &'static str {
 }
 
 /// What the guide has to know of the safety layer.
-fn safety<'a>(status: &'a Status, measured: Option<&'a [f64]>) -> Safety<'a> {
+pub(crate) fn safety<'a>(status: &'a Status, measured: Option<&'a [f64]>) -> Safety<'a> {
     Safety {
         armed: status.phase == Phase::Armed,
         lease: status.lease.map_or(0, |lease| lease.0),

@@ -12,7 +12,10 @@ use palpate_drivers::HostClock;
 use palpate_robot_model::Station;
 use palpate_sim::SensorModel;
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, Source, StartRecording, StepState, WantedTake},
+    api::{
+        FreeTakeState, RecordingAction, RecordingDocument, Source, StartRecording, StartTake, StepState,
+        TakeAction, WantedTake,
+    },
     proto::{ControlReply, ControlRequest, control_request::Request},
 };
 
@@ -21,6 +24,7 @@ use crate::{
     inbox::{Answer, Mailbox, Rejected, Urgent},
     prepare::{AddedStep, Plans, Prepared},
     requests::{Caller, Claim, is_stop, is_urgent},
+    taking::{self, FindObject, PreparedTake},
     twin::TwinModel,
     wanted::WantedFile,
 };
@@ -70,6 +74,9 @@ pub(crate) enum Message {
     Want(Claim, WantedTake, SyncSender<Result<RecordingDocument, ControlError>>),
     /// A step for the session under way.
     AddStep(Claim, Box<AddedStep>, SyncSender<Result<RecordingDocument, ControlError>>),
+    /// A take outside guided sessions.
+    BeginTake(Claim, Box<PreparedTake>, SyncSender<Result<RecordingDocument, ControlError>>),
+    ActOnTake(Claim, TakeAction, SyncSender<Result<RecordingDocument, ControlError>>),
     /// What is wanted is not wanted any more.
     Unwant {
         claim: Claim,
@@ -186,6 +193,37 @@ impl Handle {
         let prepared = Box::new(self.shared.plans.prepare(start, &wanted)?);
         let claim = claim.clone();
         self.keeping(self.ask(|reply| Message::Begin(claim, prepared, reply))?)
+    }
+
+    /// Begins a take outside guided sessions, in a session that is made if there is none. `find_object` is asked for an object
+    /// that the station does not have.
+    pub fn begin_take(
+        &self,
+        claim: &Claim,
+        start: StartTake,
+        find_object: FindObject<'_>,
+    ) -> Result<RecordingDocument, ControlError> {
+        self.authorise(claim, "record a take", false)?;
+        let document = self.recording()?;
+        let running = document
+            .free
+            .filter(|free| matches!(free.state, FreeTakeState::Recording | FreeTakeState::Checking));
+        let busy = document.session.map(|session| session.session).or(running.map(|free| free.session));
+        if let Some(session) = busy {
+            return Err(ControlError::Refused(format!(
+                "session {session:?} is being recorded; end that before a take is begun"
+            )));
+        }
+        let prepared =
+            taking::prepare(&self.shared.station, self.shared.plans.sessions_dir(), start, find_object)?;
+        let claim = claim.clone();
+        self.ask(|reply| Message::BeginTake(claim, Box::new(prepared), reply))?
+    }
+
+    /// What the operator does with the take that is recorded outside guided sessions.
+    pub fn act_on_take(&self, claim: &Claim, action: TakeAction) -> Result<RecordingDocument, ControlError> {
+        let claim = claim.clone();
+        self.ask(|reply| Message::ActOnTake(claim, action, reply))?
     }
 
     /// Asks for a take besides those of a plan: the last step of the session under way, or of the next one. The motion is

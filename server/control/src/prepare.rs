@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicUsize, Ordering},
@@ -73,6 +73,11 @@ impl Plans {
             plans.push(plan);
         }
         Ok(Self { station, plans, sessions_dir, planned: Mutex::default() })
+    }
+
+    /// Folder of the sessions that are recorded.
+    pub(crate) fn sessions_dir(&self) -> &Path {
+        &self.sessions_dir
     }
 
     /// What pages list.

@@ -16,6 +16,7 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
+use nalgebra::Isometry3;
 use palpate_recording::{GrowingSession, PlannedStep, SpanKind, TakeMeta};
 use palpate_robot_model::Station;
 use palpate_wire::api::TakeVerdict;
@@ -47,6 +48,8 @@ impl Default for RecorderConfig {
 pub(crate) enum RecorderCommand {
     /// Begins a take of a step.
     StartTake { step: usize, meta: TakeMeta, at_ns: u64, planned: Vec<usize> },
+    /// Begins a take that nobody reviews: it becomes part of the session as soon as it is over, if it can be read.
+    StartFreeTake { step: usize, meta: TakeMeta, at_ns: u64 },
     /// Marks a span that is over.
     Span { kind: SpanKind, start_ns: u64, end_ns: u64, label: String },
     /// A remark at a moment of the take.
@@ -99,6 +102,7 @@ pub(crate) enum RecorderEvent {
 /// The recorder's end in the control loop. Dropping it ends a take that runs, and keeps it.
 pub(crate) struct Recorder {
     shared: Arc<Shared>,
+    station: Arc<Station>,
     events: Receiver<RecorderEvent>,
     thread: Option<JoinHandle<()>>,
 }
@@ -124,14 +128,19 @@ struct Queue {
 const MAX_EVENTS: usize = 1024;
 
 enum Item {
-    Begin(Box<GrowingSession>),
-    Command { command: RecorderCommand, unix_ns: u64 },
+    /// A session, and the station that its takes are of.
+    Begin(Box<GrowingSession>, Arc<Station>),
+    Command {
+        command: RecorderCommand,
+        unix_ns: u64,
+    },
     Sample(Sample),
 }
 
 enum Sample {
     Joints { host_ns: u64, positions: Vec<f64> },
     Commands { host_ns: u64, positions: Vec<f64> },
+    ObjectPose { host_ns: u64, base_from_object: Isometry3<f64> },
     Tactile { stream: usize, host_ns: u64, device_ns: u64, raw: Vec<f32>, active: Vec<bool> },
 }
 
@@ -147,20 +156,27 @@ impl Recorder {
             free_bytes: AtomicU64::new(0),
         });
         let (sender, events) = mpsc::sync_channel(MAX_EVENTS);
-        let mut worker = Worker::new(Arc::clone(&shared), station, config, sender);
+        let mut worker = Worker::new(Arc::clone(&shared), Arc::clone(&station), config, sender);
         let thread = thread::Builder::new().name("recorder".to_owned()).spawn(move || worker.run())?;
-        Ok(Self { shared, events, thread: Some(thread) })
+        Ok(Self { shared, station, events, thread: Some(thread) })
     }
 
     /// Records into `session` from now on, until [`RecorderCommand::EndSession`].
     pub(crate) fn begin(&self, session: GrowingSession) {
-        self.shared.push(Item::Begin(Box::new(session)));
+        self.begin_with(session, Arc::clone(&self.station));
+    }
+
+    /// The same with another `station` in its takes: that of the recorder with more objects.
+    pub(crate) fn begin_with(&self, session: GrowingSession, station: Arc<Station>) {
+        self.shared.push(Item::Begin(Box::new(session), station));
     }
 
     /// Tells the recorder what to do; [`Recorder::poll`] says what came of it.
     pub(crate) fn command(&self, command: RecorderCommand) {
         match command {
-            RecorderCommand::StartTake { .. } => self.shared.recording.store(true, Ordering::Relaxed),
+            RecorderCommand::StartTake { .. } | RecorderCommand::StartFreeTake { .. } => {
+                self.shared.recording.store(true, Ordering::Relaxed)
+            }
             RecorderCommand::EndTake { .. } => self.shared.recording.store(false, Ordering::Relaxed),
             _ => {}
         }
@@ -175,6 +191,11 @@ impl Recorder {
     /// Commanded joint positions, all of them, at `host_ns`.
     pub(crate) fn commands(&self, host_ns: u64, positions: &[f64]) {
         self.shared.sample(|| Sample::Commands { host_ns, positions: positions.to_vec() });
+    }
+
+    /// Where the object was at `host_ns`.
+    pub(crate) fn object_pose(&self, host_ns: u64, base_from_object: Isometry3<f64>) {
+        self.shared.sample(|| Sample::ObjectPose { host_ns, base_from_object });
     }
 
     /// A sample of a stream of the layout.

@@ -7,7 +7,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use palpate_safety::{Lease, Refusal, Supervisor};
-use palpate_wire::proto::{ControlReply, ControlRequest, control_request::Request};
+use palpate_wire::proto::{ControlReply, ControlRequest, ObjectPose, control_request::Request};
 
 use crate::audit::Who;
 
@@ -61,12 +61,14 @@ struct Held {
 }
 
 /// What is left to be done for a request that the safety layer is through with.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Effect {
     Nothing,
     /// Clear what can be cleared of a device.
     ClearFault(String),
     Tare,
+    /// Where the object is, for the take that is being recorded.
+    ObjectPose(ObjectPose),
     /// Switch the reflex on with this configuration, or off, for whoever has this lease.
     Reflex {
         on: bool,
@@ -140,6 +142,7 @@ pub(crate) fn describe(request: &ControlRequest) -> &'static str {
         Some(Request::LeadThrough(_)) => "lead the arm by hand",
         Some(Request::ClearFault(_)) => "clear faults",
         Some(Request::Tare(_)) => "take the zero of tactile readings",
+        Some(Request::ObjectPose(_)) => "say where the object is",
         Some(Request::Reflex(reflex)) if reflex.on => "switch the reflex on",
         Some(Request::Reflex(_)) => "switch the reflex off",
     }
@@ -278,6 +281,13 @@ impl Desk {
                     );
                 }
                 return Ok(Effect::Tare);
+            }
+            Request::ObjectPose(pose) => {
+                // Who says where the object is need not be who stands behind what moves: this is no heartbeat.
+                if supervisor.status(now_ns).lease != Some(lease) {
+                    return by_desk("your lease is not in force any more; take control first".to_owned());
+                }
+                return Ok(Effect::ObjectPose(pose.clone()));
             }
             Request::Reflex(reflex) => {
                 supervisor.heartbeat(now_ns, received_ns, lease)?;

@@ -266,6 +266,7 @@ impl Observer {
             station: &self.station,
             object,
             base_from_object: &ObjectPath::Still(*base_from_object),
+            surroundings: &[],
             frame_times_s: &frame_times_s,
             positions: &path,
             arrival_times_s: &[],

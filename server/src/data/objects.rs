@@ -3,6 +3,7 @@
 use std::{collections::BTreeMap, path::Path, sync::LazyLock};
 
 use base64::Engine as _;
+use palpate_control::ObjectFiles;
 use palpate_recording::{
     RecordingError,
     files::{MAX_STATION_FILE_BYTES, MAX_TEXT_BYTES, read_file, resolve_in},
@@ -35,16 +36,43 @@ pub(super) fn shipped_text(id: &str) -> Option<&'static [u8]> {
     assets::object_files().find(|(name, _)| name.strip_suffix(".toml") == Some(id)).map(|(_, text)| text)
 }
 
+/// The files of the object called `id`: one's own, or else the binary's.
+pub(crate) fn files(store: &Store, id: &str) -> Result<ObjectFiles, Error> {
+    let own = own(store)?.into_iter().find(|object| object.id == id);
+    let known = own.or_else(|| SHIPPED.iter().find(|object| object.id == id).cloned());
+    let content = known.map(|object| object.content).ok_or_else(|| {
+        let advice = "the screen Objects lists those that there are";
+        Error::Argument(format!(
+            "there is no object {id:?}, neither of the station nor of this studio; {advice}"
+        ))
+    })?;
+    let document =
+        content.map_err(|problem| Error::Argument(format!("object {id:?} cannot be used: {problem}")))?;
+    let meshes = document.meshes_base64.into_iter().map(|(name, base64)| {
+        let bytes = base64::engine::general_purpose::STANDARD.decode(base64);
+        bytes.map(|bytes| (name, bytes)).map_err(|error| Error::Content(format!("object {id:?}: {error}")))
+    });
+    Ok(ObjectFiles { text: document.object_toml, meshes: meshes.collect::<Result<_, _>>()? })
+}
+
+/// Those of the data folder.
+fn own(store: &Store) -> Result<Vec<ObjectEntry>, Error> {
+    let files = store.object_files()?.into_iter();
+    let read = files.map(|(name, path)| {
+        let folder = path.parent().map(ToOwned::to_owned).unwrap_or_default();
+        let read_mesh = |mesh: &str| read_own(&folder, &folder.join(mesh), MAX_STATION_FILE_BYTES);
+        match read_own(&folder, &path, MAX_TEXT_BYTES) {
+            Ok(text) => entry(&name, text, true, read_mesh),
+            Err(problem) => unusable(&name, true, format!("{name}: {problem}")),
+        }
+    });
+    Ok(read.collect())
+}
+
 /// All objects, the binary's first, each with the takes that touched it. One that cannot be used says why.
 pub(crate) fn list(store: &Store, library: &Library) -> Result<Vec<ObjectEntry>, Error> {
     let mut objects = SHIPPED.clone();
-    for (name, path) in store.object_files()? {
-        let folder = path.parent().map(ToOwned::to_owned).unwrap_or_default();
-        let read_mesh = |mesh: &str| read_own(&folder, &folder.join(mesh), MAX_STATION_FILE_BYTES);
-        let own = match read_own(&folder, &path, MAX_TEXT_BYTES) {
-            Ok(text) => entry(&name, text, true, read_mesh),
-            Err(problem) => unusable(&name, true, format!("{name}: {problem}")),
-        };
+    for own in own(store)? {
         // One's own replaces the binary's of the same id.
         objects.retain(|object| object.own || object.id != own.id);
         objects.push(own);

@@ -314,6 +314,18 @@ const EXAMPLES: &[Example] = &[
         curl: r#"curl -X POST "$PALPATE_URL/api/v1/models/bench-monday/restore""#,
         status: 200,
     },
+    Example {
+        method: "POST",
+        path: "/recording/take",
+        curl: r#"curl -H "Palpate-Lease: $LEASE" --json '{"session": "by-hand", "object": "cube", "object_pose": [0.4, 0, 0.1, 1, 0, 0, 0]}' "$PALPATE_URL/api/v1/recording/take""#,
+        status: 200,
+    },
+    Example {
+        method: "POST",
+        path: "/recording/take/act",
+        curl: r#"curl -H "Palpate-Lease: $LEASE" --json '{"action": "end"}' "$PALPATE_URL/api/v1/recording/take/act""#,
+        status: 200,
+    },
     Example { method: "GET", path: "/live", curl: r#"curl "$PALPATE_URL/api/v1/live""#, status: 200 },
     Example {
         method: "PUT",

@@ -207,6 +207,8 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::GET, "/recording", VIEW, get(recording::document)),
         route(Method::POST, "/recording", MOVE, post(recording::start)),
         route(Method::POST, "/recording/act", MOVE, post(recording::act)),
+        route(Method::POST, "/recording/take", MOVE, post(recording::begin_take)),
+        route(Method::POST, "/recording/take/act", MOVE, post(recording::act_on_take)),
         route(Method::POST, "/recording/wanted", SETUP, post(recording::want)),
         route(Method::DELETE, "/recording/wanted/{object}/{primitive}", SETUP, delete(recording::unwant),),
         route(Method::GET, "/audit", VIEW, get(live::audit)),

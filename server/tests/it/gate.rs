@@ -13,8 +13,8 @@ use palpate_server::{AppState, LiveStation, NeedsLease, Studio, app, assets, rou
 use palpate_wire::{
     api::{LEASE_HEADER, LiveDocument, ProblemDetails, RecordingDocument},
     proto::{
-        Acquire, Arm, ClearFault, ControlReply, ControlRequest, Disarm, Heartbeat, LeadThrough, Release,
-        ResetStop, Tare, Targets, control_request::Request as Command,
+        Acquire, Arm, ClearFault, ControlReply, ControlRequest, Disarm, Heartbeat, LeadThrough, ObjectPose,
+        Release, ResetStop, Tare, Targets, control_request::Request as Command,
     },
 };
 use prost::Message as _;
@@ -173,6 +173,10 @@ fn begin(session: &str) -> Value {
     json!({ "plan": "quick_check", "session": session, "operator": "" })
 }
 
+fn take(session: &str) -> Value {
+    json!({ "session": session, "object": "sphere_50mm", "object_pose": [0.4, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0] })
+}
+
 /// Paths and bodies that make sense for a route, so that nothing but who asks is in the way. A new route without an entry is
 /// asked with an empty document.
 fn attempts(path: &str) -> Vec<(String, Value)> {
@@ -188,6 +192,8 @@ fn attempts(path: &str) -> Vec<(String, Value)> {
         ]
         .map(|action| json!({ "action": action, "fixture_trusted": true, "step": 1, "text": "me", "lease": 1 }))
         .to_vec(),
+        "/recording/take" => vec![take("tuesday")],
+        "/recording/take/act" => vec![json!({ "action": "end" })],
         "/recording/wanted" => {
             vec![json!({ "object": "sphere_50mm", "primitive": "quick_tap", "because": "I want it" })]
         }
@@ -260,6 +266,7 @@ async fn a_second_client_moves_nothing_and_changes_no_session_by_any_route_with_
             Command::LeadThrough(LeadThrough { on: true }),
             Command::ClearFault(ClearFault { device: "xarm".to_owned() }),
             Command::Tare(Tare {}),
+            Command::ObjectPose(ObjectPose::default()),
             Command::Acquire(Acquire { operator: "Eve".to_owned(), take_over: false }),
         ]
     };

@@ -387,6 +387,7 @@ fn what_of(request: &Request) -> &'static str {
         Request::ClearFault(_) => "Clear fault",
         Request::Tare(_) => "Set zero",
         Request::Reflex(_) => "Reflex",
+        Request::ObjectPose(_) => "Say where the object is",
     }
 }
 

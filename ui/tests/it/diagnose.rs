@@ -413,6 +413,7 @@ fn next_experiment_goes_on_the_list_and_comes_off_it() {
         plans: Vec::new(),
         wanted,
         session: None,
+        free: None,
     };
     answer(&api, &Request::Recording, &list(Vec::new()));
     answer(&api, &Request::Want(wanted()), &list(vec![wanted()]));
@@ -449,7 +450,8 @@ fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
 
     // The station refuses: no plan of it has the motion.
     let (api, window) = result_page(&run(JobState::Done, Some(named())));
-    let empty = RecordingDocument { revision: 1, plans: Vec::new(), wanted: Vec::new(), session: None };
+    let empty =
+        RecordingDocument { revision: 1, plans: Vec::new(), wanted: Vec::new(), session: None, free: None };
     answer(&api, &Request::Recording, &empty);
     let mut harness = page(&api, &window);
     harness.get_by_role_and_label(Role::Button, "Record this next").scroll_to_me();

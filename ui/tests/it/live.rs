@@ -54,7 +54,7 @@ fn document(station: &Station) -> Vec<u8> {
 
 /// No session, and no plan for one.
 pub(crate) fn nothing_recorded() -> RecordingDocument {
-    RecordingDocument { revision: 0, plans: Vec::new(), wanted: Vec::new(), session: None }
+    RecordingDocument { revision: 0, plans: Vec::new(), wanted: Vec::new(), session: None, free: None }
 }
 
 impl Bench {

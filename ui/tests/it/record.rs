@@ -56,7 +56,7 @@ pub(crate) fn document(phase: RecordingPhase) -> RecordingDocument {
         untouched: Vec::new(),
         can_undo: false,
     };
-    RecordingDocument { revision: 7, plans: plans(), wanted: Vec::new(), session: Some(session) }
+    RecordingDocument { revision: 7, plans: plans(), wanted: Vec::new(), session: Some(session), free: None }
 }
 
 pub(crate) fn plans() -> Vec<PlanSummary> {
@@ -117,7 +117,8 @@ fn a_server_without_a_station_teaches_how_to_have_one() {
 
 #[test]
 fn a_session_starts_under_a_free_name() {
-    let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
+    let empty =
+        RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None, free: None };
     let mut bench = Bench::new("#/record", &empty);
     bench.harness.get_by_label("9 takes, 5 min 25 s of motion");
     bench.take_control_and_arm();
@@ -143,7 +144,8 @@ fn a_station_without_a_plan_says_how_to_give_it_one() {
 
 #[test]
 fn the_start_of_a_session_fits_a_phone() {
-    let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
+    let empty =
+        RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None, free: None };
     let bench = Bench::of(FakeWindow::at("#/record"), &empty, [390.0, 844.0]);
     let rail = bench.harness.get_by_role_and_label(Role::Button, "Record").rect();
     let text = bench.harness.get_by_label_contains("A plan is a list of takes");
@@ -543,7 +545,8 @@ fn what_is_wanted_waits_before_a_session_and_can_be_recorded_alone() {
         primitive: "quick_tap".to_owned(),
         because: "Tells latency from low pass.".to_owned(),
     };
-    let waiting = RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None };
+    let waiting =
+        RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None, free: None };
     let mut bench = in_control(&waiting);
     bench.harness.get_by_label("Tells latency from low pass.");
     bench
@@ -560,7 +563,8 @@ fn what_is_wanted_waits_before_a_session_and_can_be_recorded_alone() {
     };
     assert!(bench.api.0.borrow().sent.contains(&Request::StartRecording(start)));
     let unwant = Request::Unwant { object: "sphere_50mm".to_owned(), primitive: "quick_tap".to_owned() };
-    let none = RecordingDocument { revision: 2, plans: plans(), wanted: Vec::new(), session: None };
+    let none =
+        RecordingDocument { revision: 2, plans: plans(), wanted: Vec::new(), session: None, free: None };
     bench.api.0.borrow_mut().answer(&unwant, serde_json::to_vec(&none).expect("it serialises"));
     bench.click("Remove quick tap on sphere 50mm");
     bench.harness.run_steps(3);

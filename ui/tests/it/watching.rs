@@ -119,7 +119,8 @@ fn where_nobody_has_control_the_primary_button_takes_it_and_nothing_else_can_be_
 
 #[test]
 fn session_begins_under_control_only() {
-    let empty = RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None };
+    let empty =
+        RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None, free: None };
     let mut bench = Bench::new("#/record", &empty);
     let started = |bench: &Bench| {
         let sent = &bench.api.0.borrow().sent;
@@ -361,7 +362,8 @@ fn wanted_takes_of_somebody_elses_station_stay() {
         primitive: "quick_tap".to_owned(),
         because: String::new(),
     };
-    let waiting = RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None };
+    let waiting =
+        RecordingDocument { revision: 1, plans: plans(), wanted: vec![wanted], session: None, free: None };
     let mut bench = Bench::new("#/record", &waiting);
     assert!(bench.can("Remove quick tap on sphere 50mm"));
     bench.bo_has_control();

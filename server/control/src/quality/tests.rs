@@ -38,6 +38,7 @@ fn good() -> Take {
             fixture_trusted: true,
             operator: String::new(),
             software: String::new(),
+            surroundings: Vec::new(),
         },
         start_unix_ns: 0,
         commands: joints.clone(),

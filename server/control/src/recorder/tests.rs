@@ -85,6 +85,7 @@ fn start_take(step: usize) -> RecorderCommand {
         fixture_trusted: true,
         operator: "somebody".to_owned(),
         software: "tests".to_owned(),
+        surroundings: Vec::new(),
     };
     RecorderCommand::StartTake { step, meta, at_ns: START_NS, planned: vec![0, 3] }
 }

@@ -22,6 +22,7 @@ const MOST_AT_ONCE: usize = 256;
 
 pub(super) struct Worker {
     shared: Arc<Shared>,
+    /// The one that the session's takes are of.
     station: Arc<Station>,
     config: RecorderConfig,
     events: SyncSender<RecorderEvent>,
@@ -36,6 +37,8 @@ struct Recording {
     looked_at_disk_ns: u64,
     /// Channels that the motion means to touch.
     planned: Vec<usize>,
+    /// Nobody reviews it.
+    is_free: bool,
     /// Samples that were lost before the take began.
     lost_before: u64,
     /// The first sample that was refused, in words.
@@ -59,9 +62,9 @@ impl Worker {
             }
             for item in items {
                 match item {
-                    Item::Begin(session) => {
+                    Item::Begin(session, station) => {
                         self.end_session();
-                        self.session = Some(*session);
+                        (self.session, self.station) = (Some(*session), station);
                         self.look_at_disk();
                     }
                     Item::Command { command, unix_ns } => self.command(command, unix_ns),
@@ -91,7 +94,10 @@ impl Worker {
     fn command(&mut self, command: RecorderCommand, unix_ns: u64) {
         match command {
             RecorderCommand::StartTake { step, meta, at_ns, planned } => {
-                self.start_take(step, &meta, at_ns, unix_ns, planned);
+                self.start_take(step, &meta, at_ns, unix_ns, planned, false);
+            }
+            RecorderCommand::StartFreeTake { step, meta, at_ns } => {
+                self.start_take(step, &meta, at_ns, unix_ns, Vec::new(), true);
             }
             RecorderCommand::Span { kind, start_ns, end_ns, label } => self.write(|take| {
                 let [start_s, end_s] = [start_ns, end_ns].map(|ns| take.since_start_s(ns));
@@ -144,7 +150,15 @@ impl Worker {
         }
     }
 
-    fn start_take(&mut self, step: usize, meta: &TakeMeta, at_ns: u64, unix_ns: u64, planned: Vec<usize>) {
+    fn start_take(
+        &mut self,
+        step: usize,
+        meta: &TakeMeta,
+        at_ns: u64,
+        unix_ns: u64,
+        planned: Vec<usize>,
+        is_free: bool,
+    ) {
         self.end_take("another take was begun");
         let Some(session) = &mut self.session else {
             self.shared.recording.store(false, Ordering::Relaxed);
@@ -159,6 +173,7 @@ impl Worker {
                     start_ns: at_ns,
                     looked_at_disk_ns: 0,
                     planned,
+                    is_free,
                     lost_before: self.shared.lost_samples.load(Ordering::Relaxed),
                     refusal: None,
                 });
@@ -179,6 +194,7 @@ impl Worker {
         let host_ns = match sample {
             Sample::Joints { host_ns, .. }
             | Sample::Commands { host_ns, .. }
+            | Sample::ObjectPose { host_ns, .. }
             | Sample::Tactile { host_ns, .. } => *host_ns,
         };
         // What was measured before the take began is not part of it, though it arrived later.
@@ -186,6 +202,7 @@ impl Worker {
         let written = match sample {
             Sample::Joints { positions, .. } => take.live.joints(time_ns, positions),
             Sample::Commands { positions, .. } => take.live.commands(time_ns, positions),
+            Sample::ObjectPose { base_from_object, .. } => take.live.object_pose(time_ns, base_from_object),
             Sample::Tactile { stream, device_ns, raw, active, .. } => take.live.tactile(
                 *stream,
                 time_ns,
@@ -245,12 +262,16 @@ impl Worker {
             refusal: take.refusal.as_deref().unwrap_or_default(),
             broken_off: &broken_off,
         };
-        self.check(&end.take, &circumstances);
+        let readable = self.check(&end.take, &circumstances);
+        if take.is_free && readable {
+            let accepted = RecorderEvent::Accepted { take: end.take.clone() };
+            self.change(|session| session.accept(&end.take), accepted);
+        }
     }
 
-    /// Reads a take back and judges it.
-    fn check(&mut self, take: &str, circumstances: &Circumstances<'_>) {
-        let Some(session) = &mut self.session else { return };
+    /// Reads a take back and judges it; says whether it can be read.
+    fn check(&mut self, take: &str, circumstances: &Circumstances<'_>) -> bool {
+        let Some(session) = &mut self.session else { return false };
         let read = session.take_path(take).and_then(|path| Take::read(&path));
         let readable = read.is_ok();
         let verdict = match read {
@@ -262,6 +283,7 @@ impl Worker {
         if let Err(error) = kept {
             self.say(RecorderEvent::Failed { problem: in_words(&error) });
         }
+        readable
     }
 
     fn end_session(&mut self) {

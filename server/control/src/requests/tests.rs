@@ -139,6 +139,23 @@ fn a_lease_belongs_to_the_connection_that_acquired_it() {
 }
 
 #[test]
+fn whoever_says_where_the_object_is_does_not_stand_behind_what_moves() {
+    let (mut scene, lease) = Scene::armed();
+    let pose = || Request::ObjectPose(ObjectPose::default());
+    assert!(scene.refused(2, lease, pose()).contains("not yours"));
+    let mut waited_ms = 0;
+    // Poses go on while heartbeats do not: the station holds as it does without them.
+    while scene.phase() == Phase::Armed {
+        let (reply, effect) = scene.ask(1, lease, pose());
+        assert!(reply.accepted && effect == Effect::ObjectPose(ObjectPose::default()), "{reply:?}");
+        scene.wait(50 * MS);
+        waited_ms += 50;
+        assert!(waited_ms < 1000, "it goes on without anybody");
+    }
+    assert_eq!(scene.phase(), Phase::Holding);
+}
+
+#[test]
 fn who_is_taken_over_from_has_no_lease_any_more() {
     let (mut scene, lease) = Scene::armed();
     let taken = scene.accepted(2, 0, acquire("Bob", true)).lease;

@@ -3,6 +3,7 @@
 
 mod bench;
 mod devices;
+mod free_takes;
 mod reflex;
 mod safety;
 mod session;

@@ -3,11 +3,14 @@
 use std::sync::Arc;
 
 use axum::{Json, extract::State};
-use palpate_wire::api::{RecordingAction, RecordingDocument, StartRecording, WantedTake};
+use palpate_control::ControlError;
+use palpate_wire::api::{
+    RecordingAction, RecordingDocument, StartRecording, StartTake, TakeAction, WantedTake,
+};
 
 use crate::{
     AppState, Error,
-    data::files,
+    data::{files, objects},
     http::{
         document::Refusal,
         extract::{Body, Ids, Lease},
@@ -79,6 +82,65 @@ pub(super) async fn act(
     Body(action): Body<RecordingAction>,
 ) -> Answer<Json<RecordingDocument>> {
     with_station(&state, move |handle| Ok(handle.act(&claim, action)?)).await
+}
+
+/// Begins a take outside guided sessions, in a session that is made if there is none.
+#[utoipa::path(
+    post,
+    path = "/recording/take",
+    tag = "recording",
+    request_body = StartTake,
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<400>,
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+        Refusal<507>,
+    ),
+)]
+pub(super) async fn begin_take(
+    State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
+    Body(request): Body<StartTake>,
+) -> Answer<Json<RecordingDocument>> {
+    files::check_id("session", &request.session)?;
+    let begin = move |state: &AppState| {
+        let live = state.live().ok_or(Error::NoStation)?;
+        let find = |object: &str| {
+            // What a station is told is why not, in words.
+            objects::files(state.store(), object).map_err(|error| ControlError::Refused(crate::chain(&error)))
+        };
+        Ok(Json(live.handle().begin_take(&claim, request, &find)?))
+    };
+    state.run(Kind::Control, begin).await
+}
+
+/// Marks spans of the take that is recorded outside guided sessions, or ends it.
+#[utoipa::path(
+    post,
+    path = "/recording/take/act",
+    tag = "recording",
+    request_body = TakeAction,
+    responses(
+        (status = 200, description = "Done.", body = RecordingDocument),
+        Refusal<403>,
+        Refusal<404>,
+        Refusal<409>,
+        Refusal<413>,
+        Refusal<415>,
+        Refusal<422>,
+    ),
+)]
+pub(super) async fn act_on_take(
+    State(state): State<Arc<AppState>>,
+    Lease(claim): Lease,
+    Body(action): Body<TakeAction>,
+) -> Answer<Json<RecordingDocument>> {
+    with_station(&state, move |handle| Ok(handle.act_on_take(&claim, action)?)).await
 }
 
 /// Adds a take to what is recorded next.

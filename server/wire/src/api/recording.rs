@@ -31,6 +31,137 @@ pub struct RecordingDocument {
     pub wanted: Vec<WantedTake>,
     /// The session under way, if there is one.
     pub session: Option<RecordingSession>,
+    /// The take that is recorded outside guided sessions, or the newest that was.
+    #[serde(default)]
+    pub free: Option<FreeTake>,
+}
+
+/// Body of `POST /api/v1/recording/take`: begins a take outside guided sessions; answered by [`RecordingDocument`].
+///
+/// Samples of all devices are recorded at their own rates, as in a guided session, whatever moves the robot. Only the operator
+/// may begin one. It ends by [`TakeAction::End`], when control is lost, when the armed station stops following, and
+/// when a device is lost.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct StartTake {
+    /// Id of the session, which is made if there is none. One that follows a plan is refused.
+    pub session: String,
+    /// Id of the object: one of the station's, or one that `GET /api/v1/objects` lists.
+    pub object: String,
+    /// Where the object is, from the robot's base: x, y, z, m, then the quaternion, w first.
+    pub object_pose: Vec<f64>,
+    /// What is done, as a primitive's id.
+    #[serde(default = "free_primitive")]
+    pub primitive: String,
+    /// Whether the object is known to be where it is said to be: a fixture holds it, or poses are sent while it moves.
+    #[serde(default)]
+    pub fixture_trusted: bool,
+    /// Who records; whoever has control, where it is left out.
+    #[serde(default)]
+    pub operator: String,
+    /// What else stands there and can be touched, e.g. the table. It does not move.
+    #[serde(default)]
+    pub surroundings: Vec<SurroundingBox>,
+    /// The client marks the span without touch itself, by [`TakeAction::BeginMark`]. Else it is marked from the begin of the take
+    /// to the first target that moves a joint of the hand.
+    #[serde(default)]
+    pub marks_baseline: bool,
+}
+
+/// A box that stands beside the object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SurroundingBox {
+    /// Where its middle is, from the robot's base: x, y, z, m, then the quaternion, w first.
+    pub pose: Vec<f64>,
+    /// Its edges along its own axes, m.
+    pub size_m: [f64; 3],
+}
+
+fn free_primitive() -> String {
+    "free".to_owned()
+}
+
+/// Body of `POST /api/v1/recording/take/act`: what the operator does with the take that is recorded outside guided sessions;
+/// answered by [`RecordingDocument`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "action", deny_unknown_fields)]
+pub enum TakeAction {
+    /// A span begins now.
+    BeginMark {
+        /// What it marks.
+        kind: MarkKind,
+        /// For repetitions: which motion; equal for motions that repeat each other. At most 200 characters.
+        #[serde(default)]
+        label: String,
+    },
+    /// The span that began with the same kind and label ends now. What has not ended with the take ends there.
+    EndMark {
+        /// What it marks.
+        kind: MarkKind,
+        /// As it began.
+        #[serde(default)]
+        label: String,
+    },
+    /// The take is over, and becomes part of the session if it can be read.
+    End {
+        /// It is set aside instead.
+        #[serde(default)]
+        set_aside: bool,
+    },
+}
+
+/// What a span of a take marks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum MarkKind {
+    /// Nothing touches: what channels read meanwhile is their zero.
+    Baseline,
+    /// One of several repetitions of the same motion.
+    Repetition,
+    /// A remark.
+    Note,
+}
+
+/// A take that is recorded outside guided sessions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct FreeTake {
+    /// Session that it belongs to.
+    pub session: String,
+    /// Take id, once it is being written.
+    pub take: Option<String>,
+    /// Object id.
+    pub object: String,
+    /// What is done.
+    pub primitive: String,
+    /// Where it stands.
+    pub state: FreeTakeState,
+    /// Why it ended early or is not part of the session; empty when all is well.
+    pub problem: String,
+    /// Its quality check, once it was made.
+    pub verdict: Option<TakeVerdict>,
+}
+
+/// Where a take stands that is recorded outside guided sessions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum FreeTakeState {
+    /// Samples are being written.
+    Recording,
+    /// It is over, and is being checked.
+    Checking,
+    /// Part of the session.
+    Accepted,
+    /// In the session's folder of takes that were set aside.
+    SetAside,
+    /// There is no take that could be read.
+    Lost,
 }
 
 /// Body of `POST /api/v1/recording/wanted`: a take to record besides those of a plan, e.g. what a diagnosis asks for. It
