@@ -22,6 +22,7 @@ use crate::run::{
     still_there, switch_reflex_on,
 };
 use crate::studio::{RequestError, Studio};
+use crate::take::Recording;
 use crate::verdict::Verdict;
 
 /// Where policies are looked for that are named without a folder.
@@ -46,6 +47,8 @@ pub(crate) struct Options<'a> {
     pub(crate) is_placed_at_page: bool,
     /// ID=SOURCE.
     pub(crate) policies: &'a [String],
+    /// Where takes of its trials go.
+    pub(crate) recording: Option<&'a Recording>,
 }
 
 /// Why no further trial is made.
@@ -302,6 +305,7 @@ impl Session<'_> {
             }),
             is_silenced,
             inject: None,
+            recording: self.options.recording,
         };
         let arm = self.arms.get_mut(&(policy.to_owned(), trial.object.clone()));
         let arm = arm.with_context(|| format!("there is no policy {policy:?} on {:?}", trial.object))?;

@@ -22,9 +22,11 @@ pub mod read;
 pub mod record;
 pub mod run;
 pub mod studio;
+mod take;
 pub mod task;
 pub mod trial;
 pub mod verdict;
 
 pub use command::command;
 pub use run::{RolloutArgs, run};
+pub use take::Recorded;

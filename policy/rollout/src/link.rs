@@ -30,6 +30,9 @@ const MOST_REQUESTS: usize = 256;
 /// Frames that wait to be recorded; at 30 a second, one that waits for longer than a minute is dropped.
 const MOST_FRAMES: usize = 2000;
 
+/// Frames by which the station's clock is known: ten seconds of them, in which one comes fast, and clocks stay together.
+const CLOCK_FRAMES: usize = 300;
+
 /// A frame of the stream and when it came.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -60,6 +63,13 @@ struct State {
     awaited: BTreeMap<u64, Option<ControlReply>>,
     /// Numbers of heartbeats that are not answered yet.
     beats: BTreeSet<u64>,
+    /// The same of poses of the object.
+    poses: BTreeSet<u64>,
+    /// How many of those were refused since somebody asked, and why the last one was.
+    refused_poses: Option<(u64, String)>,
+    /// By how much this process's clock is ahead of the station's, s, as each of the last frames had it: the time that it took
+    /// to arrive included.
+    ahead_s: VecDeque<f64>,
     lease: u64,
     sequence: u64,
     alive_until: Option<Instant>,
@@ -67,8 +77,9 @@ struct State {
     ended: Option<String>,
 }
 
-#[derive(Default)]
 struct Shared {
+    /// What times of this process count from.
+    begun: Instant,
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -98,7 +109,8 @@ impl Link {
     /// A studio that cannot be reached, or that refuses because somebody else has control.
     pub fn connect(studio: &Studio, name: &str, take_over: bool) -> anyhow::Result<Self> {
         let studio = studio.clone();
-        let shared = Arc::new(Shared::default());
+        let (state, changed) = (Mutex::default(), Condvar::default());
+        let shared = Arc::new(Shared { begun: Instant::now(), state, changed });
         let (requests, waiting) = mpsc::channel(MOST_REQUESTS);
         let (tell, told) = std::sync::mpsc::sync_channel(1);
         let network = {
@@ -138,6 +150,32 @@ impl Link {
     /// Sends a request; its answer comes with [`Self::answers`]. Gives its number.
     pub fn send(&self, request: Request) -> u64 {
         self.post(request, false)
+    }
+
+    /// Says where the object is. Nobody waits for the answer, and this is no sign of life of the policy.
+    pub(crate) fn tell_pose(&self, pose: Request) {
+        let mut state = self.shared.lock();
+        state.sequence += 1;
+        let (sequence, lease) = (state.sequence, state.lease);
+        state.poses.insert(sequence);
+        // A pose that finds no room is left out: the next one comes soon.
+        if self.requests.try_send(ControlRequest { sequence, lease, request: Some(pose) }).is_err() {
+            state.poses.remove(&sequence);
+        }
+    }
+
+    /// That poses were refused since the last call, and why, if any were.
+    pub(crate) fn refused_poses(&self) -> Option<String> {
+        let (num_refused, why) = self.shared.lock().refused_poses.take()?;
+        Some(format!("{num_refused} poses of the object were refused, the last one: {why}"))
+    }
+
+    /// The station's time at `at`, as its live frames count it; `None` before the first frame.
+    pub(crate) fn station_time_s(&self, at: Instant) -> Option<f64> {
+        let at_s = at.saturating_duration_since(self.shared.begun).as_secs_f64();
+        // The frame that came fastest tells best.
+        let ahead_s = self.shared.lock().ahead_s.iter().copied().reduce(f64::min)?;
+        Some(at_s - ahead_s)
     }
 
     fn post(&self, request: Request, is_awaited: bool) -> u64 {
@@ -379,6 +417,13 @@ fn take_reply(shared: &Shared, reply: ControlReply) {
         drop(state);
         return shared.changed.notify_all();
     }
+    if state.poses.remove(&reply.sequence) {
+        if !reply.accepted {
+            let before = state.refused_poses.take().map_or(0, |(num_refused, _)| num_refused);
+            state.refused_poses = Some((before + 1, reply.problem));
+        }
+        return;
+    }
     match state.awaited.get_mut(&reply.sequence) {
         Some(waiting) => *waiting = Some(reply),
         None => {
@@ -396,6 +441,11 @@ fn take_frame(shared: &Shared, live: LiveFrame) {
     let mut state = shared.lock();
     let number = state.newest.as_ref().map_or(1, |newest| newest.number + 1);
     let frame = Frame { number, received: Instant::now(), live: Arc::new(live) };
+    let received_s = frame.received.saturating_duration_since(shared.begun).as_secs_f64();
+    if state.ahead_s.len() >= CLOCK_FRAMES {
+        state.ahead_s.pop_front();
+    }
+    state.ahead_s.push_back(received_s - frame.live.time_s);
     if state.frames.len() >= MOST_FRAMES {
         state.frames.pop_front();
     }

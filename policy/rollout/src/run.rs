@@ -22,7 +22,8 @@ use crate::link::{Frame, Link};
 use crate::operator::Operator;
 use crate::record::Record;
 use crate::studio::Studio;
-use crate::trial::{self, Ended, Setting, targets, wait_until};
+use crate::take::{RecordArgs, Recorded, Recording};
+use crate::trial::{self, Ended, Setting, median_and_p99_ms, targets, wait_until};
 use crate::verdict::Verdict;
 
 /// Devices are there, the station is armed, or joints are where they are sent, after this long at the latest.
@@ -105,6 +106,8 @@ pub struct RolloutArgs {
     /// A fault on purpose: nan, jumps, slow or hang, and when in each trial, s
     #[arg(long, value_name = "KIND=S")]
     inject: Option<Injected>,
+    #[command(flatten)]
+    record: RecordArgs,
     /// A line of JSON for each trial on standard output
     #[arg(long)]
     pub(crate) json: bool,
@@ -140,6 +143,9 @@ pub struct Outcome {
     pub held_s: f64,
     /// The record of the trial.
     pub take: String,
+    /// The take of the studio that it became; absent without `--record`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<Recorded>,
     /// What the emulated station's operator saw; `null` where nobody looks.
     pub truth: Value,
     /// Steps of the policy, those whose targets came after the next was due, and those left out because of that.
@@ -173,9 +179,11 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         bail!("nobody is there to place the object: give --operator, or {placed}");
     }
     let studio = Studio::new(&args.url, std::env::var(TOKEN).ok(), args.ca_file.as_deref())?;
+    let recording = Recording::new(&args.record, &studio, args.operator.as_ref(), &args.name)?;
     if let Some(id) = &args.campaign {
         let options = campaign::Options {
             id,
+            recording: recording.as_ref(),
             repeats_void: args.repeat_void,
             is_placed_at_page: args.placed_at_page,
             policies: &args.policy,
@@ -205,7 +213,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let link = Link::connect(&studio, &args.name, args.take_over)?;
     let hand = Hand { link: &link, cancel: &cancel };
     let done = switch_reflex_on(&link, reflex.as_deref())
-        .and_then(|()| trials(args, &mut fitted, &hand, operator.as_mut()));
+        .and_then(|()| trials(args, &mut fitted, &hand, operator.as_mut(), recording.as_ref()));
     hold(&link, &fitted.station);
     link.release();
     done
@@ -223,11 +231,12 @@ fn trials(
     fitted: &mut Fitted,
     hand: &Hand<'_>,
     mut operator: Option<&mut Operator>,
+    recording: Option<&Recording>,
 ) -> anyhow::Result<()> {
     ready(hand)?;
     let mut outcomes = Outcomes::open(&args.out, args.json)?;
     for trial in args.first..args.first + args.trials {
-        let outcome = one(args, fitted, hand, operator.as_deref_mut(), trial);
+        let outcome = one(args, fitted, hand, operator.as_deref_mut(), recording, trial);
         let (outcome, is_cancelled) = match outcome {
             Err(_) if hand.cancel.is_cancelled() => break,
             other => other?,
@@ -342,6 +351,8 @@ pub(crate) struct Making<'a> {
     pub(crate) start: Value,
     pub(crate) is_silenced: bool,
     pub(crate) inject: Option<Injected>,
+    /// Where its take goes.
+    pub(crate) recording: Option<&'a Recording>,
 }
 
 /// Runs a trial that [`begin`] prepared; gives what it came to, and whether somebody wants no further one.
@@ -352,7 +363,7 @@ pub(crate) fn make(
     begins: &Begins,
     operator: Option<&mut Operator>,
 ) -> anyhow::Result<(Outcome, bool)> {
-    let Making { campaign, trial, attempt, path, mut start, is_silenced, inject } = making;
+    let Making { campaign, trial, attempt, path, mut start, is_silenced, inject, recording } = making;
     let Hand { link, cancel } = *hand;
     let station = Arc::clone(&fitted.station);
     if start.is_object() {
@@ -369,9 +380,22 @@ pub(crate) fn make(
         head["campaign"] = json!(campaign);
         head["attempt"] = json!(attempt);
     }
-    let mut record = Record::create(path, station.layout.num_channels(), &head)?;
+    let mut take =
+        recording.map(|recording| recording.begin(hand, fitted, &begins.object_pose)).transpose()?;
     let setting = Setting { station: &station, world: &fitted.world, link, cancel, is_silenced, inject };
-    let ended = trial::run(&setting, &mut *fitted.policy, &begins.positions, &mut record)?;
+    let policy = &mut *fitted.policy;
+    let mut trial_runs = || {
+        // Its times count from here.
+        let mut record = Record::create(path, station.layout.num_channels(), &head)?;
+        let ended = trial::run(&setting, policy, &begins.positions, &mut record)?;
+        anyhow::Ok((record, ended))
+    };
+    let ended = match &mut take {
+        Some(take) => take.during(link, trial_runs),
+        None => trial_runs(),
+    };
+    let recorded = take.map(|take| take.end(link));
+    let (record, ended) = ended?;
     let truth = operator.map(|operator| truth(link, operator, &fitted.world.task.hold_s)).transpose();
     let truth =
         truth.unwrap_or_else(|err| Some(json!({ "problem": format!("{err:#}") }))).unwrap_or_default();
@@ -389,6 +413,7 @@ pub(crate) fn make(
         time_to_grasp_s: suggestion.time_to_grasp_s,
         held_s: suggestion.held_s,
         take: path.display().to_string(),
+        recorded,
         truth,
         steps: ended.steps,
         deadline_misses: ended.deadline_misses,
@@ -412,6 +437,7 @@ fn one(
     fitted: &mut Fitted,
     hand: &Hand<'_>,
     mut operator: Option<&mut Operator>,
+    recording: Option<&Recording>,
     trial: u64,
 ) -> anyhow::Result<(Outcome, bool)> {
     let mut start = Value::Null;
@@ -438,6 +464,7 @@ fn one(
         start,
         is_silenced: args.silence_touch,
         inject: args.inject,
+        recording,
     };
     make(hand, fitted, making, &begins, operator)
 }
@@ -452,16 +479,6 @@ fn put_down(link: &Link, station: &Station, ended: &Ended) -> Vec<f64> {
         down[dof] = lowest[dof];
     }
     down
-}
-
-fn median_and_p99_ms(seconds: &[f64]) -> [f64; 2] {
-    let mut sorted = seconds.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        let idx = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
-        sorted.get(idx).map_or(0.0, |seconds| 1e3 * seconds)
-    };
-    [at(0.5), at(0.99)]
 }
 
 /// What the operator of an emulated station saw, and how the grasp world would count that.

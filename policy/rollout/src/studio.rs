@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
+use palpate_wire::api::LEASE_HEADER;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -126,7 +127,7 @@ impl Studio {
     /// # Errors
     /// A studio that does not answer or refuses; another document.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, RequestError> {
-        self.exchange("GET", path, "")
+        self.exchange("GET", path, "", 0)
     }
 
     /// `POST` of a JSON document, answered by another one.
@@ -134,7 +135,20 @@ impl Studio {
     /// # Errors
     /// The same.
     pub fn post<T: DeserializeOwned>(&self, path: &str, body: &Value) -> Result<T, RequestError> {
-        self.exchange("POST", path, &body.to_string())
+        self.exchange("POST", path, &body.to_string(), 0)
+    }
+
+    /// The same as whoever has `lease`.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn post_as<T: DeserializeOwned>(
+        &self,
+        lease: u64,
+        path: &str,
+        body: &Value,
+    ) -> Result<T, RequestError> {
+        self.exchange("POST", path, &body.to_string(), lease)
     }
 
     /// Does `request` again for as long as nobody answers, `patience` at most. What is asked twice must be kept once.
@@ -162,10 +176,11 @@ impl Studio {
         method: &'static str,
         path: &str,
         body: &str,
+        lease: u64,
     ) -> Result<T, RequestError> {
         let unanswered =
             |problem: String| RequestError::Unanswered { method, path: path.to_owned(), problem };
-        let answer = self.answer(method, path, body).map_err(|err| unanswered(err.to_string()))?;
+        let answer = self.answer(method, path, body, lease).map_err(|err| unanswered(err.to_string()))?;
         let (head, content) =
             answer.split_once("\r\n\r\n").ok_or_else(|| unanswered("the answer has no end".to_owned()))?;
         let line = head.lines().next().unwrap_or_default();
@@ -203,13 +218,13 @@ impl Studio {
         Ok(Box::new(stream))
     }
 
-    fn answer(&self, method: &str, path: &str, body: &str) -> std::io::Result<String> {
+    fn answer(&self, method: &str, path: &str, body: &str, lease: u64) -> std::io::Result<String> {
         let stream = TcpStream::connect(&self.address)?;
         stream.set_read_timeout(Some(PATIENCE))?;
-        let Some(tls) = &self.tls else { return self.converse(stream, method, path, body) };
+        let Some(tls) = &self.tls else { return self.converse(stream, method, path, body, lease) };
         let connection = ClientConnection::new(Arc::clone(&tls.config), tls.name.clone());
         let stream = StreamOwned::new(connection.map_err(std::io::Error::other)?, stream);
-        self.converse(stream, method, path, body).map_err(|err| tls.explained(err))
+        self.converse(stream, method, path, body, lease).map_err(|err| tls.explained(err))
     }
 
     fn converse(
@@ -218,10 +233,12 @@ impl Studio {
         method: &str,
         path: &str,
         body: &str,
+        lease: u64,
     ) -> std::io::Result<String> {
         let address = &self.address;
         let login = self.token.iter().map(|token| format!("Authorization: Bearer {token}\r\n"));
-        let login: String = login.collect();
+        let lease = (lease != 0).then(|| format!("{LEASE_HEADER}: {lease}\r\n"));
+        let login: String = login.chain(lease).collect();
         // HTTP/1.0: the answer ends where the connection does.
         write!(
             stream,

@@ -219,3 +219,14 @@ pub(crate) fn wait_until(link: &Link, due: Instant) {
         std::thread::sleep(left.min(Duration::from_millis(20)));
     }
 }
+
+/// Median and 99th percentile of `seconds`, ms.
+pub(crate) fn median_and_p99_ms(seconds: &[f64]) -> [f64; 2] {
+    let mut sorted = seconds.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |share: f64| {
+        let idx = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
+        sorted.get(idx).map_or(0.0, |seconds| 1e3 * seconds)
+    };
+    [at(0.5), at(0.99)]
+}

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, bail};
 use palpate_emulator::TruthSense;
@@ -116,10 +116,10 @@ pub(super) struct Operator {
 }
 
 impl Operator {
-    /// Answers on a thread of its own.
+    /// Answers everybody on a thread of their own.
     pub(super) fn listen(
         dir: &Path,
-        mut objects: Objects,
+        objects: Objects,
         shared: Arc<Shared>,
         control: StationControl,
     ) -> anyhow::Result<Self> {
@@ -133,12 +133,18 @@ impl Operator {
         }
         let listener =
             UnixListener::bind(&path).with_context(|| format!("failed to make the socket {path:?}"))?;
+        let objects = Arc::new(Mutex::new(objects));
+        // Somebody who follows the object must not keep others from placing it.
         let answer = move || {
             for client in listener.incoming() {
-                match client {
-                    // One who leaves in the middle of a line hurts nobody else.
-                    Ok(client) => drop(converse(&client, &mut objects, &shared, &control)),
-                    Err(err) => eprintln!("palpate-train: the operator's socket failed: {err}"),
+                let (objects, shared, control) = (Arc::clone(&objects), Arc::clone(&shared), control.clone());
+                // One who leaves in the middle of a line hurts nobody else.
+                let talk = move |client: UnixStream| drop(converse(&client, &objects, &shared, &control));
+                let begun = client.and_then(|client| {
+                    std::thread::Builder::new().name("operator".to_owned()).spawn(move || talk(client))
+                });
+                if let Err(err) = begun {
+                    eprintln!("palpate-train: the operator's socket failed: {err}");
                 }
             }
         };
@@ -160,7 +166,7 @@ impl Drop for Operator {
 
 fn converse(
     client: &UnixStream,
-    objects: &mut Objects,
+    objects: &Mutex<Objects>,
     shared: &Shared,
     control: &StationControl,
 ) -> std::io::Result<()> {
@@ -184,10 +190,12 @@ fn converse(
 
 fn act(
     request: Request,
-    objects: &mut Objects,
+    objects: &Mutex<Objects>,
     shared: &Shared,
     control: &StationControl,
 ) -> anyhow::Result<Value> {
+    // Whoever placed an object before and failed has left whole statements behind.
+    let objects = &mut *objects.lock().unwrap_or_else(PoisonError::into_inner);
     let placement = match request {
         Request::State {} => return Ok(state(shared, control)),
         Request::Place { object, offset_m, yaw_rad, side, seed } => {

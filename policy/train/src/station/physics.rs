@@ -13,6 +13,8 @@ use palpate_robot_model::Station;
 const LOOK_STEPS: u64 = 50;
 /// The same for what the arm's box looks at.
 const HIT_STEPS: u64 = 10;
+/// The same for where the object is: takes have it 20 times a second, and it should not be older than it has to be.
+const POSE_STEPS: u64 = 2;
 
 /// A world with an object newly placed.
 pub(super) struct Placement {
@@ -151,6 +153,12 @@ impl Physics {
         }
     }
 
+    fn tell_pose(&self) {
+        if let Ok(mut seen) = self.shared.seen.try_lock() {
+            seen.base_from_object = self.world.base_from_object();
+        }
+    }
+
     fn look(&mut self) {
         let contacts = self.world.contacts();
         let look_s = LOOK_STEPS as f64 * 1e-3;
@@ -217,6 +225,8 @@ impl Mechanics for Physics {
         }
         if self.num_steps.is_multiple_of(LOOK_STEPS) {
             self.look();
+        } else if self.num_steps.is_multiple_of(POSE_STEPS) {
+            self.tell_pose();
         }
     }
 

@@ -6,6 +6,7 @@ mod against_hand;
 mod campaign_page;
 mod campaigns;
 mod jobs;
+mod recorded;
 mod rollouts;
 mod station;
 mod training_page;

@@ -7,6 +7,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde_json::{Value, json};
 
+use super::recorded;
 use super::rollouts::replay;
 use super::{palpate_train, root, turn};
 
@@ -164,13 +165,14 @@ fn a_rollout_on_the_physical_station_feels_the_cube_and_lifts_it() {
     let output = palpate_train()
         .args(["rollout", "--json", "--policy", "assets/policies/cube.safetensors", "--seed", "5", "--url"])
         .arg(&url)
-        .args(["--operator", &operator, "--out"])
+        .args(["--operator", &operator, "--record", "grasps", "--out"])
         .arg(&out)
         .output()
         .expect("the command starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let outcome: Value = serde_json::from_slice(&output.stdout).expect("an outcome");
     eprintln!("{outcome:#}");
+    recorded::check(&palpate, &url, &folder.path().join("data/sessions/grasps"), &outcome);
     let truth = &outcome["truth"];
     // In 14 of 200 such trials the cube slid in the soft grip and hung less than the 15 mm up that a success needs; the
     // lowest hung 4.9 mm up.
