@@ -6,7 +6,8 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from palpate.connection import Connection
 from palpate.documents import (
     CheckReport,
     DocSummary,
+    FreeTake,
     Info,
     LiveDocument,
     ModelSummary,
@@ -307,6 +309,59 @@ class Palpate:
         """
         body = {"action": action, **arguments}
         return decode(RecordingDocument, self.connection.json("POST", "/recording/act", body=body, as_operator=True))
+
+    def begin_take(
+        self,
+        session: str,
+        object: str,
+        object_pose: Sequence[float],
+        *,
+        primitive: str = "free",
+        fixture_trusted: bool = False,
+        operator: str = "",
+        surroundings: Sequence[Mapping[str, Any]] = (),
+        marks_baseline: bool = False,
+    ) -> RecordingDocument:
+        """Begins a take outside guided sessions, in `session`, which is made if there is none. Needs control.
+
+        `object_pose`: x, y, z in m from the robot's base, then the quaternion, w first. `surroundings`: fixed boxes,
+        each with `pose` (seven numbers too) and `size_m`. The span without touch is marked until a joint of the hand is
+        told to move; with `marks_baseline` it is marked by `act_on_take`. The take ends with `end_take`, with control,
+        and when the station stops following.
+        """
+        body = {
+            "session": session,
+            "object": object,
+            "object_pose": list(object_pose),
+            "primitive": primitive,
+            "fixture_trusted": fixture_trusted,
+            "operator": operator,
+            "surroundings": [dict(box) for box in surroundings],
+            "marks_baseline": marks_baseline,
+        }
+        return decode(RecordingDocument, self.connection.json("POST", "/recording/take", body=body, as_operator=True))
+
+    def act_on_take(self, action: str, **arguments: object) -> RecordingDocument:
+        """Does something with the take outside guided sessions. Needs control.
+
+        `action`: `begin_mark` or `end_mark` (with `kind=` `baseline`, `repetition` or `note`, and `label=`), or `end`
+        (with `set_aside=`).
+        """
+        body = {"action": action, **arguments}
+        return decode(
+            RecordingDocument, self.connection.json("POST", "/recording/take/act", body=body, as_operator=True)
+        )
+
+    def end_take(self, *, set_aside: bool = False, timeout_s: float = 30.0) -> FreeTake:
+        """Ends the take and returns what became of it, once the studio has checked it. Needs control."""
+        document = self.act_on_take("end", set_aside=set_aside)
+        deadline = time.monotonic() + timeout_s
+        while document.free is None or document.free.state in ("recording", "checking"):
+            if time.monotonic() > deadline:
+                raise PalpateError("Timeout", f"the studio did not check the take in {timeout_s:g} s")
+            time.sleep(0.05)
+            document = self.recording()
+        return document.free
 
     def want(self, object: str, primitive: str, because: str = "") -> RecordingDocument:
         """Adds a take to the checklist."""

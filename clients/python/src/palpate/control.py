@@ -7,7 +7,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from palpate.control_pb2 import (
     Disarm,
     Heartbeat,
     LeadThrough,
+    ObjectPose,
     Release,
     ResetStop,
     Stop,
@@ -57,6 +58,7 @@ _FIELDS: dict[type[Message], str] = {
     LeadThrough: "lead_through",
     ClearFault: "clear_fault",
     Tare: "tare",
+    ObjectPose: "object_pose",
 }
 
 
@@ -285,6 +287,15 @@ class Control:
     def tare(self) -> None:
         """Takes the mean reading of the next half second as that without touch."""
         self._must(Tare())
+
+    def object_pose(self, pose: Sequence[float], *, time_s: float = 0.0) -> None:
+        """Says where the object is, for the take that is recorded outside guided sessions.
+
+        `pose`: x, y, z in m from the robot's base, then the quaternion, w first. `time_s`: when, in the station's time
+        as live frames have it; 0 for now.
+        """
+        numbers = [float(value) for value in pose]
+        self._must(ObjectPose(position_m=numbers[:3], quaternion_wxyz=numbers[3:], time_s=time_s))
 
     def _until(self, phase: str, timeout_s: float) -> None:
         """Waits until the station is in `phase`; raises if it stops or falls back instead."""

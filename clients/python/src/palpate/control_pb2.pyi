@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class ControlRequest(_message.Message):
-    __slots__ = ("sequence", "lease", "acquire", "release", "heartbeat", "arm", "disarm", "stop", "reset_stop", "targets", "lead_through", "clear_fault", "tare", "reflex")
+    __slots__ = ("sequence", "lease", "acquire", "release", "heartbeat", "arm", "disarm", "stop", "reset_stop", "targets", "lead_through", "clear_fault", "tare", "reflex", "object_pose")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     LEASE_FIELD_NUMBER: _ClassVar[int]
     ACQUIRE_FIELD_NUMBER: _ClassVar[int]
@@ -23,6 +23,7 @@ class ControlRequest(_message.Message):
     CLEAR_FAULT_FIELD_NUMBER: _ClassVar[int]
     TARE_FIELD_NUMBER: _ClassVar[int]
     REFLEX_FIELD_NUMBER: _ClassVar[int]
+    OBJECT_POSE_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     lease: int
     acquire: Acquire
@@ -37,7 +38,8 @@ class ControlRequest(_message.Message):
     clear_fault: ClearFault
     tare: Tare
     reflex: Reflex
-    def __init__(self, sequence: _Optional[int] = ..., lease: _Optional[int] = ..., acquire: _Optional[_Union[Acquire, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., arm: _Optional[_Union[Arm, _Mapping]] = ..., disarm: _Optional[_Union[Disarm, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., reset_stop: _Optional[_Union[ResetStop, _Mapping]] = ..., targets: _Optional[_Union[Targets, _Mapping]] = ..., lead_through: _Optional[_Union[LeadThrough, _Mapping]] = ..., clear_fault: _Optional[_Union[ClearFault, _Mapping]] = ..., tare: _Optional[_Union[Tare, _Mapping]] = ..., reflex: _Optional[_Union[Reflex, _Mapping]] = ...) -> None: ...
+    object_pose: ObjectPose
+    def __init__(self, sequence: _Optional[int] = ..., lease: _Optional[int] = ..., acquire: _Optional[_Union[Acquire, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., arm: _Optional[_Union[Arm, _Mapping]] = ..., disarm: _Optional[_Union[Disarm, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., reset_stop: _Optional[_Union[ResetStop, _Mapping]] = ..., targets: _Optional[_Union[Targets, _Mapping]] = ..., lead_through: _Optional[_Union[LeadThrough, _Mapping]] = ..., clear_fault: _Optional[_Union[ClearFault, _Mapping]] = ..., tare: _Optional[_Union[Tare, _Mapping]] = ..., reflex: _Optional[_Union[Reflex, _Mapping]] = ..., object_pose: _Optional[_Union[ObjectPose, _Mapping]] = ...) -> None: ...
 
 class Acquire(_message.Message):
     __slots__ = ("operator", "take_over")
@@ -102,6 +104,16 @@ class Targets(_message.Message):
     dofs: _containers.RepeatedScalarFieldContainer[int]
     positions: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, dofs: _Optional[_Iterable[int]] = ..., positions: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class ObjectPose(_message.Message):
+    __slots__ = ("position_m", "quaternion_wxyz", "time_s")
+    POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    TIME_S_FIELD_NUMBER: _ClassVar[int]
+    position_m: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    time_s: float
+    def __init__(self, position_m: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., time_s: _Optional[float] = ...) -> None: ...
 
 class ControlReply(_message.Message):
     __slots__ = ("sequence", "accepted", "problem", "lease", "stop_confirmed")

@@ -666,10 +666,24 @@ class RecordingSession:
 
 
 @dataclass(frozen=True)
+class FreeTake:
+    """A take outside guided sessions. `state` is `recording`, `checking`, `accepted`, `set_aside` or `lost`."""
+
+    session: str
+    take: str | None
+    object: str
+    primitive: str
+    state: str
+    problem: str
+    verdict: TakeVerdict | None
+
+
+@dataclass(frozen=True)
 class RecordingDocument:
-    """Plans, and the session under way if there is one."""
+    """Plans, the session under way if there is one, and the newest take outside guided sessions."""
 
     revision: int
     plans: list[PlanSummary]
     session: RecordingSession | None
     wanted: list[WantedTake] = field(default_factory=list)
+    free: FreeTake | None = None
