@@ -203,8 +203,11 @@ impl Take<'_> {
         let take = match ended {
             Ok(free) => {
                 let is_kept = free.state == FreeTakeState::Accepted;
-                problems.extend((!free.problem.is_empty()).then_some(free.problem));
-                problems.extend(free.verdict.into_iter().flat_map(|verdict| verdict.problems));
+                let found = free.verdict.map(|verdict| verdict.problems).unwrap_or_default();
+                // The check says why a take ended early, where there is one.
+                let is_said = found.iter().any(|problem| problem.contains(&free.problem));
+                problems.extend((!is_said && !free.problem.is_empty()).then_some(free.problem));
+                problems.extend(found);
                 free.take.filter(|_| is_kept)
             }
             Err(err) => {

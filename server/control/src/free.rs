@@ -1,22 +1,26 @@
 //! A take outside guided sessions: whoever has control begins and ends it, and moves the robot meanwhile by whatever means.
 //!
 //! Pure, as the [guide](crate::guide) is: it is told what happens and what time it is, and answers with [`Effect`]s for the
-//! control loop to carry out. It moves nothing. Whatever ends control or stops an armed station ends the take, which is kept.
+//! control loop to carry out. It moves nothing. Whatever ends control or stops an armed station ends the take, which is kept;
+//! one that holds for a moment, e.g. because a finger was about to leave the workspace, goes on.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_recording::{SpanKind, TakeMeta};
+use palpate_safety::Phase;
 use palpate_wire::{
     api::{FreeTake, FreeTakeState, MarkKind, TakeAction, TakeVerdict},
     proto::{ObjectPose, RecordingStatus},
 };
 
 use crate::{
-    guide::{Effect, Safety},
+    guide::Effect,
     recorder::{RecorderCommand, RecorderEvent},
 };
 
 /// A span without touch that is shorter says little about the zero of a channel, ns. It is not marked.
 const LEAST_BASELINE_NS: u64 = 250_000_000;
+/// An armed station may hold for so long, ns, and be part of the take: whoever moves it tells it to go elsewhere meanwhile.
+const LONGEST_HOLD_NS: u64 = 1_000_000_000;
 /// Marks that may be open at once.
 const MOST_MARKS: usize = 64;
 /// Characters of a label.
@@ -38,6 +42,16 @@ pub(crate) struct FreePlan {
     pub(crate) marks_baseline: bool,
 }
 
+/// What the safety layer is up to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Standing<'a> {
+    pub(crate) phase: Phase,
+    /// The lease that is held; 0 for none.
+    pub(crate) lease: u64,
+    /// Why it does not follow commands, in words; may be empty.
+    pub(crate) reason: &'a str,
+}
+
 /// A take, from its begin on.
 #[derive(Debug)]
 pub(crate) struct Free {
@@ -52,6 +66,8 @@ pub(crate) struct Free {
     lease: u64,
     since_ns: u64,
     was_armed: bool,
+    /// Since when the armed station holds.
+    holds_since_ns: Option<u64>,
     /// Nothing has moved a joint of the hand since the take began, so that nothing touches.
     is_baseline: bool,
     marks: Vec<Mark>,
@@ -85,6 +101,7 @@ impl Free {
             lease,
             since_ns: now_ns,
             was_armed: false,
+            holds_since_ns: None,
             is_baseline: !marks_baseline,
             marks: Vec::new(),
             last_pose_ns: None,
@@ -108,18 +125,30 @@ impl Free {
     }
 
     /// Time passes.
-    pub(crate) fn tick(&mut self, now_ns: u64, safety: &Safety<'_>) -> Vec<Effect> {
+    pub(crate) fn tick(&mut self, now_ns: u64, standing: &Standing<'_>) -> Vec<Effect> {
+        let Standing { phase, lease, reason } = *standing;
         if !self.is_recording() {
             return Vec::new();
         }
-        if safety.lease != self.lease {
+        if lease != self.lease {
             return self.stop(now_ns, "the lease was given back or taken over, or it ran out");
         }
-        if self.was_armed && !safety.armed {
-            let reason = if safety.reason.is_empty() { "it is not armed any more" } else { safety.reason };
-            return self.stop(now_ns, &format!("the station stopped: {reason}"));
+        let reason = if reason.is_empty() { "it is not armed any more" } else { reason };
+        match phase {
+            Phase::Armed => (self.was_armed, self.holds_since_ns) = (true, None),
+            Phase::Holding if self.was_armed => {
+                let Some(since_ns) = self.holds_since_ns else {
+                    self.holds_since_ns = Some(now_ns);
+                    let text = format!("the station holds: {reason}");
+                    return vec![Effect::Record(RecorderCommand::Log { at_ns: now_ns, text })];
+                };
+                if now_ns.saturating_sub(since_ns) > LONGEST_HOLD_NS {
+                    return self.stop(now_ns, &format!("the station held: {reason}"));
+                }
+            }
+            _ if self.was_armed => return self.stop(now_ns, &format!("the station stopped: {reason}")),
+            _ => {}
         }
-        self.was_armed |= safety.armed;
         Vec::new()
     }
 

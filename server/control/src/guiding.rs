@@ -263,7 +263,7 @@ fn describe(action: &RecordingAction) -> &'static str {
 }
 
 /// What the guide has to know of the safety layer.
-pub(crate) fn safety<'a>(status: &'a Status, measured: Option<&'a [f64]>) -> Safety<'a> {
+fn safety<'a>(status: &'a Status, measured: Option<&'a [f64]>) -> Safety<'a> {
     Safety {
         armed: status.phase == Phase::Armed,
         lease: status.lease.map_or(0, |lease| lease.0),

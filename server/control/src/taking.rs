@@ -16,9 +16,8 @@ use crate::{
     audit::{Who, rfc3339_now},
     control_loop::ControlLoop,
     error::ControlError,
-    free::{Free, FreePlan, pose_of},
+    free::{Free, FreePlan, Standing, pose_of},
     guide::Effect,
-    guiding::safety,
     prepare::with_causes,
     requests::Claim,
 };
@@ -268,7 +267,10 @@ impl ControlLoop {
         let missing = self.senses.missing().next();
         let effects = match missing {
             Some((device, problem)) => free.stop(now_ns, &format!("{device} is lost: {problem}")),
-            None => free.tick(now_ns, &safety(&status, None)),
+            None => {
+                let lease = status.lease.map_or(0, |lease| lease.0);
+                free.tick(now_ns, &Standing { phase: status.phase, lease, reason: &status.reason })
+            }
         };
         self.record(now_ns, &Who::part(RECORDER), effects);
     }

@@ -17,8 +17,8 @@ fn plan(marks_baseline: bool) -> FreePlan {
     FreePlan { session: "tuesday".to_owned(), step: 0, meta, marks_baseline }
 }
 
-fn safety(lease: u64, armed: bool) -> Safety<'static> {
-    Safety { armed, lease, reason: "", measured: None }
+fn standing(lease: u64, phase: Phase) -> Standing<'static> {
+    Standing { phase, lease, reason: "" }
 }
 
 /// What the recorder is told of `effects`.
@@ -28,6 +28,10 @@ fn commands(effects: Vec<Effect>) -> Vec<RecorderCommand> {
         _ => None,
     };
     effects.into_iter().filter_map(command).collect()
+}
+
+fn is_end(command: &RecorderCommand) -> bool {
+    matches!(command, RecorderCommand::EndTake { .. })
 }
 
 fn ended(broken_off: &str) -> RecorderEvent {
@@ -41,7 +45,7 @@ fn a_take_goes_from_its_begin_to_the_session() {
         matches!(commands(effects)[..], [RecorderCommand::StartFreeTake { at_ns, .. }] if at_ns == 1000 * MS)
     );
     free.recorder(RecorderEvent::TakeStarted { take: "take-01".to_owned() });
-    assert!(free.tick(1100 * MS, &safety(7, true)).is_empty());
+    assert!(free.tick(1100 * MS, &standing(7, Phase::Armed)).is_empty());
     // The first target that moves a joint of the hand ends the span without touch, and no later one does.
     let [RecorderCommand::Span { kind: SpanKind::Baseline, start_ns, end_ns, .. }] =
         commands(free.moved(2000 * MS))[..]
@@ -78,11 +82,13 @@ fn a_take_goes_from_its_begin_to_the_session() {
 
 #[test]
 fn whatever_ends_control_or_stops_the_station_ends_the_take_once() {
+    use Phase::{Armed, Arming, Disarmed, Disarming, Holding, Stopped};
     for (name, before, now, expected) in [
-        ("given back", safety(7, true), safety(0, false), "lease"),
-        ("taken over", safety(7, true), safety(8, true), "lease"),
-        ("held", safety(7, true), safety(7, false), "the station stopped"),
-        ("given back before it was armed", safety(7, false), safety(0, false), "lease"),
+        ("given back", standing(7, Armed), standing(0, Disarming), "lease"),
+        ("taken over", standing(7, Armed), standing(8, Armed), "lease"),
+        ("stopped", standing(7, Armed), standing(7, Stopped), "the station stopped"),
+        ("let go", standing(7, Armed), standing(7, Disarming), "the station stopped"),
+        ("given back before it was armed", standing(7, Disarmed), standing(0, Disarmed), "lease"),
     ] {
         let (mut free, _) = Free::begin(plan(false), 7, 0);
         assert!(free.tick(5 * MS, &before).is_empty(), "{name}");
@@ -92,9 +98,20 @@ fn whatever_ends_control_or_stops_the_station_ends_the_take_once() {
         assert!(free.tick(15 * MS, &now).is_empty() && free.stop(20 * MS, "again").is_empty(), "{name}");
         assert!(free.view().problem.contains(expected), "{name}");
     }
-    // A station that is not armed can be recorded, e.g. while somebody moves the hand.
+    // A station that holds for a moment follows again; for longer than a second, nobody moves it.
     let (mut free, _) = Free::begin(plan(false), 7, 0);
-    assert!(free.tick(1000 * MS, &safety(7, false)).is_empty());
+    for (at_ms, phase) in
+        [(0, Armed), (100, Holding), (1000, Holding), (1050, Armed), (1100, Holding), (2100, Holding)]
+    {
+        assert!(!commands(free.tick(at_ms * MS, &standing(7, phase))).iter().any(is_end), "{at_ms} ms");
+    }
+    assert!(commands(free.tick(2105 * MS, &standing(7, Holding))).iter().any(is_end));
+    assert!(free.view().problem.contains("the station held"), "{:?}", free.view());
+    // A station that is not armed can be recorded, e.g. while somebody moves the hand, and armed later.
+    let (mut free, _) = Free::begin(plan(false), 7, 0);
+    for phase in [Disarmed, Arming, Armed] {
+        assert!(free.tick(1000 * MS, &standing(7, phase)).is_empty());
+    }
     // What the recorder cannot write is lost, and the next take can begin.
     let over = commands(free.recorder(RecorderEvent::TakeLost { problem: "no space at all".to_owned() }));
     assert_eq!(over, [RecorderCommand::EndSession]);
