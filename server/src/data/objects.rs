@@ -39,8 +39,10 @@ pub(super) fn shipped_text(id: &str) -> Option<&'static [u8]> {
 /// The files of the object called `id`: one's own, or else the binary's.
 pub(crate) fn files(store: &Store, id: &str) -> Result<ObjectFiles, Error> {
     let own = own(store)?.into_iter().find(|object| object.id == id);
-    let known = own.or_else(|| SHIPPED.iter().find(|object| object.id == id).cloned());
-    let content = known.map(|object| object.content).ok_or_else(|| {
+    if let (None, Some(text)) = (&own, shipped_text(id)) {
+        return shipped_files(id, text);
+    }
+    let content = own.map(|object| object.content).ok_or_else(|| {
         let advice = "the screen Objects lists those that there are";
         Error::Argument(format!(
             "there is no object {id:?}, neither of the station nor of this studio; {advice}"
@@ -53,6 +55,19 @@ pub(crate) fn files(store: &Store, id: &str) -> Result<ObjectFiles, Error> {
         bytes.map(|bytes| (name, bytes)).map_err(|error| Error::Content(format!("object {id:?}: {error}")))
     });
     Ok(ObjectFiles { text: document.object_toml, meshes: meshes.collect::<Result<_, _>>()? })
+}
+
+/// The files of a shipped object, whose body is not computed for that.
+fn shipped_files(id: &str, text: &[u8]) -> Result<ObjectFiles, Error> {
+    let text = String::from_utf8_lossy(text).into_owned();
+    let mut meshes = BTreeMap::new();
+    ObjectModel::from_toml(id, &text, |mesh| {
+        let bytes = shipped_mesh(mesh)?;
+        meshes.insert(mesh.to_owned(), bytes.clone());
+        Ok(bytes)
+    })
+    .map_err(|error| Error::Content(error.to_string()))?;
+    Ok(ObjectFiles { text, meshes })
 }
 
 /// Those of the data folder.

@@ -186,6 +186,7 @@ impl Bench {
                 self.takes.insert(take.clone(), (step, Place::Recording));
                 self.answers.push(RecorderEvent::TakeStarted { take });
             }
+            RecorderCommand::StartFreeTake { .. } => panic!("a guided session records nothing but its steps"),
             RecorderCommand::EndTake { broken_off } => {
                 // The recorder may have ended it by itself.
                 if let Some(take) = recording {

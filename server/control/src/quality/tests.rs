@@ -174,9 +174,18 @@ fn missed_channels_are_listed_and_unplanned_ones_need_not_be_touched() {
 }
 
 #[test]
+fn fingers_that_hold_something_may_be_elsewhere_than_they_are_told_to_be() {
+    let mut take = good();
+    take.joints.positions.iter_mut().skip(21).step_by(2).for_each(|position| *position += 0.2);
+    let judged = |is_free| verdict(&take, &Circumstances { is_free, ..Circumstances::default() });
+    assert!(judged(true).good && !judged(false).good);
+}
+
+#[test]
 fn what_the_file_does_not_say_counts_too() {
     let circumstances = Circumstances {
         planned: &[0],
+        is_free: false,
         lost_samples: 3,
         refusal: "",
         broken_off: "the station stopped: the emergency stop is pressed",

@@ -258,6 +258,7 @@ impl Worker {
         self.say(RecorderEvent::TakeEnded { take: end.take.clone(), broken_off: broken_off.clone() });
         let circumstances = Circumstances {
             planned: &take.planned,
+            is_free: take.is_free,
             lost_samples,
             refusal: take.refusal.as_deref().unwrap_or_default(),
             broken_off: &broken_off,

@@ -89,6 +89,8 @@ fn examples_of_the_document_are_answered_as_it_says() {
         let complaint = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{command}: {}: {complaint}{said}", output.status);
         assert_eq!(said.lines().last(), Some(status.as_str()), "{command}: {said}");
+        // A take that is over is read back before another can begin.
+        wait("a take that is checked", || studio.get("/recording").unwrap()["free"]["state"] != "checking");
     }
     // They did something.
     let models = studio.get("/models").unwrap();
