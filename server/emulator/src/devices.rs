@@ -200,6 +200,14 @@ impl EmulatedStation {
         seed: u64,
     ) -> Result<Self, EmulationError> {
         let station = Arc::clone(&emulation.station);
+        if let Some((joint, mimic)) = station.robot.dofs().find_map(|joint| Some((joint, joint.mimic?))) {
+            let problem = format!(
+                "joint {:?} follows joint {:?}, and emulated devices have a servo for every joint of the hand; record sessions \
+                 with palpate emulate instead",
+                joint.name, station.robot.joints[mimic.joint].name
+            );
+            return Err(emulation.error("station", problem));
+        }
         let hand_dofs = hand_dofs(&station);
         let ids_left = usize::from(palpate_device_protocol::dynamixel::MAX_ID) + 1;
         let mut offsets = emulation.positions(&emulation.truth.joints.offset, &vec![0.0; start.len()]);

@@ -298,6 +298,7 @@ impl TruthWorld {
         while self.block < end_block {
             let block_end_s = ((self.block + 1) * STEPS_PER_BLOCK) as f64 * STEP_S;
             path(block_end_s, &mut positions);
+            self.station.robot.follow(&mut positions);
             self.step_block(&positions);
             let block_end_ns = (block_end_s * 1e9).round() as i64;
             for (stream, device) in self.devices.iter_mut().enumerate() {
@@ -312,6 +313,7 @@ impl TruthWorld {
             let mut due_s = self.num_joint_samples as f64 * period_s;
             while due_s < block_end_s - 1e-9 {
                 path(due_s, &mut positions);
+                self.station.robot.follow(&mut positions);
                 events.push(Event::Joints {
                     host_ns: (due_s * 1e9).round() as i64,
                     positions: self.measured(&positions),

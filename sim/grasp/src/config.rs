@@ -301,6 +301,13 @@ impl GraspConfig {
                 known.join(", ")
             ));
         }
+        if let Some((joint, mimic)) = robot.dofs().find_map(|joint| Some((joint, joint.mimic?))) {
+            return Err(format!(
+                "joint {:?} follows joint {:?} (mimic in the robot's file), and the grasp world moves every joint by a servo of its \
+                 own; remove the mimic there if it has one",
+                joint.name, robot.joints[mimic.joint].name
+            ));
+        }
         for joint in robot.dofs() {
             let servos = self
                 .servos

@@ -52,9 +52,11 @@ pub(crate) struct Postures<'a> {
     pub(crate) depth_m: f64,
 }
 
-/// Degrees of freedom of the touching limb: those that move the link and do not carry the hand.
+/// Degrees of freedom of the touching limb: those that move the link and do not carry the hand. In the place of one that
+/// follows another is that other, which may be on another limb.
 pub(crate) fn limb_dofs(scene: &Scene<'_>, link: usize) -> Vec<usize> {
-    let mut dofs = ik::chain_dofs(&scene.station.robot, link);
+    let robot = &scene.station.robot;
+    let mut dofs = ik::leaders(robot, ik::chain_dofs(robot, link));
     dofs.retain(|dof| !scene.station.carrier_dofs.contains(dof));
     dofs
 }
@@ -100,8 +102,8 @@ fn try_contact(
         positions[dof] = postures.rest[dof];
     }
     let limb = limb_dofs(scene, patch.link);
-    for (dof, position) in positions.iter_mut().enumerate() {
-        if carriers.contains(&dof) {
+    for ((dof, position), joint) in positions.iter_mut().enumerate().zip(robot.dofs()) {
+        if carriers.contains(&dof) || joint.mimic.is_some() {
             continue;
         }
         let (lower, upper) = ik::range(robot, dof);
@@ -109,6 +111,7 @@ fn try_contact(
         let (middle, spread) = if limb.contains(&dof) { (postures.rest[dof], 0.4) } else { (*position, 0.1) };
         *position = (middle + spread * span * bell(rng)).clamp(lower, upper);
     }
+    robot.follow(&mut positions);
     let mut frames = Vec::new();
     robot.forward_kinematics(&positions, &mut frames);
 

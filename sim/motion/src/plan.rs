@@ -206,10 +206,12 @@ impl Plan {
         Scene::new(station, model, pose.to_isometry().map_err(fail)?).map_err(fail)
     }
 
-    /// Where takes start and end, in the station's order.
+    /// Where takes start and end, in the station's order. Joints that follow others are where they follow them to.
     pub fn rest(&self, station: &Station) -> Vec<f64> {
         let named = |name: &str| self.motion.rest.get(name).copied().unwrap_or(0.0);
-        station.robot.dofs().map(|joint| named(&joint.name)).collect()
+        let mut rest: Vec<f64> = station.robot.dofs().map(|joint| named(&joint.name)).collect();
+        station.robot.follow(&mut rest);
+        rest
     }
 
     /// Where joints are that take no part in a touch, in the station's order.
@@ -218,7 +220,9 @@ impl Plan {
         let named = |(joint, rest): (&palpate_robot_model::Joint, f64)| {
             self.motion.away.get(&joint.name).copied().unwrap_or(rest)
         };
-        station.robot.dofs().zip(rest).map(named).collect()
+        let mut away: Vec<f64> = station.robot.dofs().zip(rest).map(named).collect();
+        station.robot.follow(&mut away);
+        away
     }
 
     fn no_primitive(&self, id: &str) -> PlanError {
@@ -234,9 +238,12 @@ impl Plan {
         let motion = &self.motion;
         check_positions(station, &motion.rest, "motion.rest")?;
         check_positions(station, &motion.away, "motion.away")?;
-        if let Some(missing) = station.robot.dofs().find(|joint| !motion.rest.contains_key(&joint.name)) {
+        let mut moved = station.robot.dofs().filter(|joint| joint.mimic.is_none());
+        if let Some(missing) = moved.find(|joint| !motion.rest.contains_key(&joint.name)) {
             return Err(("motion.rest".into(), format!("joint {:?} is missing", missing.name)));
         }
+        check_followers(station, &motion.rest, &self.rest(station), "motion.rest")?;
+        check_followers(station, &motion.away, &self.away(station), "motion.away")?;
         positive(
             "motion",
             &[
@@ -304,6 +311,42 @@ pub fn channel_named(station: &Station, touch: &str) -> Option<usize> {
 
 fn no_pose(object: &str) -> String {
     format!("add [object.{object}]")
+}
+
+/// How far the position that a plan states for a joint may be from where it follows another to, rad or m.
+const FOLLOWING_TOLERANCE: f64 = 1e-6;
+
+/// Refuses joints that follow others and are stated to be elsewhere, or would be outside of their limits at `positions`.
+fn check_followers(
+    station: &Station,
+    named: &BTreeMap<String, f64>,
+    positions: &[f64],
+    place: &str,
+) -> Result<(), (String, String)> {
+    let robot = &station.robot;
+    for (joint, &position) in robot.dofs().zip(positions) {
+        let Some(mimic) = joint.mimic else { continue };
+        let followed = &robot.joints[mimic.joint].name;
+        if let Some(stated) =
+            named.get(&joint.name).filter(|stated| (**stated - position).abs() > FOLLOWING_TOLERANCE)
+        {
+            let problem = format!(
+                "joint {:?} follows {followed:?} to {position}, expected no other position than that, not {stated}; leave it out",
+                joint.name
+            );
+            return Err((place.to_owned(), problem));
+        }
+        if let Some(limits) = joint.limits.filter(|limits| {
+            position < limits.lower - FOLLOWING_TOLERANCE || position > limits.upper + FOLLOWING_TOLERANCE
+        }) {
+            let problem = format!(
+                "joint {:?} follows {followed:?} to {position}, outside its limits {}..{}; move {followed:?} elsewhere",
+                joint.name, limits.lower, limits.upper
+            );
+            return Err((place.to_owned(), problem));
+        }
+    }
+    Ok(())
 }
 
 fn check_positions(

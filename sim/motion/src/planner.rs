@@ -371,6 +371,7 @@ impl<'a> Planner<'a> {
                     side[dof] = (side[dof] + settle).clamp(lower, upper);
                 }
             }
+            robot.follow(&mut side);
             let Some(last) = self.straight_if_clear(&side, hover) else { continue };
             if let Some(mut way) = self.way(here, &side) {
                 way.push(last);

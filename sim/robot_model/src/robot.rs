@@ -159,6 +159,20 @@ pub struct Mimic {
     pub offset: f64,
 }
 
+/// A degree of freedom moves with another that follows none: it is at `multiplier` times the other's position plus
+/// `offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Led {
+    /// The one that follows.
+    pub dof: usize,
+    /// The one that it moves with.
+    pub leader: usize,
+    /// Its position for each unit of the leader's, rad or m.
+    pub multiplier: f64,
+    /// Its position where the leader is at zero, rad or m.
+    pub offset: f64,
+}
+
 /// Limits of a joint, rad or m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
@@ -214,6 +228,30 @@ impl Robot {
             Some((joint.dof?, self.joints[mimic.joint].dof?, mimic))
         };
         mimics.into_iter().filter_map(dofs).collect()
+    }
+
+    /// Moves every degree of freedom that follows another to where it follows it to.
+    pub fn follow(&self, positions: &mut [f64]) {
+        for (dof, followed, mimic) in self.mimics() {
+            positions[dof] = mimic.multiplier * positions[followed] + mimic.offset;
+        }
+    }
+
+    /// The degrees of freedom that follow others, with the one at the end of each chain, which follows none.
+    pub fn led(&self) -> Vec<Led> {
+        let mut led: Vec<Led> = Vec::new();
+        for (dof, followed, mimic) in self.mimics() {
+            let of_followed = led.iter().find(|other| other.dof == followed).copied();
+            let of_followed =
+                of_followed.unwrap_or(Led { dof: followed, leader: followed, multiplier: 1.0, offset: 0.0 });
+            led.push(Led {
+                dof,
+                leader: of_followed.leader,
+                multiplier: mimic.multiplier * of_followed.multiplier,
+                offset: mimic.multiplier * of_followed.offset + mimic.offset,
+            });
+        }
+        led
     }
 
     /// Index of the link called `name`.

@@ -5,6 +5,7 @@
 mod bad_truth;
 mod demo;
 mod hidden;
+mod mimic;
 mod session;
 mod touch;
 

@@ -1,6 +1,7 @@
 //! What people write, and the scene that is made of it.
 
 use palpate_grasp::{GraspConfig, Randomisation, scene};
+use palpate_robot_model::Mimic;
 use palpate_sim::body::MassProperties;
 
 use super::{WORLD, config, object, station, text};
@@ -36,6 +37,18 @@ fn what_is_wrong_with_a_world_is_named() {
         let message = refusal(from, to);
         assert!(message.starts_with("world.toml: ") && message.contains(expected), "{to}: {message}");
     }
+}
+
+#[test]
+fn a_joint_that_follows_another_is_refused_by_name() {
+    let mut robot = station().robot.clone();
+    let place = |name: &str| robot.joints.iter().position(|joint| joint.name == name).expect("a joint");
+    let (followed, follower) = (place("index_pip"), place("index_dip"));
+    robot.joints[follower].mimic = Some(Mimic { joint: followed, multiplier: 0.7, offset: 0.0 });
+    let message =
+        GraspConfig::from_toml("world.toml", &text(WORLD), &robot).expect_err("refused").to_string();
+    let expected = "joint \"index_dip\" follows joint \"index_pip\" (mimic in the robot's file), and the grasp world moves every joint";
+    assert!(message.starts_with("world.toml: ") && message.contains(expected), "{message}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed test should panic")]
 
 mod laws;
+mod mimic;
 mod plans;
 
 use std::path::{Path, PathBuf};
