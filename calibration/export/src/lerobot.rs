@@ -6,6 +6,7 @@
 //! | `action` | see [`Action`] |
 //! | `observation.tactile.raw` | readings, each in the unit of its stream; only of streams that gave any |
 //! | `observation.tactile.active` | activations, all channels |
+//! | `observation.environment_state` | where the object is: x, y, z in m, then qw, qx, qy, qz, in the base frame; only where some recording has one that moves |
 //!
 //! `timestamp`, `frame_index`, `episode_index`, `index` and `task_index` are those that every such data set has. The table of
 //! episodes says beside what LeRobot reads which file an episode is a copy of, and where that is known whether it was a
@@ -170,6 +171,8 @@ struct Survey {
     first: Option<(PathBuf, Setup)>,
     num_episodes: usize,
     without_commands: Vec<PathBuf>,
+    /// Whether an object moves in any.
+    has_moving_object: bool,
     /// For each stream, how many episodes have readings of it, and one that has none.
     readings: Vec<(usize, Option<PathBuf>)>,
 }
@@ -190,6 +193,7 @@ impl Survey {
         if episode.commands.times_ns.is_empty() {
             self.without_commands.push(path.to_owned());
         }
+        self.has_moving_object |= episode.object_poses.times_ns.len() > 1;
         self.readings.resize(episode.streams.len(), (0, None));
         for ((num_with, without), stream) in self.readings.iter_mut().zip(&episode.streams) {
             match stream.raw.is_empty() {
@@ -240,7 +244,7 @@ impl Survey {
                 return Err(ExportError::content(&first, problem));
             }
         };
-        Ok(Shape { setup, fps, action, with_raw })
+        Ok(Shape { setup, fps, action, with_raw, with_object: self.has_moving_object })
     }
 }
 

@@ -59,6 +59,8 @@ pub(crate) struct Episode {
     pub(crate) commands: Log<f64>,
     /// Streams of the setup.
     pub(crate) streams: Vec<Touch>,
+    /// Where the object is, as [`POSE_NAMES`]: one pose of one that stands still. Empty where nobody says so.
+    pub(crate) object_poses: Log<f64>,
     /// What it came to, where that is known.
     pub(crate) outcome: Option<Outcome>,
     pub(crate) origin: Origin,
@@ -72,6 +74,9 @@ pub(crate) struct Log<T> {
     /// `num_samples x width`, row-major.
     pub(crate) values: Vec<T>,
 }
+
+/// Numbers of an object's pose in the base frame: where its origin is, m, and a unit quaternion, scalar first.
+pub(crate) const POSE_NAMES: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
 
 /// A tactile stream over time.
 #[derive(Clone, Debug, Default)]

@@ -3,7 +3,7 @@
 use crate::{
     clock::Clock,
     columns::{Column, Values},
-    source::{Episode, Log, Setup},
+    source::{Episode, Log, POSE_NAMES, Setup},
 };
 
 use super::{Action, integers};
@@ -16,6 +16,8 @@ pub(super) struct Shape {
     pub(super) action: Action,
     /// For each stream, whether its readings were recorded.
     pub(super) with_raw: Vec<bool>,
+    /// Whether it says where the object is.
+    pub(super) with_object: bool,
 }
 
 /// A feature of ours.
@@ -37,6 +39,7 @@ impl Shape {
             ("action", "float32", action),
             ("observation.tactile.raw", "float32", Some(self.channels(true))),
             ("observation.tactile.active", "bool", Some(self.channels(false))),
+            ("observation.environment_state", "float32", self.with_object.then(|| POSE_NAMES.to_vec())),
         ];
         let features = features
             .into_iter()
@@ -108,6 +111,10 @@ impl Frames {
         if num_channels > 0 {
             columns.push(Column::list("observation.tactile.active", num_channels, Values::Bool(active)));
         }
+        if shape.with_object {
+            let poses = Values::F32(object_poses(&clock, &episode.object_poses));
+            columns.push(Column::list("observation.environment_state", POSE_NAMES.len(), poses));
+        }
         let num_frames = clock.num_frames;
         let seconds = (0..num_frames).map(|frame| (frame as f64 / f64::from(shape.fps)) as f32);
         let always = |value: usize| std::iter::repeat_n(value, num_frames);
@@ -139,6 +146,20 @@ fn sampled(clock: &Clock, log: &Log<f64>, width: usize) -> Option<Vec<f32>> {
             .extend(log.values.get(sample * width..(sample + 1) * width)?.iter().map(|&value| value as f32));
     }
     Some(values)
+}
+
+/// Where the object is at each frame: as its newest pose says; before the first pose it stands there. NaN where nothing says so.
+fn object_poses(clock: &Clock, log: &Log<f64>) -> Vec<f32> {
+    let width = POSE_NAMES.len();
+    let mut values = Vec::with_capacity(clock.num_frames * width);
+    for sample in clock.newest(&log.times_ns) {
+        let first = sample.unwrap_or(0) * width;
+        match log.values.get(first..first + width) {
+            Some(pose) => values.extend(pose.iter().map(|&value| value as f32)),
+            None => values.extend([f32::NAN; POSE_NAMES.len()]),
+        }
+    }
+    values
 }
 
 /// What is written as action, given the sampled `state`; `None` where there is none.

@@ -150,7 +150,7 @@ impl Described<'_> {
                 })
             })
             .collect();
-        pretty(&json!({
+        let mut about = json!({
             "format": 1,
             "software": format!("palpate {}", env!("CARGO_PKG_VERSION")),
             "truth": self.truth(),
@@ -168,7 +168,13 @@ impl Described<'_> {
             "streams": self.shape.setup.streams,
             "episodes": episodes,
             "left_out": self.left_out,
-        }))
+        });
+        if self.shape.with_object {
+            about["units"]["observation.environment_state"] = json!(
+                "the object in the frame of the robot's base: x, y, z in m, unit quaternion qw, qx, qy, qz"
+            );
+        }
+        pretty(&about)
     }
 
     /// `README.md`, as the Hugging Face hub shows it.

@@ -187,6 +187,7 @@ fn parse(path: &Path, text: &str) -> Result<Result<Episode, LeftOut>, ExportErro
         joints,
         commands,
         streams: vec![touch],
+        object_poses: Log::default(),
         outcome: Some(Outcome {
             success: failure_mode.is_none(),
             failure_mode: failure_mode.map(str::to_owned),

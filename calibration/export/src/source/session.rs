@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use palpate_recording::{JointLog, Session};
+use palpate_recording::{JointLog, Session, Take};
 
 use super::{
     Episode, Log, Origin, RawKind, Setup, StreamSetup, Touch, file_name, folder_name, sha256, words,
@@ -34,6 +34,7 @@ pub(super) fn read(session: &Session, take_idx: usize, path: &Path) -> Result<Ep
         "" => label,
         _ => format!("{}: {label}", words(&primitive)),
     };
+    let object_poses = object_poses(&take);
     let touch = take.streams.into_iter().map(|log| Touch {
         active: Log { times_ns: all_ns(&log.times_s), values: log.active },
         raw: log.raw,
@@ -43,6 +44,7 @@ pub(super) fn read(session: &Session, take_idx: usize, path: &Path) -> Result<Ep
         joints: joints(take.joints),
         commands: joints(take.commands),
         streams: touch.collect(),
+        object_poses,
         outcome: None,
         origin: Origin {
             folder: folder_name(path),
@@ -54,6 +56,21 @@ pub(super) fn read(session: &Session, take_idx: usize, path: &Path) -> Result<Ep
         },
         setup,
     })
+}
+
+/// Where the object is; of one that stands still, from the start on.
+fn object_poses(take: &Take) -> Log<f64> {
+    let log = &take.object_poses;
+    let still = [take.meta.base_from_object];
+    let (times_ns, poses) = match log.poses.as_slice() {
+        [] => (vec![0], &still[..]),
+        poses => (all_ns(&log.times_s), poses),
+    };
+    let numbers = poses.iter().flat_map(|pose| {
+        let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
+        [t.x, t.y, t.z, q.w, q.i, q.j, q.k]
+    });
+    Log { times_ns, values: numbers.collect() }
 }
 
 fn joints(log: JointLog) -> Log<f64> {

@@ -205,6 +205,36 @@ fn recordings_without_commands_have_the_action_that_was_asked_for() {
 }
 
 #[test]
+fn where_the_object_is_is_written_where_it_moves_in_some_take() {
+    let dir = tempfile::tempdir().unwrap();
+    let (source, out) = (dir.path().join("s"), dir.path().join("out"));
+    session(&source, &[(&TakeSpec { moves: true, ..TAP }, true), (&TAP, true)]);
+    let report = write(&[source], &out, LerobotConfig { fps: Some(50), action: None }).unwrap();
+    let feature = report.features.last().unwrap();
+    assert_eq!((feature.name.as_str(), feature.size), ("observation.environment_state", 7));
+    let info = json_of(&out.join("meta/info.json"));
+    let about = &info["features"]["observation.environment_state"];
+    assert_eq!(about["names"], json!(["x", "y", "z", "qw", "qx", "qy", "qz"]));
+    assert_eq!((&about["dtype"], &about["shape"]), (&json!("float32"), &json!([7])));
+    let unit = &json_of(&out.join("meta/palpate.json"))["units"]["observation.environment_state"];
+    assert!(unit.as_str().unwrap().contains("in m"), "{unit}");
+    let frames = rows(&out.join(DATA));
+    assert_eq!(frames.len(), 2 * 99);
+    for (idx, row) in frames[..99].iter().enumerate() {
+        // As the newest pose says; before the first, as that one.
+        let newest_ms = u64::max((30 + 20 * idx as u64) / 20 * 20, 100);
+        let pose = f32s(&[newest_ms as f64 * 1e-5, 0.25, -0.5, 1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(numbers(row, "observation.environment_state"), pose, "frame {idx}");
+    }
+    // It stands still in the second take, at the pose that the take has.
+    for row in &frames[99..] {
+        assert_eq!(numbers(row, "observation.environment_state"), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    }
+    let stats = json_of(&out.join("meta/stats.json"));
+    assert!(stats["observation.environment_state"]["mean"].is_array(), "{stats}");
+}
+
+#[test]
 fn takes_of_events_only_have_no_readings() {
     let dir = tempfile::tempdir().unwrap();
     let (source, out) = (dir.path().join("s"), dir.path().join("out"));

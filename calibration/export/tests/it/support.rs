@@ -32,6 +32,8 @@ pub(crate) struct TakeSpec {
     pub(crate) commands_from_ms: Option<u64>,
     /// Readings are recorded beside the activations.
     pub(crate) with_raw: bool,
+    /// The object moves: every 20 ms from 100 ms on, 1e-5 m per ms along x.
+    pub(crate) moves: bool,
 }
 
 pub(crate) const TAP: TakeSpec = TakeSpec {
@@ -40,6 +42,7 @@ pub(crate) const TAP: TakeSpec = TakeSpec {
     duration_ms: 2000,
     commands_from_ms: Some(450),
     with_raw: true,
+    moves: false,
 };
 
 /// Joints at 10 Hz: `slide` is at 1e-4 per ms, `curl` at -0.5. The `gel` (3 channels) at 100 Hz from 30 ms on: channel `c` reads
@@ -65,6 +68,9 @@ pub(crate) fn take(spec: &TakeSpec) -> Vec<u8> {
         }
         if ms % 50 == 0 && spec.commands_from_ms.is_some_and(|from_ms| ms >= from_ms) {
             writer.commands(time_ns, &[ms as f64, 7.0]).unwrap();
+        }
+        if spec.moves && ms >= 100 && ms % 20 == 0 {
+            writer.object_pose(time_ns, &Isometry3::translation(ms as f64 * 1e-5, 0.25, -0.5)).unwrap();
         }
         for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
             let period_ms = (1e3 / stream.rate_hz) as u64;
