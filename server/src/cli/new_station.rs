@@ -19,6 +19,7 @@ use palpate_server::{
     Error,
     data::new_station::{self, RobotFile},
 };
+use palpate_wire::wording::counted;
 use serde::Serialize;
 
 use super::{Outcome, output};
@@ -332,13 +333,16 @@ fn made(robot: &RobotFile, built: &BuiltStation, out: &Path) -> String {
         robot.report.changes.iter().map(|change| format!("note: {change}")).collect();
     lines.extend(built.warnings.iter().map(|warning| format!("warning: {warning}")));
     lines.push(format!(
-        "station {:?} is in {}: {} joints, {} patches, {} channels, {} objects",
+        "station {:?} is in {}: {}, {}, {}, {}",
         station.id,
         out.display(),
-        station.robot.num_dofs(),
-        station.layout.patches.len(),
-        station.layout.num_channels(),
-        station.objects.len()
+        counted(station.robot.num_dofs() as u64, "joint"),
+        match station.layout.patches.len() {
+            1 => "1 patch".to_owned(),
+            patches => format!("{patches} patches"),
+        },
+        counted(station.layout.num_channels() as u64, "channel"),
+        counted(station.objects.len() as u64, "object")
     ));
     lines.push(format!("next: look at {}, which says how recordings are called, then", file.display()));
     lines.push(format!("  palpate import --csv RECORDINGS --station {} --explain", file.display()));

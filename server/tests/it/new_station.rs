@@ -80,7 +80,7 @@ fn a_urdf_becomes_a_station_and_its_recordings_calibrate_it() {
         "note: link \"finger_left\": 2 meshes are replaced by the box around each",
         "warning: link \"palm\": mesh \"package://gripper/palm.dae\" is left out",
         "station \"gripper\" is in",
-        "3 joints, 2 patches, 12 channels, 1 objects",
+        "3 joints, 2 patches, 12 channels, 1 object\n",
         "hand/station.toml --out SESSION",
     ] {
         assert!(made.contains(expected), "{expected}: {made}");
