@@ -10,6 +10,7 @@ mod faults;
 mod flipped_bits;
 mod flood;
 mod full_disk;
+mod live_clients;
 mod page;
 mod probe_bench;
 mod python_client;
