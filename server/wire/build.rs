@@ -10,6 +10,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "proto/foxglove/JointStates.proto",
         "proto/foxglove/Log.proto",
         "proto/foxglove/PoseInFrame.proto",
+        "proto/palpate/axes.proto",
         "proto/palpate/control.proto",
         "proto/palpate/tactile.proto",
         "proto/palpate/trace.proto",

@@ -66,6 +66,7 @@ impl LiveScene {
             positions: &at_zero,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         });
         let moves_object = kinematics.base_from_object != origin;
         let prepare = |shape: &ObjectShape| SignedDistance::new(shape).map_err(ReplayError::Object);
@@ -146,6 +147,7 @@ impl LiveScene {
             positions,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         self.model.chain().kinematics(&take).base_from_object.at(0)
     }

@@ -109,7 +109,7 @@ impl PatchTrace {
 /// ```
 /// use nalgebra::Isometry3;
 /// use palpate_robot_model::{
-///     Channel, ObjectPath, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout,
+///     Channel, ObjectPath, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes,
 /// };
 /// use palpate_sim::{SensorModel, geometry::SignedDistance, replay::contact_trace, tactile::readings};
 ///
@@ -125,7 +125,7 @@ impl PatchTrace {
 ///     name: "pad".into(),
 ///     streams: vec![Stream {
 ///         id: "pad".into(), label: "Pad".into(), kind: SensorKind::Pressure, rate_hz: 10.0,
-///         channels: 0..1, raw_unit: "counts".into(),
+///         channels: 0..1, raw_unit: "counts".into(), axes: TaxelAxes::One,
 ///     }],
 ///     patches: vec![Patch {
 ///         id: "pad".into(), label: "Pad".into(), group: "pad".into(), stream: 0,

@@ -14,7 +14,7 @@ use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
 use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, diagnose};
 use palpate_emulator::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
 use palpate_emulator::{Case, EmulationError, Expected, Hidden, Stage, Strength, cases};
-use palpate_recording::{RecordingError, Take};
+use palpate_recording::{AxesLog, RecordingError, Take};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, SensorModelError};
 use palpate_wire::api::DiagnosisReport;
@@ -319,5 +319,7 @@ fn take_raw_away(take: &mut Take) {
     for stream in &mut take.streams {
         stream.raw.clear();
         stream.reference.clear();
+        stream.later_references.clear();
+        stream.axes = AxesLog::default();
     }
 }

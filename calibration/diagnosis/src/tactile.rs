@@ -357,7 +357,7 @@ const STEADY: f64 = 0.03;
 /// Ignores what firmware makes of readings where the takes `fitted` leave it uncertain what it takes for no touch.
 fn ignore_uncertain_switching(station: &Station, takes: &mut [Observed<'_>], fitted: &[usize]) {
     for (channel, config) in station.layout.channels.iter().enumerate() {
-        let references = fitted.iter().filter_map(|&take| takes[take].reference(station, channel));
+        let references = fitted.iter().flat_map(|&take| takes[take].references(station, channel));
         let (least, most) =
             references.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
         if most - least > STEADY * station.streams[config.stream].on_threshold {

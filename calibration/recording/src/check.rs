@@ -4,7 +4,7 @@ use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity, StreamC
 use palpate_wire::wording::counted;
 
 use crate::{
-    RecordingError, Session, SpanKind, Take, decode::decode, format::OBJECT_POSE_TOPIC, object_poses,
+    RecordingError, Session, SpanKind, Take, axes, decode::decode, format::OBJECT_POSE_TOPIC, object_poses,
     plausible, session::station_difference,
 };
 
@@ -143,6 +143,9 @@ impl Judge for CheckReport {
         for (severity, problem) in object_poses::problems(take) {
             self.add(severity, format!("{}, {OBJECT_POSE_TOPIC}", take.id), problem);
         }
+        for (severity, place, problem) in axes::problems(take) {
+            self.add(severity, format!("{}, {place}", take.id), problem);
+        }
         self.judge_joints(take);
         let layout = &take.station.layout;
         for ((stream, config), log) in layout.streams.iter().zip(&take.station.streams).zip(&take.streams) {
@@ -239,13 +242,14 @@ impl Judge for CheckReport {
     /// `falls`: how far each channel falls under load, 0 where it does not.
     fn judge_coverage(&mut self, first: Option<&Take>, falls: &[f64]) {
         let mut problems = Vec::new();
-        let units = first.map(|take| &take.station.layout).into_iter().flat_map(|layout| {
-            layout.channels.iter().map(|channel| layout.streams[channel.stream].raw_unit.as_str())
-        });
-        for ((coverage, fall), unit) in self.coverage.iter().zip(falls).zip(units) {
+        let streams = first
+            .map(|take| &take.station.layout)
+            .into_iter()
+            .flat_map(|layout| layout.channels.iter().map(|channel| &layout.streams[channel.stream]));
+        for ((coverage, fall), stream) in self.coverage.iter().zip(falls).zip(streams) {
             let [first, second] = coverage.touches_by_half;
             let message = if coverage.touches == 0 && *fall > 0.0 {
-                plausible::falls(*fall, unit)
+                plausible::falls(*fall, stream)
             } else if coverage.touches == 0 {
                 "never touched; is it connected, and does a primitive reach it?".to_owned()
             } else if first.min(second) < MIN_TOUCHES_PER_HALF {
@@ -271,9 +275,7 @@ fn note_falls(take: &Take, falls: &mut Vec<f64>) {
     for ((stream, config), log) in layout.streams.iter().zip(&take.station.streams).zip(&take.streams) {
         let width = stream.channels.len().max(1);
         for (offset, channel) in stream.channels.clone().enumerate() {
-            let Some(&reference) = log.reference.get(offset) else { continue };
-            let readings = log.raw.iter().skip(offset).step_by(width).copied();
-            if let Some(fall) = plausible::fall_under_load(config, readings, reference) {
+            if let Some(fall) = plausible::fall_under_load(config, log.above_reference(offset, width)) {
                 falls[channel] = falls[channel].max(fall);
             }
         }

@@ -18,18 +18,18 @@ use nalgebra::Isometry3;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     foxglove::{JointStates, PoseInFrame},
-    proto::{Marker, TactileSample, marker::Kind},
+    proto::{Marker, TactileAxes, TactileSample, marker::Kind},
 };
 use prost::Message as _;
 
 use crate::{
     JointLog, PoseLog, RecordingError, Span, SpanKind, StreamLog, Take, TakeMeta,
     format::{
-        self, FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, MARKER_SCHEMA,
-        MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF, STATION_ATTACHMENT, TACTILE_SCHEMA,
-        TACTILE_TOPIC_PREFIX, TAKE_METADATA, UNIT_TOLERANCE, secs_from_ns,
+        self, AXES_SCHEMA, AXES_TOPIC_PREFIX, FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA,
+        JOINT_STATES_TOPIC, MARKER_SCHEMA, MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF,
+        STATION_ATTACHMENT, TACTILE_SCHEMA, TACTILE_TOPIC_PREFIX, TAKE_METADATA, UNIT_TOLERANCE,
+        secs_from_ns,
     },
-    take::reference_readings,
 };
 
 /// No record or chunk of a take is larger, unpacked, B. Chunks are about 1 MiB; the rest is for attached meshes.
@@ -271,6 +271,8 @@ enum Role {
     Commands,
     ObjectPose,
     Stream(usize),
+    /// What the axes of a stream's taxels measured.
+    Axes(usize),
     Markers,
     /// For people or for others.
     Other,
@@ -340,9 +342,9 @@ impl<'a> Messages<'a> {
             JOINT_COMMANDS_TOPIC => (Role::Commands, JOINT_STATES_SCHEMA),
             OBJECT_POSE_TOPIC => (Role::ObjectPose, POSE_SCHEMA),
             MARKERS_TOPIC => (Role::Markers, MARKER_SCHEMA),
-            _ => match topic.strip_prefix(TACTILE_TOPIC_PREFIX) {
-                Some(stream) => match self.station.layout.stream_index(stream) {
-                    Some(stream_idx) => (Role::Stream(stream_idx), TACTILE_SCHEMA),
+            _ => match stream_topic(&topic) {
+                Some((stream, role, schema)) => match self.station.layout.stream_index(stream) {
+                    Some(stream_idx) => (role(stream_idx), schema),
                     None => {
                         let problem = format!(
                             "the attached station {:?} has no stream {stream:?}, only {}; the take and its station do \
@@ -414,6 +416,11 @@ impl<'a> Messages<'a> {
                     log.active.extend_from_slice(&sample.active);
                 })
             }
+            Role::Axes(stream_idx) => tactile_axes(self.station, stream_idx, data).map(|values| {
+                let log = &mut self.logs.streams[stream_idx].axes;
+                log.times_s.push(time_s);
+                log.values.extend_from_slice(&values);
+            }),
             Role::Markers => marker_span(self.start_unix_ns, data).map(|span| self.logs.spans.push(span)),
             Role::Other => Ok(()),
         };
@@ -439,8 +446,7 @@ impl<'a> Messages<'a> {
             if log.device_times_s.iter().all(|&time_s| time_s == 0.0) {
                 log.device_times_s.clear();
             }
-            log.reference =
-                reference_readings(&log.times_s, &log.raw, stream.channels.len(), &self.logs.spans);
+            log.find_references(stream.channels.len(), &self.logs.spans);
         }
         Ok(self.logs)
     }
@@ -450,6 +456,16 @@ impl JointLog {
     fn push(&mut self, time_s: f64, positions: &[f64]) {
         self.times_s.push(time_s);
         self.positions.extend_from_slice(positions);
+    }
+}
+
+/// The stream that a topic is about, what the topic carries of it, and in which schema.
+fn stream_topic(topic: &str) -> Option<(&str, fn(usize) -> Role, &'static str)> {
+    let of_samples = topic.strip_prefix(TACTILE_TOPIC_PREFIX);
+    let of_axes = || topic.strip_prefix(AXES_TOPIC_PREFIX);
+    match of_samples {
+        Some(stream) => Some((stream, Role::Stream, TACTILE_SCHEMA)),
+        None => Some((of_axes()?, Role::Axes, AXES_SCHEMA)),
     }
 }
 
@@ -534,6 +550,29 @@ fn tactile_sample(
         return Err(format!("channel {id:?} reads {}, expected a finite number", message.raw[channel]));
     }
     Ok(message)
+}
+
+fn tactile_axes(station: &Station, stream_idx: usize, data: &[u8]) -> Result<Vec<f32>, String> {
+    let TactileAxes { axes, values, .. } = TactileAxes::decode(data).map_err(|error| error.to_string())?;
+    let layout = &station.layout;
+    let stream = &layout.streams[stream_idx];
+    let (num_channels, num_axes) = (stream.channels.len(), stream.axes.count());
+    if num_axes == 1 || axes as usize != num_axes || values.len() != num_channels * num_axes {
+        return Err(format!(
+            "{} numbers of {axes} axes each, the attached station has {num_channels} channels with {} in this stream",
+            values.len(),
+            counted_axes(num_axes)
+        ));
+    }
+    if let Some(cell) = values.iter().position(|value| !value.is_finite()) {
+        let id = layout.axis_id(stream.channels.start + cell / num_axes, cell % num_axes);
+        return Err(format!("axis {id:?} reads {}, expected a finite number", values[cell]));
+    }
+    Ok(values)
+}
+
+fn counted_axes(num_axes: usize) -> String {
+    if num_axes == 1 { "1 axis".to_owned() } else { format!("{num_axes} axes") }
 }
 
 fn marker_span(start_unix_ns: u64, data: &[u8]) -> Result<Span, String> {

@@ -11,12 +11,14 @@ pub(crate) const PROTOBUF: &str = "protobuf";
 pub(crate) const JOINT_STATES_TOPIC: &str = "/joint_states";
 pub(crate) const JOINT_COMMANDS_TOPIC: &str = "/joint_commands";
 pub(crate) const TACTILE_TOPIC_PREFIX: &str = "/tactile/";
+pub(crate) const AXES_TOPIC_PREFIX: &str = "/tactile_axes/";
 pub(crate) const OBJECT_POSE_TOPIC: &str = "/object_pose";
 pub(crate) const MARKERS_TOPIC: &str = "/markers";
 pub(crate) const LOG_TOPIC: &str = "/log";
 
 pub(crate) const JOINT_STATES_SCHEMA: &str = "foxglove.JointStates";
 pub(crate) const TACTILE_SCHEMA: &str = "palpate.TactileSample";
+pub(crate) const AXES_SCHEMA: &str = "palpate.TactileAxes";
 pub(crate) const MARKER_SCHEMA: &str = "palpate.Marker";
 pub(crate) const POSE_SCHEMA: &str = "foxglove.PoseInFrame";
 pub(crate) const LOG_SCHEMA: &str = "foxglove.Log";
@@ -33,6 +35,11 @@ pub(crate) const STATION_ATTACHMENT: &str = "station.toml";
 /// Topic of the stream called `stream`.
 pub(crate) fn tactile_topic(stream: &str) -> String {
     format!("{TACTILE_TOPIC_PREFIX}{stream}")
+}
+
+/// Topic of what the axes of the stream called `stream` measured.
+pub(crate) fn axes_topic(stream: &str) -> String {
+    format!("{AXES_TOPIC_PREFIX}{stream}")
 }
 
 const NANOS_PER_SEC: u64 = 1_000_000_000;

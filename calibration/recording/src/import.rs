@@ -8,6 +8,7 @@
 //! so that files which count from zero keep their times, and files with wall-clock times keep their precision.
 
 mod assemble;
+mod axes;
 mod columns;
 mod config;
 #[cfg(test)]
@@ -20,7 +21,9 @@ mod read;
 mod repetitions;
 mod report;
 mod sheet;
+mod spans;
 mod table;
+mod targets;
 mod units;
 mod write;
 

@@ -11,6 +11,7 @@
 //! | `/joint_commands` | `foxglove.JointStates` | commanded positions, where there were any |
 //! | `/object_pose` | `foxglove.PoseInFrame` | where the object is, of one that moves |
 //! | `/tactile/<stream>` | `palpate.TactileSample` | raw readings and activations of a stream of the layout |
+//! | `/tactile_axes/<stream>` | `palpate.TactileAxes` | what the axes of its taxels measured, where they have several |
 //! | `/markers` | `palpate.Marker` | baseline, repetitions, notes |
 //! | `/log` | `foxglove.Log` | lines for people |
 //!
@@ -26,6 +27,7 @@
 //! finite, each sample has its stream's channels. Nothing here repairs data; [`Take::recover`] says what it left out, and
 //! [`close_partial`] gives a take that was cut off an end.
 
+mod axes;
 mod check;
 mod decode;
 mod error;
@@ -54,5 +56,5 @@ pub use repair::{Closed, close_partial};
 pub use servo_log::ServoLog;
 pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
-pub use take::{JointLog, PoseLog, Recovered, Span, SpanKind, StreamLog, Take, TakeMeta};
+pub use take::{AxesLog, JointLog, PoseLog, Recovered, Reference, Span, SpanKind, StreamLog, Take, TakeMeta};
 pub use writer::{LogLevel, TactileSampleRef, TakeWriter};

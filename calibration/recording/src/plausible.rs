@@ -1,7 +1,7 @@
 //! What a robot and its sensors can report: joints within limits, objects within reach, readings within the device's range.
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{Joint, JointKind, JointLimits, Robot, StreamConfig};
+use palpate_robot_model::{Joint, JointKind, JointLimits, Robot, Stream, StreamConfig, TaxelAxes};
 
 /// A joint that turns may be reported this much outside its limits, rad: the largest error of its zero that a diagnosis
 /// looks for. A session that has one must stay usable, because diagnosing it is what it is for.
@@ -105,27 +105,33 @@ pub(crate) fn below_range(config: &StreamConfig, reading: f64, raw_unit: &str) -
     })
 }
 
-/// How far a channel falls below its `reference` where it falls as far as a touch would make it rise, and never rises so
-/// far; then its readings fall under load, most likely.
+/// How far a channel falls below its reference where it falls as far as a touch would make it rise, and never rises so
+/// far; then its readings fall under load, most likely. `above_reference` are its readings less the reference.
 pub(crate) fn fall_under_load(
     config: &StreamConfig,
-    readings: impl Iterator<Item = f32>,
-    reference: f32,
+    above_reference: impl Iterator<Item = f64>,
 ) -> Option<f64> {
-    let (lowest, highest) = readings
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(lowest, highest), reading| {
-            (lowest.min(f64::from(reading)), highest.max(f64::from(reading)))
-        });
-    let (fall, rise) = (f64::from(reference) - lowest, highest - f64::from(reference));
+    let extremes = (f64::INFINITY, f64::NEG_INFINITY);
+    let (lowest, highest) =
+        above_reference.fold(extremes, |(lowest, highest), above| (lowest.min(above), highest.max(above)));
+    let (fall, rise) = (-lowest, highest);
     (fall.is_finite() && fall > config.on_threshold && rise <= config.on_threshold).then_some(fall)
 }
 
 /// The message for a channel that [`fall_under_load`].
-pub(crate) fn falls(fall: f64, raw_unit: &str) -> String {
+pub(crate) fn falls(fall: f64, stream: &Stream) -> String {
+    let remedy = match stream.axes {
+        TaxelAxes::Normal { axis, .. } => {
+            format!("write normal_axis = \"-{}\" in the layout", TaxelAxes::NAMES[axis])
+        }
+        TaxelAxes::One | TaxelAxes::Norm { .. } => {
+            "import it with polarity = -1 in a mapping file".to_owned()
+        }
+    };
     format!(
-        "never rises from its reading at rest, but falls by up to {} {raw_unit}; if a touch makes it fall, import it with \
-         polarity = -1 in a mapping file",
-        short((fall * 10.0).round() / 10.0)
+        "never rises from its reading at rest, but falls by up to {} {}; if a touch makes it fall, {remedy}",
+        short((fall * 10.0).round() / 10.0),
+        stream.raw_unit
     )
 }
 

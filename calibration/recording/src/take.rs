@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{FixedBox, ObjectPath, Station};
+use palpate_robot_model::{FixedBox, ObjectPath, Station, Tare};
 
 use crate::{
     RecordingError, decode,
@@ -82,9 +82,31 @@ pub struct StreamLog {
     pub raw: Vec<f32>,
     /// `num_samples x num_channels_of_stream`, row-major.
     pub active: Vec<bool>,
-    /// Per channel, the mean raw reading over the baseline spans; empty for binary takes. The first reading where no
-    /// sample of the stream lies in a baseline span.
+    /// Per channel, the mean raw reading over the first baseline span that holds samples; empty for binary takes. The
+    /// first reading where none does.
     pub reference: Vec<f32>,
+    /// Those of later baseline spans, by time.
+    pub later_references: Vec<Reference>,
+    /// For taxels of several axes, what each measured.
+    pub axes: AxesLog,
+}
+
+/// Readings that later ones count from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reference {
+    /// From when on, s since the take's start: the start of the baseline span, in which nothing touches already.
+    pub from_s: f64,
+    /// Per channel, the mean raw reading over the span.
+    pub readings: Vec<f32>,
+}
+
+/// What the axes of a stream's taxels measured over a take.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AxesLog {
+    /// Host time since the take's start, s, strictly increasing: those of the stream's samples.
+    pub times_s: Vec<f64>,
+    /// `num_samples x num_channels_of_stream x num_axes`, row-major, raw units; empty for streams of one axis.
+    pub values: Vec<f32>,
 }
 
 /// A marked span of a take.
@@ -186,6 +208,12 @@ impl Take {
         }
     }
 
+    /// When references were taken anew, by time: of every baseline span but the first.
+    pub fn tares(&self) -> Vec<Tare> {
+        let tare = |span: &Span| Tare { from_s: span.start_s, taken_s: 0.5 * (span.start_s + span.end_s) };
+        self.spans.iter().filter(|span| span.kind == SpanKind::Baseline).skip(1).map(tare).collect()
+    }
+
     /// Number of joint frames.
     pub fn num_frames(&self) -> usize {
         self.joints.times_s.len()
@@ -212,9 +240,13 @@ impl Take {
             (format::OBJECT_POSE_TOPIC.to_owned(), self.object_poses.times_s.as_slice()),
         ];
         let streams = self.station.layout.streams.iter().zip(&self.streams);
-        joints
-            .into_iter()
-            .chain(streams.map(|(stream, log)| (format::tactile_topic(&stream.id), log.times_s.as_slice())))
+        let topics = streams.flat_map(|(stream, log)| {
+            [
+                (format::tactile_topic(&stream.id), log.times_s.as_slice()),
+                (format::axes_topic(&stream.id), log.axes.times_s.as_slice()),
+            ]
+        });
+        joints.into_iter().chain(topics)
     }
 
     /// Host times must increase on every topic.
@@ -233,6 +265,62 @@ impl Take {
             }
         }
         Ok(())
+    }
+}
+
+impl StreamLog {
+    /// The reference that counts at `time_s` since the take's start, one reading a channel; empty for binary takes.
+    pub fn reference_at(&self, time_s: f64) -> &[f32] {
+        let num_before = self.later_references.partition_point(|later| later.from_s <= time_s);
+        match num_before.checked_sub(1) {
+            Some(newest) => &self.later_references[newest].readings,
+            None => &self.reference,
+        }
+    }
+
+    /// Every reference of the take, one reading a channel each, by time.
+    pub fn references(&self) -> impl Iterator<Item = &[f32]> {
+        let later = self.later_references.iter().map(|later| later.readings.as_slice());
+        std::iter::once(self.reference.as_slice()).chain(later)
+    }
+
+    /// The readings of the channel in `column` less the reference that counts at their time, raw units; `width` is the
+    /// number of the stream's channels. None for binary takes.
+    pub fn above_reference(&self, column: usize, width: usize) -> impl Iterator<Item = f64> + '_ {
+        self.times_s.iter().zip(self.raw.chunks_exact(width.max(1))).filter_map(move |(&time_s, readings)| {
+            let reference = self.reference_at(time_s).get(column)?;
+            Some(f64::from(*readings.get(column)?) - f64::from(*reference))
+        })
+    }
+
+    /// Finds the references in the baselines of `spans`, which are in order. `width` is the number of the stream's channels.
+    pub(crate) fn find_references(&mut self, width: usize, spans: &[Span]) {
+        let baselines = spans.iter().filter(|span| span.kind == SpanKind::Baseline);
+        let mut found = baselines.filter_map(|span| {
+            Some(Reference { from_s: span.start_s, readings: self.mean_readings(width, span)? })
+        });
+        let first = found.next();
+        let later = found.collect();
+        self.reference = match first {
+            Some(first) => first.readings,
+            None => self.raw.get(..width).unwrap_or_default().to_vec(),
+        };
+        self.later_references = later;
+    }
+
+    /// Mean raw reading of each channel over the samples in `span`; `None` if there are none.
+    fn mean_readings(&self, width: usize, span: &Span) -> Option<Vec<f32>> {
+        let mut sums = vec![0.0_f64; width];
+        let mut num_samples = 0_usize;
+        for (&time_s, readings) in self.times_s.iter().zip(self.raw.chunks_exact(width.max(1))) {
+            if span.start_s <= time_s && time_s <= span.end_s {
+                num_samples += 1;
+                for (sum, &reading) in sums.iter_mut().zip(readings) {
+                    *sum += f64::from(reading);
+                }
+            }
+        }
+        (num_samples > 0).then(|| sums.iter().map(|sum| (sum / num_samples as f64) as f32).collect())
     }
 }
 
@@ -268,30 +356,4 @@ impl PoseLog {
             (far_m.max(moved_m), turned_rad.max(pose.rotation.angle_to(&first.rotation)))
         })
     }
-}
-
-/// Mean raw reading per channel over the samples that lie in a baseline span; the first reading if none does.
-///
-/// `raw` is `num_samples x num_channels`, row-major.
-pub(crate) fn reference_readings(
-    times_s: &[f64],
-    raw: &[f32],
-    num_channels: usize,
-    spans: &[Span],
-) -> Vec<f32> {
-    let baselines: Vec<&Span> = spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
-    let mut sums = vec![0.0_f64; num_channels];
-    let mut num_samples = 0_usize;
-    for (&time_s, readings) in times_s.iter().zip(raw.chunks_exact(num_channels.max(1))) {
-        if baselines.iter().any(|span| span.start_s <= time_s && time_s <= span.end_s) {
-            num_samples += 1;
-            for (sum, &reading) in sums.iter_mut().zip(readings) {
-                *sum += f64::from(reading);
-            }
-        }
-    }
-    if num_samples == 0 {
-        return raw.get(..num_channels).unwrap_or_default().to_vec();
-    }
-    sums.iter().map(|sum| (sum / num_samples as f64) as f32).collect()
 }

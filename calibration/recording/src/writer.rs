@@ -8,20 +8,20 @@ use std::{
 
 use mcap::{Attachment, WriteOptions, records::MessageHeader, records::Metadata};
 use nalgebra::Isometry3;
-use palpate_robot_model::Station;
+use palpate_robot_model::{Station, TaxelAxes};
 use palpate_wire::{
     descriptor_set,
     foxglove::{JointState, JointStates, Log, Pose, PoseInFrame, Quaternion, Vector3, log::Level},
-    proto::{Marker, TactileSample, marker::Kind},
+    proto::{Marker, TactileAxes, TactileSample, marker::Kind},
 };
 
 use crate::{
     RecordingError, Span, SpanKind, TakeMeta,
     format::{
-        FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, LOG_SCHEMA, LOG_TOPIC,
-        MARKER_SCHEMA, MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF, STATION_ATTACHMENT,
-        TACTILE_SCHEMA, TAKE_METADATA, UNIT_TOLERANCE, join_boxes, join_numbers, ns_from_secs, pose_numbers,
-        split_boxes, tactile_topic, timestamp_from_ns,
+        AXES_SCHEMA, FORMAT, JOINT_COMMANDS_TOPIC, JOINT_STATES_SCHEMA, JOINT_STATES_TOPIC, LOG_SCHEMA,
+        LOG_TOPIC, MARKER_SCHEMA, MARKERS_TOPIC, OBJECT_POSE_TOPIC, POSE_SCHEMA, PROTOBUF,
+        STATION_ATTACHMENT, TACTILE_SCHEMA, TACTILE_TOPIC_PREFIX, TAKE_METADATA, UNIT_TOLERANCE, axes_topic,
+        join_boxes, join_numbers, ns_from_secs, pose_numbers, split_boxes, tactile_topic, timestamp_from_ns,
     },
 };
 
@@ -57,6 +57,8 @@ struct StreamTopic {
     channel_ids: Vec<String>,
     /// Whether the samples so far carried raw readings.
     has_raw: Option<bool>,
+    num_axes: usize,
+    axes: Option<Topic>,
 }
 
 /// One tactile sample to be written.
@@ -139,7 +141,8 @@ impl<W: Write + Seek> TakeWriter<W> {
                 ("rate_hz".to_owned(), stream.rate_hz.to_string()),
             ]);
             let topic = Topic::add(&mut writer, &tactile_topic(&stream.id), TACTILE_SCHEMA, &about)?;
-            streams.push(StreamTopic { topic, channel_ids, has_raw: None });
+            let num_axes = stream.axes.count();
+            streams.push(StreamTopic { topic, channel_ids, has_raw: None, num_axes, axes: None });
         }
         let markers = Topic::add(&mut writer, MARKERS_TOPIC, MARKER_SCHEMA, &BTreeMap::new())?;
         let joint_names = station.robot.dofs().map(|joint| joint.name.clone()).collect();
@@ -265,6 +268,53 @@ impl<W: Write + Seek> TakeWriter<W> {
         };
         let publish_ns = if sample.device_time_ns == 0 { unix_ns } else { sample.device_time_ns };
         topic.write(&mut self.writer, unix_ns, publish_ns, &message)
+    }
+
+    /// What the axes of stream `stream_idx` measured in its sample of the same time: `num_channels x num_axes`, row-major.
+    pub fn axes(&mut self, stream_idx: usize, time_ns: u64, values: &[f32]) -> Result<(), RecordingError> {
+        let unix_ns = self.unix_ns(time_ns);
+        let num_streams = self.streams.len();
+        let Some(StreamTopic { topic: samples, channel_ids, num_axes, axes, .. }) =
+            self.streams.get_mut(stream_idx)
+        else {
+            let problem = format!("stream {stream_idx} of a layout with {num_streams} streams");
+            return Err(refused("/tactile_axes", problem));
+        };
+        let num_axes = *num_axes;
+        let names = &TaxelAxes::NAMES[..num_axes];
+        let stream = samples.name.strip_prefix(TACTILE_TOPIC_PREFIX).unwrap_or_default();
+        let name = axes_topic(stream);
+        if num_axes == 1 || values.len() != channel_ids.len() * num_axes {
+            let problem = format!(
+                "{} numbers, the layout has {} channels and axes {names:?} for each in this stream",
+                values.len(),
+                channel_ids.len()
+            );
+            return Err(refused(&name, problem));
+        }
+        if let Some(cell) = values.iter().position(|value| !value.is_finite()) {
+            let axis = names[cell % num_axes];
+            let problem =
+                format!("channel {:?}, axis {axis}, reads {}", channel_ids[cell / num_axes], values[cell]);
+            return Err(refused(&name, problem));
+        }
+        let topic = match axes {
+            Some(topic) => topic,
+            None => {
+                let about = BTreeMap::from([
+                    ("channels".to_owned(), channel_ids.join(",")),
+                    ("axes".to_owned(), names.join(",")),
+                ]);
+                axes.insert(Topic::add(&mut self.writer, &name, AXES_SCHEMA, &about)?)
+            }
+        };
+        topic.advance(time_ns)?;
+        let message = TactileAxes {
+            timestamp: Some(timestamp_from_ns(unix_ns)),
+            axes: num_axes as u32,
+            values: values.to_vec(),
+        };
+        topic.write(&mut self.writer, unix_ns, unix_ns, &message)
     }
 
     /// A marked span.

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use palpate_calibration::PairedTake;
-use palpate_robot_model::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
+use palpate_robot_model::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes};
 use palpate_sim::replay::{ContactTrace, Gaps, NEAR_M, PatchTrace};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -51,7 +51,16 @@ pub(crate) fn layout(size: Size) -> TactileLayout {
     {
         let label = format!("{id} <&> \"{id}\"");
         let raw_unit = "counts".to_owned();
-        layout.streams.push(Stream { id: id.to_owned(), label, kind, rate_hz: 40.0, channels, raw_unit });
+        let axes = TaxelAxes::One;
+        layout.streams.push(Stream {
+            id: id.to_owned(),
+            label,
+            kind,
+            rate_hz: 40.0,
+            channels,
+            raw_unit,
+            axes,
+        });
         let num_patches = [size.pads, size.patches][stream];
         for patch in 0..num_patches {
             let (taxels, nodes) = match kind {

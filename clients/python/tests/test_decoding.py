@@ -155,6 +155,25 @@ def test_an_object_moves_where_a_take_says_so(station: Station) -> None:
         trace_of(message.SerializeToString(), station)
 
 
+def test_axes_become_one_array() -> None:
+    layout = LAYOUT.replace('label = "Gel"', 'label = "Gel"\naxes = 3\nreading = "norm"', 1)
+    files = {"../layouts/pad.toml": layout, "../objects/ball.toml": BALL, "../robots/finger.urdf": "<robot/>"}
+    encoded = {path: base64.b64encode(text.encode()).decode() for path, text in files.items()}
+    station = Station({"station_toml": STATION, "files_base64": encoded})
+    assert [station.streams[stream].axes for stream in ("gel", "film")] == [3, 1]
+    message = take()
+    message.streams[0].axes.extend(range(27))
+    streams = trace_of(message.SerializeToString(), station).streams
+    assert streams["film"].axes is None
+    axes = streams["gel"].axes
+    assert axes is not None
+    assert axes.shape == (3, 3, 3)
+    np.testing.assert_array_equal(axes[1, 2], [15, 16, 17])
+    message.streams[0].axes.pop()
+    with pytest.raises(PalpateError, match="26 numbers came, expected 3 x 9"):
+        trace_of(message.SerializeToString(), station)
+
+
 def test_a_damaged_take_is_refused(station: Station) -> None:
     faults: list[tuple[Callable[[TakeTrace], object], str]] = [
         (lambda message: message.joint_positions.pop(), "3 numbers came, expected 2 x 2"),

@@ -271,6 +271,7 @@ impl Observer {
             positions: &path,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         match self.used.sense(&scene) {
             Ok(sensed) => {

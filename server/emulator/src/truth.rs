@@ -222,6 +222,14 @@ impl Emulation {
         })?;
         let plan = plan(path, &truth)?;
         plan.check(&station)?;
+        if let Some(stream) = station.layout.streams.iter().find(|stream| stream.axes.count() > 1) {
+            let problem = format!(
+                "stream {:?} has {} axes for each taxel, and emulated devices give one reading; import recordings of such a skin",
+                stream.id,
+                stream.axes.count()
+            );
+            return Err(fail("station", problem));
+        }
         check(&truth, &station).map_err(|(place, problem)| fail(&place, problem))?;
         truth.objects.clone_from(&plan.objects);
         truth.takes.clone_from(&plan.takes);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use palpate_calibration::PairedTake;
-use palpate_recording::{Session, Take};
+use palpate_recording::{Session, StreamLog, Take};
 use palpate_robot_model::{ObjectPath, PoseConfig};
 use palpate_sim::{SensorModel, effects::TakeScene, replay::PatchTrace, tactile::Readings};
 use palpate_wire::{
@@ -168,12 +168,14 @@ pub fn take_trace(take: &Take) -> TakeTrace {
         stream: stream.id.clone(),
         times_s: log.times_s.clone(),
         raw: log
-            .raw
+            .times_s
             .iter()
-            .zip(log.reference.iter().cycle())
+            .zip(log.raw.chunks_exact(stream.channels.len().max(1)))
+            .flat_map(|(&time_s, readings)| readings.iter().zip(log.reference_at(time_s)))
             .map(|(raw, reference)| raw - reference)
             .collect(),
         active: bits::pack(log.active.iter().copied()),
+        axes: axes_at_samples(log, stream.channels.len() * stream.axes.count()),
     });
     let spans = take.spans.iter().map(|span| SpanTrace {
         kind: match span.kind {
@@ -203,6 +205,24 @@ pub fn take_trace(take: &Take) -> TakeTrace {
     }
 }
 
+/// What the axes of `log` measured at each of its samples, `width` numbers each; NaN where a sample has none. Empty for streams
+/// of one axis.
+fn axes_at_samples(log: &StreamLog, width: usize) -> Vec<f32> {
+    let axes = &log.axes;
+    if axes.values.is_empty() || axes.times_s == log.times_s {
+        return axes.values.clone();
+    }
+    let mut values = Vec::with_capacity(log.times_s.len() * width);
+    for time_s in &log.times_s {
+        let sample = axes.times_s.binary_search_by(|other| other.total_cmp(time_s)).ok();
+        match sample.and_then(|sample| axes.values.get(sample * width..(sample + 1) * width)) {
+            Some(measured) => values.extend_from_slice(measured),
+            None => values.extend(std::iter::repeat_n(f32::NAN, width)),
+        }
+    }
+    values
+}
+
 /// x, y, z in m, then w, x, y, z.
 fn pose_numbers(pose: &PoseConfig) -> [f64; 7] {
     let ([x, y, z], [w, i, j, k]) = (pose.position_m, pose.quaternion_wxyz);
@@ -225,6 +245,7 @@ pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> 
         positions: &take.joints.positions,
         arrival_times_s: &[],
         frozen_for_s: &[],
+        tares: &take.tares(),
     };
     model.readings(&scene, &paired.contact).map_err(|err| Error::Content(err.to_string()))
 }
@@ -260,7 +281,10 @@ fn take_size_bytes(take: &Take) -> usize {
     let streams: usize = take
         .streams
         .iter()
-        .map(|log| 8 * (log.times_s.len() + log.device_times_s.len()) + 4 * log.raw.len() + log.active.len())
+        .map(|log| {
+            let times = log.times_s.len() + log.device_times_s.len() + log.axes.times_s.len();
+            8 * times + 4 * (log.raw.len() + log.axes.values.len()) + log.active.len()
+        })
         .sum();
     let station: usize = take.station.files.files.values().map(Vec::len).sum();
     let poses = 64 * take.object_poses.poses.len();

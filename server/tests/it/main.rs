@@ -15,6 +15,7 @@ mod downloads;
 mod foxglove;
 mod gate;
 mod jobs;
+mod magnetic_skin;
 mod moving;
 mod new_station;
 mod operations;

@@ -39,6 +39,48 @@ pub struct Stream {
     pub channels: std::ops::Range<usize>,
     /// Unit of a raw reading as it is displayed, e.g. `counts`.
     pub raw_unit: String,
+    /// The axes of its taxels, and how they become a reading.
+    pub axes: TaxelAxes,
+}
+
+/// How many numbers a taxel measures, and how they become the one reading that everything works with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TaxelAxes {
+    /// One, which is the reading.
+    #[default]
+    One,
+    /// Several; the reading is the Euclidean norm of their change from where they are without touch.
+    Norm {
+        /// How many: 2 or 3.
+        count: usize,
+    },
+    /// Several, one of which is along the outward normal; that one is the reading.
+    Normal {
+        /// How many: 2 or 3.
+        count: usize,
+        /// Index of the one along the normal.
+        axis: usize,
+        /// Whether pressing makes it fall: then the reading is its negative.
+        falls: bool,
+    },
+}
+
+impl TaxelAxes {
+    /// What axes are called, in order.
+    pub const NAMES: [&'static str; 3] = ["x", "y", "z"];
+
+    /// How many there are.
+    pub fn count(self) -> usize {
+        match self {
+            Self::One => 1,
+            Self::Norm { count } | Self::Normal { count, .. } => count,
+        }
+    }
+
+    /// The names of those that there are.
+    pub fn names(self) -> &'static [&'static str] {
+        &Self::NAMES[..self.count().min(Self::NAMES.len())]
+    }
 }
 
 /// How a sensor turns contact into a reading (paper, section "Contact Modeling").
@@ -161,6 +203,12 @@ impl TactileLayout {
     /// Number of channels.
     pub fn num_channels(&self) -> usize {
         self.channels.len()
+    }
+
+    /// What axis `axis_idx` of a channel is called, for a stream of several: `index_tip.3.z`.
+    pub fn axis_id(&self, channel_idx: usize, axis_idx: usize) -> String {
+        let name = TaxelAxes::NAMES.get(axis_idx).copied().unwrap_or_default();
+        format!("{}.{name}", self.channels[channel_idx].id)
     }
 
     /// The stream called `id`.

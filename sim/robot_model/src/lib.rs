@@ -17,19 +17,21 @@ mod place;
 mod pose;
 mod robot;
 mod station;
+mod tare;
 
 pub use error::ModelError;
 pub use hardware::{
     ArmConfig, BoardConfig, DeviceConfig, DeviceKind, JointSafety, MAX_CURRENT_LIMIT_A, SafetyConfig,
     ServoBusConfig, ServoConfig, WorkspaceBox,
 };
-pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout};
+pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes};
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
 pub use object_path::{FixedBox, ObjectPath};
 pub use place::Place;
 pub use pose::PoseConfig;
 pub use robot::{
-    Inertial, Joint, JointKind, JointLimits, KnownPoses, Link, LinkGeometry, LinkPoses, LinkShape,
+    Inertial, Joint, JointKind, JointLimits, KnownPoses, Led, Link, LinkGeometry, LinkPoses, LinkShape,
     LinkTracker, Mimic, Robot, SimplifiedUrdf, simplify_urdf,
 };
 pub use station::{Station, StationFiles, StreamConfig};
+pub use tare::Tare;

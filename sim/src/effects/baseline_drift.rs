@@ -1,11 +1,11 @@
 //! A reading that drifts away from its reference.
 
-use palpate_robot_model::{Place, Station};
+use palpate_robot_model::{Place, Station, Tare};
 
 use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
 
 /// The reading gains `rate_per_s` of the load that switches the channel on, every second since the take started, when
-/// the firmware took its reference.
+/// the firmware took its reference, or since a reference was taken anew ([`TakeScene::tares`]).
 pub(super) struct BaselineDrift;
 
 impl EffectKind for BaselineDrift {
@@ -47,7 +47,11 @@ impl EffectKind for BaselineDrift {
             return;
         }
         let start_s = scene.frame_times_s.first().copied().unwrap_or(0.0);
-        let elapsed_s: Vec<f64> = scene.frame_times_s.iter().map(|time_s| time_s - start_s).collect();
+        let elapsed = |&time_s: &f64| match Tare::newest(scene.tares, time_s) {
+            Some(tare) => time_s - tare.taken_s,
+            None => time_s - start_s,
+        };
+        let elapsed_s: Vec<f64> = scene.frame_times_s.iter().map(elapsed).collect();
         for channel in state.needed_at(&effect.place, &scene.station.layout) {
             let load_per_s = rate_per_s * state.on_loads[channel];
             let loads = state.of_channel_mut(channel).iter_mut().zip(&elapsed_s);

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use palpate_robot_model::{
-    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
+    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout, Tare,
 };
 
 use super::{Effect, EffectKind, FingerTouches, TACTILE, places};
@@ -45,6 +45,9 @@ pub struct TakeScene<'a> {
     /// Per stream, for how long the reading in effect at each frame had been repeated to the bit when it arrived, s; 0
     /// for one that is new. Empty where nobody can tell.
     pub frozen_for_s: &'a [Vec<f64>],
+    /// When readings were referred to what they were then, by time; the first reference, at the take's start, is none of
+    /// these. Empty where it counts for the whole take.
+    pub tares: &'a [Tare],
 }
 
 /// Where joints, object and patches really are.

@@ -104,6 +104,7 @@ impl Twice {
             positions,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         model.sense(&scene).expect("it fits")
     }

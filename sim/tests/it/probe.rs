@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use palpate_robot_model::{
-    Channel, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout,
+    Channel, ObjectShape, Patch, Robot, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes,
 };
 use palpate_sim::geometry::SignedDistance;
 use palpate_sim::replay::{ContactTrace, contact_trace};
@@ -45,6 +45,7 @@ pub(crate) fn layout(robot: &Robot) -> TactileLayout {
         rate_hz: 10.0,
         channels,
         raw_unit: "counts".into(),
+        axes: TaxelAxes::One,
     });
     let tip = robot.link_index("tip").expect("tip");
     let arm = robot.link_index("arm").expect("arm");

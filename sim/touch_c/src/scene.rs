@@ -150,6 +150,7 @@ impl TouchScene {
             positions,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         self.model.readings(&take, &contact).map_err(fail)
     }

@@ -213,6 +213,7 @@ pub(crate) fn take_trace(station: &Station) -> TakeTrace {
                 times_s: frame_times_s.clone(),
                 raw,
                 active: bits::pack(samples().map(|(frame, channel)| is_active(frame, channel, 0))),
+                axes: Vec::new(),
             }
         })
         .collect();

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use palpate_recording::{SpanKind, StreamLog, Take};
-use palpate_robot_model::{JointKind, LinkPoses, ObjectModel, ObjectPath, Station, TactileLayout};
+use palpate_robot_model::{JointKind, LinkPoses, ObjectModel, ObjectPath, Station, TactileLayout, Tare};
 use palpate_sim::effects::TakeScene;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -38,6 +38,8 @@ pub(crate) struct Observed<'a> {
     limbs: Vec<Limb>,
     /// Where the object is at the joint frames.
     pub(crate) object_path: ObjectPath,
+    /// When references were taken anew.
+    tares: Vec<Tare>,
     /// As [`TakeScene::frozen_for_s`], at the joint frames; empty without raw readings, whose noise is what tells.
     frozen_at_frames_s: Vec<Vec<f64>>,
     /// Frame by frame, as [`super::TactileDomain`] numbers them.
@@ -134,11 +136,12 @@ impl<'a> Observed<'a> {
             let width = stream.channels.len();
             for (frame, &time_s) in frame_times_s.iter().enumerate() {
                 let Some(sample) = sample_in_effect(log, time_s) else { continue };
+                let reference = log.reference_at(log.times_s[sample]);
                 for (idx, channel) in stream.channels.clone().enumerate() {
                     signals[Signal::Event.of(channel)][frame] =
                         f64::from(u8::from(log.active[sample * width + idx]));
                     if let (Some(raw), Some(reference)) =
-                        (log.raw.get(sample * width + idx), log.reference.get(idx))
+                        (log.raw.get(sample * width + idx), reference.get(idx))
                     {
                         signals[Signal::Reading.of(channel)][frame] =
                             f64::from(raw - reference) / config.on_threshold;
@@ -146,12 +149,14 @@ impl<'a> Observed<'a> {
                 }
             }
             for (idx, channel) in stream.channels.clone().enumerate() {
-                if let Some(reference) = log.reference.get(idx) {
+                let references = || log.references().filter_map(|reference| reference.get(idx));
+                // Where several count in turn, the highest reading that any of them allows.
+                if let Some(lowest) = references().copied().reduce(f32::min) {
                     let samples = Samples::new(log, idx, width, config.on_threshold, frame_times_s);
                     if samples.may_count_from_reference(config.off_fraction()) {
                         signals[Signal::Switched.of(channel)] = samples.share_on();
                     }
-                    ceilings[channel] = (config.raw_max - f64::from(*reference)) / config.on_threshold;
+                    ceilings[channel] = (config.raw_max - f64::from(lowest)) / config.on_threshold;
                     noise[channel] = quiet_noise(take, log, idx, width) / config.on_threshold;
                 }
             }
@@ -176,6 +181,7 @@ impl<'a> Observed<'a> {
             has_raw,
             limbs,
             object_path: take.object_path(),
+            tares: take.tares(),
             frozen_at_frames_s,
             signals,
             blocks,
@@ -210,11 +216,12 @@ impl<'a> Observed<'a> {
         self.signals[Signal::Switched.of(channel)].fill(f64::NAN);
     }
 
-    /// The reading of `channel` without touch, raw units, if it has any.
-    pub(crate) fn reference(&self, station: &Station, channel: usize) -> Option<f64> {
+    /// The readings of `channel` without touch, raw units, that count in turn; none without readings.
+    pub(crate) fn references(&self, station: &Station, channel: usize) -> impl Iterator<Item = f64> + '_ {
         let stream = station.layout.channels[channel].stream;
         let column = channel - station.layout.streams[stream].channels.start;
-        self.take.streams[stream].reference.get(column).map(|reference| f64::from(*reference))
+        let references = self.take.streams[stream].references();
+        references.filter_map(move |reference| reference.get(column)).map(|&reference| f64::from(reference))
     }
 
     /// Lengths of the spans for which `stream` was frozen, s.
@@ -311,6 +318,7 @@ impl<'a> Observed<'a> {
             positions: &self.take.joints.positions,
             arrival_times_s: &[],
             frozen_for_s: &self.frozen_at_frames_s,
+            tares: &self.tares,
         }
     }
 
@@ -392,21 +400,25 @@ fn repeated_for_s(log: &StreamLog, width: usize) -> Vec<f64> {
 /// Standard deviation of a channel's raw readings in the baseline spans, raw units: about their mean, or from one reading
 /// to the next where that is less, as it is where the readings wander.
 fn quiet_noise(take: &Take, log: &StreamLog, idx: usize, width: usize) -> f64 {
-    let baselines: Vec<_> = take.spans.iter().filter(|span| span.kind == SpanKind::Baseline).collect();
-    let readings: Vec<f64> = log
-        .times_s
-        .iter()
-        .enumerate()
-        .filter(|(_, time_s)| baselines.iter().any(|span| (span.start_s..=span.end_s).contains(*time_s)))
-        .map(|(sample, _)| f64::from(log.raw[sample * width + idx]))
-        .collect();
-    let count = readings.len() as f64;
-    if readings.len() < 2 {
+    let baselines = take.spans.iter().filter(|span| span.kind == SpanKind::Baseline);
+    // Each span has a mean of its own, and takes a degree of freedom.
+    let (mut about_mean, mut steps, mut freedom) = (0.0, 0.0, 0.0);
+    for span in baselines {
+        let quiet = log
+            .times_s
+            .iter()
+            .enumerate()
+            .filter(|(_, time_s)| (span.start_s..=span.end_s).contains(*time_s));
+        let readings: Vec<f64> = quiet.map(|(sample, _)| f64::from(log.raw[sample * width + idx])).collect();
+        let mean = readings.iter().sum::<f64>() / readings.len() as f64;
+        about_mean += readings.iter().map(|reading| (reading - mean).powi(2)).sum::<f64>();
+        steps += readings.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
+        freedom += (readings.len() as f64 - 1.0).max(0.0);
+    }
+    if freedom == 0.0 {
         return 0.0;
     }
-    let mean = readings.iter().sum::<f64>() / count;
-    let about_mean = readings.iter().map(|reading| (reading - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let steps = readings.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>() / (count - 1.0);
+    (about_mean, steps) = (about_mean / freedom, steps / freedom);
     about_mean.min(0.5 * steps).sqrt()
 }
 

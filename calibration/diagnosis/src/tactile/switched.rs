@@ -80,7 +80,8 @@ impl<'a> Samples<'a> {
 
     /// Above its reference, in units of the threshold.
     fn reading(&self, sample: usize) -> f64 {
-        let above = self.log.raw[sample * self.width + self.column] - self.log.reference[self.column];
+        let reference = self.log.reference_at(self.log.times_s[sample])[self.column];
+        let above = self.log.raw[sample * self.width + self.column] - reference;
         f64::from(above) / self.on_threshold
     }
 
@@ -114,13 +115,15 @@ const NEAR: f64 = 0.03;
 
 #[cfg(test)]
 mod tests {
+    use palpate_recording::Reference;
+
     use super::*;
 
     /// One channel at 100 Hz, with frames at 10 Hz.
     fn log(raw: Vec<f32>, active: Vec<bool>) -> (StreamLog, Vec<f64>) {
         let times_s: Vec<f64> = (1..=raw.len()).map(|sample| sample as f64 * 0.01 - 0.001).collect();
         let frames_s = (1..=raw.len() / 10).map(|frame| frame as f64 * 0.1).collect();
-        (StreamLog { times_s, device_times_s: Vec::new(), raw, active, reference: vec![1000.0] }, frames_s)
+        (StreamLog { times_s, raw, active, reference: vec![1000.0], ..StreamLog::default() }, frames_s)
     }
 
     /// A comparator that counts.
@@ -163,6 +166,21 @@ mod tests {
         assert!(!counts_from_here(120.0, 0) && !counts_from_here(80.0, 0));
         let (log, frames_s) = log(raw.clone(), vec![true; 400]);
         assert!(!Samples::new(&log, 0, 1, 100.0, &frames_s).may_count_from_reference(0.6), "always on");
+    }
+
+    #[test]
+    fn a_firmware_that_tares_again_counts_from_there() {
+        let drift = |sample: i32| if sample < 200 { 0.0 } else { 70.0 };
+        let sines = (0..400).map(|sample| 150.0 * (sample as f32 * 0.05).sin());
+        let raw: Vec<f32> = sines.clone().map(|sine| 1000.0 + sine).collect();
+        let active = firmware(&raw, 100.0, 60.0, 0);
+        let drifted: Vec<f32> = raw.iter().zip(0..).map(|(raw, sample)| raw + drift(sample)).collect();
+        let (mut log, frames_s) = log(drifted, active);
+        let may_count =
+            |log: &StreamLog| Samples::new(log, 0, 1, 100.0, &frames_s).may_count_from_reference(0.6);
+        assert!(!may_count(&log), "the drift shows");
+        log.later_references.push(Reference { from_s: 2.005, readings: vec![1070.0] });
+        assert!(may_count(&log));
     }
 
     #[test]

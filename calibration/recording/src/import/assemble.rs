@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use palpate_robot_model::{Mimic, Station};
 
 use super::{
-    columns::{Cell, NUM_POSITIONS, Names, POSE_NAMES, Target, listed},
+    columns::{Cell, listed},
     name_pattern::nearest,
     table::Table,
+    targets::{NUM_POSITIONS, Names, POSE_NAMES, Target, plural},
 };
 use crate::RecordingError;
 
@@ -75,14 +76,15 @@ pub(super) fn following<'a>(
     station.robot.mimics().into_iter().filter(|&(dof, ..)| !is_held(dof)).collect()
 }
 
-/// The stream `stream_idx`.
+/// The stream `stream_idx`: a column for each channel, or for each axis of each.
 pub(super) fn stream(
-    station: &Station,
+    names: Names<'_>,
     parts: &[Part],
     stream_idx: usize,
 ) -> Result<Assembled, RecordingError> {
-    let channels = station.layout.streams[stream_idx].channels.clone();
-    assembled(station, parts, &channels.map(Target::Channel).collect::<Vec<_>>(), &[], Between::Hold)
+    let channels = names.station.layout.streams[stream_idx].channels.clone();
+    let wanted: Vec<Target> = channels.flat_map(|channel| names.of_channel(channel)).collect();
+    assembled(names.station, parts, &wanted, &[], Between::Hold)
 }
 
 /// Where the object is over time, if a file says so: columns of the first three or of all of [`POSE_NAMES`].
@@ -108,7 +110,7 @@ pub(super) fn check_complete<'a>(
     wanted: &[Target],
     fixed: &[(usize, f64)],
 ) -> Result<(), RecordingError> {
-    let names = Names { station };
+    let names = Names { station, binary: false };
     let mut missing = Vec::new();
     for &target in wanted {
         let holders: Vec<_> =
@@ -145,11 +147,11 @@ pub(super) fn check_complete<'a>(
         return Err(RecordingError::content("recording", "files", "there is no file in it"));
     };
     let what = missing[0].what();
-    let ids: Vec<&str> = missing.iter().map(|&target| names.id(target)).collect();
+    let ids: Vec<_> = missing.iter().map(|&target| names.id(target)).collect();
     let mut problem = format!(
-        "no column for {what}{} {}",
-        if ids.len() == 1 { "" } else { "s" },
-        listed(ids.iter().copied())
+        "no column for {} {}",
+        if ids.len() == 1 { what.to_owned() } else { plural(what) },
+        listed(&ids)
     );
     let ignored: Vec<&str> =
         files.iter().flat_map(|(_, _, ignored)| ignored.iter().map(String::as_str)).collect();
@@ -168,11 +170,17 @@ pub(super) fn check_complete<'a>(
         );
     } else if !ignored.is_empty() {
         problem += &format!(
-            "; columns must be called as the station calls its {what}s; not recognised here: {}",
+            "; columns must be called as the station calls its {}; not recognised here: {}",
+            plural(what),
             listed(ignored.iter().copied())
         );
     } else {
-        problem += &format!("; station {:?} needs one for each of its {} {what}s", station.id, wanted.len());
+        problem += &format!(
+            "; station {:?} needs one for each of its {} {}",
+            station.id,
+            wanted.len(),
+            plural(what)
+        );
     }
     if what == "joint" {
         problem +=

@@ -1,13 +1,14 @@
 //! Which column is which joint or channel, and how its numbers become the station's.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{borrow::Cow, collections::BTreeMap, path::Path};
 
-use palpate_robot_model::{JointKind, Station};
+use palpate_robot_model::TaxelAxes;
 use toml::Spanned;
 
 use super::{
     config::{ColumnName, FileConfig, MapConfig, Mapping},
     name_pattern::{matched, nearest},
+    targets::{Names, POSE_NAMES, Scope, Target},
     units,
 };
 use crate::RecordingError;
@@ -16,43 +17,6 @@ use crate::RecordingError;
 const TIME_NAMES: [&str; 6] = ["t", "time", "timestamp", "time_stamp", "stamp", "elapsed"];
 /// So many names are listed in a message; the rest is counted.
 const MAX_LISTED: usize = 6;
-
-/// What a column holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Target {
-    /// Position of a degree of freedom.
-    Joint(usize),
-    /// Reading of a channel, by its index in the layout.
-    Channel(usize),
-    /// A number of the object's pose, by its index in [`POSE_NAMES`].
-    Object(usize),
-}
-
-/// Numbers of an object's pose in the base frame: where its origin is, and a quaternion, scalar first.
-pub(super) const POSE_NAMES: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
-/// How many of them say where it is.
-pub(super) const NUM_POSITIONS: usize = 3;
-
-impl Target {
-    /// What it is, for messages.
-    pub(super) fn what(self) -> &'static str {
-        match self {
-            Self::Joint(_) => "joint",
-            Self::Channel(_) => "channel",
-            Self::Object(_) => "object coordinate",
-        }
-    }
-}
-
-/// What a file may hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scope {
-    Joints,
-    Stream(usize),
-    /// Poses of the object.
-    Object,
-    All,
-}
 
 /// One column that is read.
 #[derive(Clone, Debug)]
@@ -87,7 +51,7 @@ impl Cell {
     }
 
     pub(super) fn is_channel(&self) -> bool {
-        matches!(self.target, Target::Channel(_))
+        self.target.channel().is_some()
     }
 
     /// The station's value of a number in the file. A column that needs no conversion keeps its bits.
@@ -115,70 +79,6 @@ pub(super) struct Assignment {
     /// Columns of headers that nobody asked for, with the name that each may be a misspelling of.
     pub(super) ignored: Vec<(usize, String, Option<String>)>,
     pub(super) num_columns: usize,
-}
-
-/// The station's names.
-pub(super) struct Names<'a> {
-    pub(super) station: &'a Station,
-}
-
-impl<'a> Names<'a> {
-    fn joints(&self) -> impl Iterator<Item = (Target, &'a str)> {
-        self.station.robot.dofs().enumerate().map(|(dof, joint)| (Target::Joint(dof), joint.name.as_str()))
-    }
-
-    fn channels(&self, scope: Scope) -> impl Iterator<Item = (Target, &'a str)> {
-        let channels = match scope {
-            Scope::Joints | Scope::Object => 0..0,
-            Scope::Stream(stream_idx) => self.station.layout.streams[stream_idx].channels.clone(),
-            Scope::All => 0..self.station.layout.num_channels(),
-        };
-        let layout = &self.station.layout;
-        channels.map(|channel| (Target::Channel(channel), layout.channels[channel].id.as_str()))
-    }
-
-    /// Everything that a file of `scope` may hold.
-    pub(super) fn of(&self, scope: Scope) -> Vec<(Target, &'a str)> {
-        if scope == Scope::Object {
-            return Self::pose().collect();
-        }
-        let joints = self.joints().filter(|_| !matches!(scope, Scope::Stream(_)));
-        joints.chain(self.channels(scope)).collect()
-    }
-
-    fn pose() -> impl Iterator<Item = (Target, &'a str)> {
-        POSE_NAMES.into_iter().enumerate().map(|(idx, name)| (Target::Object(idx), name))
-    }
-
-    pub(super) fn id(&self, target: Target) -> &'a str {
-        match target {
-            Target::Joint(dof) => self.station.robot.dofs().nth(dof).map_or("", |joint| joint.name.as_str()),
-            Target::Channel(channel) => &self.station.layout.channels[channel].id,
-            Target::Object(idx) => POSE_NAMES.get(idx).copied().unwrap_or_default(),
-        }
-    }
-
-    pub(super) fn unit(&self, target: Target) -> &'a str {
-        match target {
-            Target::Joint(dof) => match self.station.robot.dofs().nth(dof).map(|joint| joint.kind) {
-                Some(JointKind::Prismatic) => "m",
-                _ => "rad",
-            },
-            Target::Channel(channel) => {
-                let layout = &self.station.layout;
-                &layout.streams[layout.channels[channel].stream].raw_unit
-            }
-            Target::Object(idx) if idx < NUM_POSITIONS => "m",
-            Target::Object(_) => "1",
-        }
-    }
-
-    /// Lowest plus highest reading that the device of a channel can give.
-    fn range_sum(&self, target: Target) -> Option<f64> {
-        let Target::Channel(channel) = target else { return None };
-        let config = &self.station.streams[self.station.layout.channels[channel].stream];
-        Some(config.raw_min + config.raw_max)
-    }
 }
 
 /// Assigns the columns of the file at `path`. `header` is its line and cells; without one, columns go by number and
@@ -378,10 +278,10 @@ impl Assigner<'_> {
     fn targets(&self, map: &Spanned<MapConfig>) -> Result<Vec<Target>, RecordingError> {
         let config = map.get_ref();
         let layout = &self.names.station.layout;
-        let find = |field: &str, names: &[String], known: Vec<(Target, &str)>| {
+        let find = |field: &str, names: &[String], known: Vec<(Target, Cow<'_, str>)>| {
             let target = |name: &String| {
-                known.iter().find(|(_, id)| id == name).map(|&(target, _)| target).ok_or_else(|| {
-                    let problem = self.unknown(name, known.iter().map(|&(_, id)| id));
+                known.iter().find(|(_, id)| id == name).map(|(target, _)| *target).ok_or_else(|| {
+                    let problem = self.unknown(name, known.iter().map(|(_, id)| id.as_ref()));
                     self.map_error(map, field, problem)
                 })
             };
@@ -391,7 +291,9 @@ impl Assigner<'_> {
             return find("joints", joints.as_slice(), self.names.joints().collect());
         }
         if let Some(channels) = &config.channels {
-            return find("channels", channels.as_slice(), self.names.channels(Scope::All).collect());
+            let known =
+                (0..layout.num_channels()).map(Target::Channel).map(|target| (target, self.names.id(target)));
+            return self.axes_of(map, find("channels", channels.as_slice(), known.collect())?);
         }
         if let Some(object) = &config.object {
             let known: Vec<(Target, &str)> = Names::pose().collect();
@@ -412,7 +314,7 @@ impl Assigner<'_> {
                 let problem = self.unknown(id, layout.patches.iter().map(|patch| patch.id.as_str()));
                 self.map_error(map, "patch", problem)
             })?;
-            return Ok(patch.channels.clone().map(Target::Channel).collect());
+            return self.axes_of(map, patch.channels.clone().map(Target::Channel).collect());
         }
         let id = config.stream.as_deref().unwrap_or_default();
         let stream = layout.streams.iter().find(|stream| stream.id == id).ok_or_else(|| {
@@ -422,7 +324,41 @@ impl Assigner<'_> {
                 self.unknown(id, layout.streams.iter().map(|stream| stream.id.as_str())),
             )
         })?;
-        Ok(stream.channels.clone().map(Target::Channel).collect())
+        self.axes_of(map, stream.channels.clone().map(Target::Channel).collect())
+    }
+
+    /// The columns of `channels`: one for each, or one for each axis that `map` names, or for all where it names none.
+    fn axes_of(
+        &self,
+        map: &Spanned<MapConfig>,
+        channels: Vec<Target>,
+    ) -> Result<Vec<Target>, RecordingError> {
+        let stated = map.get_ref().axis.as_ref().map(|axis| axis.as_slice()).unwrap_or_default();
+        let mut targets = Vec::new();
+        for channel in channels.into_iter().filter_map(Target::channel) {
+            let num_axes = self.names.num_axes(channel);
+            if stated.is_empty() {
+                targets.extend(self.names.of_channel(channel));
+                continue;
+            }
+            let names = &TaxelAxes::NAMES[..num_axes];
+            for name in stated {
+                let axis = names.iter().position(|known| known == name).filter(|_| num_axes > 1);
+                let axis = axis.ok_or_else(|| {
+                    let id = &self.names.station.layout.channels[channel].id;
+                    let problem = match num_axes {
+                        1 => format!("channel {id:?} has one axis, which has no name; remove axis"),
+                        _ => format!(
+                            "channel {id:?} has no axis {name:?}, expected {}",
+                            listed(names.iter().copied())
+                        ),
+                    };
+                    self.map_error(map, "axis", problem)
+                })?;
+                targets.push(Target::Axis(channel, axis));
+            }
+        }
+        Ok(targets)
     }
 
     fn unknown<'n>(&self, name: &str, known: impl Iterator<Item = &'n str> + Clone) -> String {
@@ -465,9 +401,14 @@ impl Assigner<'_> {
         }
         let config = map.map(Spanned::get_ref);
         let falls = config.is_some_and(|map| map.polarity == -1);
+        if let (Some(map), true, Target::Axis(..)) = (map, falls, target) {
+            let problem = "-1 is for a reading, and this is an axis of one; say reading = \"normal\", normal_axis = \"-z\" in the \
+                           layout, or turn the axis round with scale = -1";
+            return Err(self.map_error(map, "polarity", problem.to_owned()));
+        }
         Ok(Cell {
             target,
-            id: self.names.id(target).to_owned(),
+            id: self.names.id(target).into_owned(),
             column,
             header,
             unit,
@@ -498,7 +439,7 @@ impl Assigner<'_> {
         let header = headers[column].as_str();
         let known = self.names.of(self.scope);
         let find = |name: &str| -> Vec<Target> {
-            known.iter().filter(|(_, id)| *id == name).map(|&(target, _)| target).collect()
+            known.iter().filter(|(_, id)| id == name).map(|(target, _)| *target).collect()
         };
         let whole = [(header, None), units::split(header, false), units::split(header, true)];
         let by_pattern = self.config.names.iter().flat_map(|pattern| {
@@ -551,7 +492,7 @@ impl Assigner<'_> {
                 let known = self.names.of(self.scope);
                 let is_time = |header: &str| {
                     let name = units::split(header, true).0.to_lowercase();
-                    TIME_NAMES.contains(&name.as_str()) && !known.iter().any(|(_, id)| *id == header)
+                    TIME_NAMES.contains(&name.as_str()) && !known.iter().any(|(_, id)| id == header)
                 };
                 let found: Vec<usize> = (0..headers.len())
                     .filter(|&column| {
@@ -606,7 +547,7 @@ impl Assigner<'_> {
     fn suggestion(&self, header: &str) -> Option<String> {
         let known = self.names.of(self.scope);
         let name = units::split(header, true).0;
-        nearest(name, known.iter().map(|&(_, id)| id)).map(str::to_owned)
+        nearest(name, known.iter().map(|(_, id)| id.as_ref())).map(str::to_owned)
     }
 }
 
@@ -618,10 +559,14 @@ fn number_range(text: &str) -> Option<(usize, usize)> {
 }
 
 /// Names for a message, the first few in full.
-pub(super) fn listed<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.into_iter().collect();
-    let mut text =
-        names.iter().take(MAX_LISTED).map(|name| format!("{name:?}")).collect::<Vec<_>>().join(", ");
+pub(super) fn listed<T: AsRef<str>>(names: impl IntoIterator<Item = T>) -> String {
+    let names: Vec<T> = names.into_iter().collect();
+    let mut text = names
+        .iter()
+        .take(MAX_LISTED)
+        .map(|name| format!("{:?}", name.as_ref()))
+        .collect::<Vec<_>>()
+        .join(", ");
     match names.len().saturating_sub(MAX_LISTED) {
         0 => {}
         more => text += &format!(" and {more} more"),

@@ -28,8 +28,8 @@ pub(super) struct TakeConfig {
     pub(super) repetitions_s: Option<Vec<[f64; 2]>>,
     /// What each repetition does, one for each; absent: all do what the primitive says.
     pub(super) repetition_labels: Option<Vec<String>>,
-    /// A span without touch. Needed unless the take is binary or `baseline_first_s` is there.
-    pub(super) baseline_s: Option<[f64; 2]>,
+    /// Spans without touch. Needed unless the take is binary or `baseline_first_s` is there.
+    pub(super) baseline_s: Option<BaselineSpans>,
     /// As `baseline_s`, from the first sample on, s.
     pub(super) baseline_first_s: Option<f64>,
     pub(super) binary: Option<bool>,
@@ -118,7 +118,7 @@ struct NamedTakeConfig {
     primitive: Option<String>,
     repetitions_s: Option<Vec<[f64; 2]>>,
     repetition_labels: Option<Vec<String>>,
-    baseline_s: Option<[f64; 2]>,
+    baseline_s: Option<BaselineSpans>,
     baseline_first_s: Option<f64>,
     binary: Option<bool>,
     fixture_trusted: Option<bool>,
@@ -223,6 +223,8 @@ pub(super) struct MapConfig {
     pub(super) patch: Option<String>,
     /// All channels of a stream, in order.
     pub(super) stream: Option<String>,
+    /// Of channels with several axes: which the columns are, of every channel in turn. Absent: all of them.
+    pub(super) axis: Option<OneOrMany<String>>,
     /// Numbers of the object's pose: `x`, `y`, `z`, `qw`, `qx`, `qy`, `qz`.
     pub(super) object: Option<OneOrMany<String>>,
     pub(super) unit: Option<String>,
@@ -241,6 +243,23 @@ fn unscaled() -> f64 {
 
 fn rising() -> i8 {
     1
+}
+
+/// `[t0, t1]`, or a list of such spans.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(untagged, expecting = "expected a span [t0, t1] in s, or a list of spans [[t0, t1], [t0, t1]]")]
+pub(super) enum BaselineSpans {
+    One([f64; 2]),
+    Many(Vec<[f64; 2]>),
+}
+
+impl BaselineSpans {
+    pub(super) fn as_slice(&self) -> &[[f64; 2]] {
+        match self {
+            Self::One(span) => std::slice::from_ref(span),
+            Self::Many(spans) => spans,
+        }
+    }
 }
 
 /// One, or a list.
@@ -312,7 +331,7 @@ impl Mapping {
                     primitive: take.primitive.clone(),
                     repetitions_s: take.repetitions_s.clone(),
                     repetition_labels: take.repetition_labels.clone(),
-                    baseline_s: take.baseline_s,
+                    baseline_s: take.baseline_s.clone(),
                     baseline_first_s: take.baseline_first_s,
                     binary: take.binary,
                     fixture_trusted: take.fixture_trusted,
@@ -452,6 +471,9 @@ impl Mapping {
             if named.iter().filter(|&&named| named).count() != 1 {
                 let problem = "expected exactly one of joints, channels, patch, stream and object: what the columns are";
                 return error("joints", problem.to_owned());
+            }
+            if map.axis.is_some() && (map.joints.is_some() || map.object.is_some()) {
+                return error("axis", "is for channels, a patch or a stream; remove it".to_owned());
             }
             if !(map.scale.is_finite() && map.scale != 0.0) {
                 return error("scale", format!("{}, expected a finite number that is not zero", map.scale));

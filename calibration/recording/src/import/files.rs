@@ -8,10 +8,11 @@ use std::{
 use palpate_robot_model::Station;
 
 use super::{
-    columns::{Assignment, Names, Scope, Target, assign},
+    columns::{Assignment, assign},
     config::{FileConfig, Mapping, TakeConfig, Takes},
     name_pattern::matched,
     parquet, sheet,
+    targets::{Names, Scope, Target},
 };
 use crate::{
     RecordingError,
@@ -152,6 +153,8 @@ pub(super) fn open(
     source: &TakeSource,
     mapping: Option<&Mapping>,
 ) -> Result<Vec<Opened>, RecordingError> {
+    let binary = source.config(mapping)?.binary.unwrap_or(false);
+    let names = Names { station, binary };
     match mapping {
         Some(mapping) if !mapping.config.file.is_empty() => {
             let files = mapping.config.file.iter().map(|file| {
@@ -160,16 +163,17 @@ pub(super) fn open(
                     Some(name) => source.dir.join(name.replace("{take}", &source.name)),
                     None => source.path.clone(),
                 };
-                open_mapped(station, path, config, mapping)
+                open_mapped(names, path, config, mapping)
             });
             files.collect()
         }
-        _ if source.is_file => Ok(vec![open_plain(station, source.path.clone(), Scope::All)?]),
-        _ => open_folder(station, &source.dir),
+        _ if source.is_file => Ok(vec![open_plain(names, source.path.clone(), Scope::All)?]),
+        _ => open_folder(names, &source.dir),
     }
 }
 
-fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingError> {
+fn open_folder(names: Names<'_>, dir: &Path) -> Result<Vec<Opened>, RecordingError> {
+    let station = names.station;
     let tables: Vec<(PathBuf, String)> = entries(dir)?
         .into_iter()
         .filter_map(|path| {
@@ -188,13 +192,13 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
     // A stream may be called so too.
     let is_object = |stem: &str| stem == OBJECT_STEM && station.layout.stream_index(stem).is_none();
     let (poses, tables): (Vec<_>, Vec<_>) = tables.into_iter().partition(|(_, stem)| is_object(stem));
-    let poses = poses.into_iter().map(|(path, _)| open_plain(station, path, Scope::Object));
+    let poses = poses.into_iter().map(|(path, _)| open_plain(names, path, Scope::Object));
     let poses = poses.collect::<Result<Vec<_>, _>>()?;
     let is_known = |stem: &str| station.layout.stream_index(stem).is_some() || stem == JOINTS_STEM;
     if let [(path, stem)] = &tables[..]
         && !is_known(stem)
     {
-        return Ok(std::iter::once(open_plain(station, path.clone(), Scope::All)?).chain(poses).collect());
+        return Ok(std::iter::once(open_plain(names, path.clone(), Scope::All)?).chain(poses).collect());
     }
     // Most likely it is the wrong station, or a misspelt name.
     if let Some((path, stem)) = tables.iter().find(|(_, stem)| !is_known(stem)) {
@@ -211,9 +215,9 @@ fn open_folder(station: &Station, dir: &Path) -> Result<Vec<Opened>, RecordingEr
         let there = tables.iter().find(|(_, other)| other == stem).map(|(path, _)| path.clone());
         there.unwrap_or_else(|| dir.join(format!("{stem}{CSV_ENDING}")))
     };
-    let mut opened = vec![open_plain(station, table(JOINTS_STEM), Scope::Joints)?];
+    let mut opened = vec![open_plain(names, table(JOINTS_STEM), Scope::Joints)?];
     for (stream_idx, stream) in station.layout.streams.iter().enumerate() {
-        opened.push(open_plain(station, table(&stream.id), Scope::Stream(stream_idx))?);
+        opened.push(open_plain(names, table(&stream.id), Scope::Stream(stream_idx))?);
     }
     opened.extend(poses);
     Ok(opened)
@@ -230,7 +234,7 @@ fn read_table(path: &Path, config: &FileConfig) -> Result<Vec<u8>, RecordingErro
 }
 
 /// Opens a file without a mapping: comma-separated, with a header.
-fn open_plain(station: &Station, path: PathBuf, scope: Scope) -> Result<Opened, RecordingError> {
+fn open_plain(names: Names<'_>, path: PathBuf, scope: Scope) -> Result<Opened, RecordingError> {
     let config = FileConfig::plain();
     let bytes = read_table(&path, &config)?;
     let header = sheet::first_row(&path, &bytes, &config)?;
@@ -250,37 +254,30 @@ fn open_plain(station: &Station, path: PathBuf, scope: Scope) -> Result<Opened, 
     let is_numbered = |cells: &[String]| {
         cells.iter().skip(1).all(is_number) && (cells.len() > 1 || cells.iter().all(|only| only == "t_s"))
     };
-    let columns = match &header {
-        Some((line, cells)) if !(prefix.is_some() && is_numbered(cells)) => {
-            let names = Names { station };
-            OpenedColumns::Assigned(assign(
-                &names,
-                &path,
-                Some((*line, cells)),
-                cells.len(),
-                scope,
-                &config,
-                None,
-            )?)
-        }
-        None if prefix.is_none() => {
-            let names =
-                if scope == Scope::Object { "x, y and z" } else { "the names of joints and channels" };
-            let problem = format!("the file is empty, expected a header with {names}");
-            return Err(RecordingError::content(&path, "line 1", problem));
-        }
-        // An empty file is refused as the oldest form.
-        _ => OpenedColumns::Numbered(scope),
-    };
+    let columns =
+        match &header {
+            Some((line, cells)) if !(prefix.is_some() && is_numbered(cells)) => OpenedColumns::Assigned(
+                assign(&names, &path, Some((*line, cells)), cells.len(), scope, &config, None)?,
+            ),
+            None if prefix.is_none() => {
+                let known =
+                    if scope == Scope::Object { "x, y and z" } else { "the names of joints and channels" };
+                let problem = format!("the file is empty, expected a header with {known}");
+                return Err(RecordingError::content(&path, "line 1", problem));
+            }
+            // An empty file is refused as the oldest form.
+            _ => OpenedColumns::Numbered(scope),
+        };
     Ok(Opened { path, bytes, config, columns })
 }
 
 fn open_mapped(
-    station: &Station,
+    names: Names<'_>,
     path: PathBuf,
     config: &FileConfig,
     mapping: &Mapping,
 ) -> Result<Opened, RecordingError> {
+    let station = names.station;
     let bytes = read_table(&path, config)?;
     let Some((line, cells)) = sheet::first_row(&path, &bytes, config)? else {
         let place = format!("line {}", config.skip_lines + 1);
@@ -294,7 +291,7 @@ fn open_mapped(
         _ => Scope::All,
     };
     let header = config.header.then_some((line, cells.as_slice()));
-    let assignment = assign(&Names { station }, &path, header, cells.len(), scope, config, Some(mapping))?;
+    let assignment = assign(&names, &path, header, cells.len(), scope, config, Some(mapping))?;
     Ok(Opened { path, bytes, config: config.clone(), columns: OpenedColumns::Assigned(assignment) })
 }
 

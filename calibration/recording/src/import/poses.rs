@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 use palpate_robot_model::{PoseConfig, Station};
 
-use super::{assemble::Assembled, columns::POSE_NAMES, report::TakeReport};
+use super::{assemble::Assembled, report::TakeReport, targets::POSE_NAMES};
 use crate::{PoseLog, RecordingError, format::UNIT_TOLERANCE, plausible};
 
 /// What the columns of poses are, in reports.

@@ -8,23 +8,23 @@ use palpate_robot_model::{PoseConfig, Robot, Station};
 use super::{
     ImportOptions,
     assemble::{self, Assembled, Part},
-    columns::{Cell, Names, Scope, Target, TimeSource},
-    config::{Mapping, TakeConfig},
+    axes,
+    columns::{Cell, TimeSource},
+    config::Mapping,
     files::{self, Opened, OpenedColumns, TakeSource},
     name_pattern::nearest,
     poses::{self, POSE_WHAT},
-    repetitions,
-    report::{ColumnReport, FileReport, IgnoredColumn, RepetitionReport, TakeReport},
-    sheet,
+    report::{ColumnReport, FileReport, IgnoredColumn, TakeReport},
+    sheet, spans,
     table::{Columns, Table},
+    targets::{Names, Scope, Target},
     write::activations,
 };
 use crate::{
-    RecordingError, Span, SpanKind, TakeMeta,
+    RecordingError, Span, SpanKind, StreamLog, TakeMeta,
     check::{JOINTS, stream_check},
     format::{ns_from_secs, secs_from_ns},
     plausible,
-    take::reference_readings,
 };
 
 /// A take that passed every check and waits to be written.
@@ -48,6 +48,8 @@ pub(super) struct CheckedStream {
     /// `num_samples x num_channels`, row-major; empty for binary takes.
     pub(super) raw: Vec<f32>,
     pub(super) active: Vec<bool>,
+    /// `num_samples x num_channels x num_axes`, row-major; empty for streams of one axis.
+    pub(super) axes: Vec<f32>,
 }
 
 /// Refuses a take whose object `station` does not know, as far as it is said.
@@ -79,6 +81,8 @@ pub(super) fn check_columns(
     source: &TakeSource,
     mapping: Option<&Mapping>,
 ) -> Result<(), RecordingError> {
+    let binary = source.config(mapping)?.binary.unwrap_or(false);
+    let names = Names { station, binary };
     let opened = files::open(station, source, mapping)?;
     let mut held = Vec::with_capacity(opened.len());
     for file in &opened {
@@ -89,8 +93,9 @@ pub(super) fn check_columns(
                 (assignment.cells.clone(), ignored)
             }
             OpenedColumns::Numbered(scope) => {
-                Table::check_header(&file.path, &file.bytes, &numbered_columns(station, *scope, false).0)?;
-                (numbered_columns(station, *scope, false).1, Vec::new())
+                let (columns, cells) = numbered_columns(names, *scope, false);
+                Table::check_header(&file.path, &file.bytes, &columns)?;
+                (cells, Vec::new())
             }
         });
     }
@@ -104,7 +109,8 @@ pub(super) fn check_columns(
     fixed.extend(following.iter().map(|&(dof, ..)| (dof, 0.0)));
     let joints: Vec<Target> = (0..station.robot.num_dofs()).map(Target::Joint).collect();
     assemble::check_complete(station, &files, &joints, &fixed)?;
-    let channels: Vec<Target> = (0..station.layout.num_channels()).map(Target::Channel).collect();
+    let channels: Vec<Target> =
+        (0..station.layout.num_channels()).flat_map(|channel| names.of_channel(channel)).collect();
     assemble::check_complete(station, &files, &channels, &[])
 }
 
@@ -150,13 +156,14 @@ pub(super) fn take(
         return Err(config_error("object_pose", problem));
     }
 
+    let names = Names { station, binary };
     let mut parts = Vec::new();
     let opened = match opened {
         Some(opened) => opened,
         None => files::open(station, source, mapping)?,
     };
     for file in opened {
-        let (part, understood) = read_part(station, file, binary)?;
+        let (part, understood) = read_part(names, file)?;
         warn_of_columns(&understood, report);
         report.files.push(understood);
         check_clock(station, &part)?;
@@ -167,12 +174,11 @@ pub(super) fn take(
     let joints = assemble::joints(station, &parts, &fixed, &following)?;
     check_joints(&station.robot, &parts, &joints)?;
     if !fixed.is_empty() {
-        let names: Vec<&str> =
-            fixed.iter().map(|&(dof, _)| Names { station }.id(Target::Joint(dof))).collect();
-        report.notes.push(format!("fixed, not recorded: {}", names.join(", ")));
+        let fixed: Vec<_> = fixed.iter().map(|&(dof, _)| names.id(Target::Joint(dof))).collect();
+        report.notes.push(format!("fixed, not recorded: {}", fixed.join(", ")));
     }
     for &(dof, followed, mimic) in &following {
-        let id = |dof: usize| Names { station }.id(Target::Joint(dof));
+        let id = |dof: usize| names.id(Target::Joint(dof));
         report.notes.push(format!(
             "joint {:?} was not recorded; it follows {:?}: times {}, plus {}, as the URDF says",
             id(dof),
@@ -183,7 +189,7 @@ pub(super) fn take(
     }
     let mut streams = Vec::with_capacity(station.layout.streams.len());
     for stream_idx in 0..station.layout.streams.len() {
-        streams.push(assemble::stream(station, &parts, stream_idx)?);
+        streams.push(assemble::stream(names, &parts, stream_idx)?);
     }
     if !binary {
         for part in &parts {
@@ -215,10 +221,11 @@ pub(super) fn take(
         .map(|((id, rate_hz), times_s)| stream_check(id, times_s, rate_hz))
         .collect();
 
-    let baseline_s = baseline(&config, binary, [first_s, last_s], &config_error)?;
-    report.baseline_s = baseline_s;
+    let baselines_s = spans::baselines(&config, binary, [first_s, last_s], &config_error)?;
+    report.baseline_s = baselines_s.first().copied();
+    report.later_baselines_s = baselines_s.iter().skip(1).copied().collect();
     report.repetitions =
-        repetitions(&config, &primitive, options, &joints, [first_s, last_s], &config_error)?;
+        spans::repetitions(&config, &primitive, options, &joints, [first_s, last_s], &config_error)?;
     if !report.repetitions.is_empty() {
         let marked = config.repetitions_s.is_some();
         report.repetitions_from = if marked { "marks" } else { "joint path" }.to_owned();
@@ -234,21 +241,29 @@ pub(super) fn take(
         .iter()
         .map(|repetition| span(SpanKind::Repetition, &repetition.label, repetition.start_s, repetition.end_s))
         .collect();
-    spans.extend(baseline_s.map(|[start_s, end_s]| span(SpanKind::Baseline, "", start_s, end_s)));
+    spans.extend(baselines_s.iter().map(|&[start_s, end_s]| span(SpanKind::Baseline, "", start_s, end_s)));
     spans.sort_by(|a, b| a.start_s.total_cmp(&b.start_s));
 
     let joint_times_ns = times_ns(&joints.path, &joints.table, zero_s)?;
     let mut checked_streams = Vec::with_capacity(streams.len());
     for (stream_idx, assembled) in streams.iter().enumerate() {
-        if let Some([start_s, end_s]) = baseline_s.filter(|_| !binary)
-            && !assembled.table.times_s.iter().any(|&time_s| start_s <= time_s && time_s <= end_s)
-        {
+        let has_sample = |&[start_s, end_s]: &[f64; 2]| {
+            assembled.table.times_s.iter().any(|&time_s| start_s <= time_s && time_s <= end_s)
+        };
+        if let Some([start_s, end_s]) = baselines_s.iter().find(|span| !binary && !has_sample(span)) {
             let stream = &station.layout.streams[stream_idx].id;
             let problem =
                 format!("no sample of stream {stream:?} lies within {start_s}..{end_s} s; move the span");
             return Err(config_error("baseline_s", problem));
         }
-        checked_streams.push(check_stream(station, stream_idx, assembled, zero_s, binary, &spans, report)?);
+        let of_axes = !binary && station.layout.streams[stream_idx].axes.count() > 1;
+        let reduced = of_axes.then(|| axes::readings(station, stream_idx, assembled, &baselines_s, report));
+        let (assembled, axes) = match reduced.transpose()? {
+            Some((readings, axes)) => (&Assembled { table: readings, ..assembled.clone() }, axes),
+            None => (assembled, Vec::new()),
+        };
+        let checked = check_stream(station, stream_idx, assembled, zero_s, binary, &spans, report)?;
+        checked_streams.push(CheckedStream { axes, ..checked });
     }
 
     let object_poses = match &object_path {
@@ -284,17 +299,16 @@ pub(super) fn take(
 }
 
 /// Columns of the oldest form: `t_s`, then everything of the scope in the station's order.
-fn numbered_columns(station: &Station, scope: Scope, binary: bool) -> (Columns, Vec<Cell>) {
-    let names = Names { station };
+fn numbered_columns(names: Names<'_>, scope: Scope, binary: bool) -> (Columns, Vec<Cell>) {
     let targets = names.of(scope);
     let (prefix, what) = if scope == Scope::Joints { ('q', "joint") } else { ('v', "channel") };
-    let ids = targets.iter().map(|&(_, id)| id.to_owned()).collect();
+    let ids = targets.iter().map(|(_, id)| id.to_string()).collect();
     let cells = targets
         .iter()
         .enumerate()
-        .map(|(idx, &(target, id))| Cell {
+        .map(|(idx, &(target, ref id))| Cell {
             target,
-            id: id.to_owned(),
+            id: id.to_string(),
             column: idx + 1,
             header: format!("{prefix}{idx}"),
             unit: names.unit(target).to_owned(),
@@ -307,13 +321,14 @@ fn numbered_columns(station: &Station, scope: Scope, binary: bool) -> (Columns, 
     (Columns { prefix, ids, what, binary }, cells)
 }
 
-fn read_part(station: &Station, file: Opened, binary: bool) -> Result<(Part, FileReport), RecordingError> {
+fn read_part(names: Names<'_>, file: Opened) -> Result<(Part, FileReport), RecordingError> {
+    let binary = names.binary;
     let Opened { path, bytes, config, columns } = file;
     let is_numbered = matches!(columns, OpenedColumns::Numbered(_));
     let (table, cells, ignored, time, columns_by) = match columns {
         OpenedColumns::Numbered(scope) => {
             let binary = binary && scope != Scope::Joints;
-            let (columns, cells) = numbered_columns(station, scope, binary);
+            let (columns, cells) = numbered_columns(names, scope, binary);
             let table = Table::parse(&path, &bytes, &columns)?;
             (table, cells, Vec::new(), "column 1 (t_s), s".to_owned(), "number, in the station's order")
         }
@@ -396,7 +411,7 @@ fn warn_of_columns(file: &FileReport, report: &mut TakeReport) {
     if file.rows < 2 || report.binary {
         return;
     }
-    for what in ["joint", "channel"] {
+    for what in ["joint", "channel", "axis"] {
         let constant: Vec<String> = file
             .columns
             .iter()
@@ -444,7 +459,9 @@ fn check_clock(station: &Station, part: &Part) -> Result<(), RecordingError> {
     let times_s = &part.table.times_s;
     let nominal_hz = part.cells.iter().map(|cell| match cell.target {
         Target::Joint(_) => station.joint_rate_hz,
-        Target::Channel(channel) => station.layout.streams[station.layout.channels[channel].stream].rate_hz,
+        Target::Channel(channel) | Target::Axis(channel, _) => {
+            station.layout.streams[station.layout.channels[channel].stream].rate_hz
+        }
         // Trackers are about as fast.
         Target::Object(_) => station.joint_rate_hz,
     });
@@ -497,14 +514,16 @@ fn check_readings(station: &Station, part: &Part) -> Result<(), RecordingError> 
     let layout = &station.layout;
     for (row, &line) in part.table.lines.iter().enumerate() {
         for (cell, &reading) in part.cells.iter().zip(part.table.row(row, part.cells.len())) {
-            let Target::Channel(channel) = cell.target else { continue };
+            let Some(channel) = cell.target.channel() else { continue };
             let stream_idx = layout.channels[channel].stream;
             let (config, unit) = (&station.streams[stream_idx], &layout.streams[stream_idx].raw_unit);
             if !(reading as f32).is_finite() && !reading.is_nan() {
                 let problem = format!("{} is too large", plausible::short(reading));
                 return Err(RecordingError::content(&part.path, cell.place(line), problem));
             }
-            if let Some(problem) = plausible::below_range(config, reading, unit) {
+            // The range is that of the reading, which axes are yet to become.
+            let is_reading = matches!(cell.target, Target::Channel(_));
+            if let Some(problem) = plausible::below_range(config, reading, unit).filter(|_| is_reading) {
                 return Err(RecordingError::content(&part.path, cell.place(line), problem));
             }
         }
@@ -530,84 +549,6 @@ fn mirrored_notes(part: &Part) -> Vec<String> {
     notes.iter().map(text).collect()
 }
 
-type ConfigError<'a> = &'a dyn Fn(&str, String) -> RecordingError;
-
-fn baseline(
-    config: &TakeConfig,
-    binary: bool,
-    [first_s, last_s]: [f64; 2],
-    error: ConfigError<'_>,
-) -> Result<Option<[f64; 2]>, RecordingError> {
-    let (span, field) = match (config.baseline_s, config.baseline_first_s) {
-        (Some(_), Some(_)) => {
-            let problem = "beside baseline_first_s, expected one of them";
-            return Err(error("baseline_s", problem.to_owned()));
-        }
-        (Some(span), None) => (span, "baseline_s"),
-        (None, Some(duration_s)) if duration_s > 0.0 && duration_s.is_finite() => {
-            ([first_s, first_s + duration_s], "baseline_first_s")
-        }
-        (None, Some(duration_s)) => {
-            let problem = format!("{duration_s}, expected a finite number of seconds above zero");
-            return Err(error("baseline_first_s", problem));
-        }
-        (None, None) if binary => return Ok(None),
-        (None, None) => {
-            let problem = "missing; raw readings need a span without touch, from which reference values come: \
-                           baseline_s = [t0, t1], or baseline_first_s = SECONDS";
-            return Err(error("baseline_s", problem.to_owned()));
-        }
-    };
-    check_span(span, first_s, last_s).map_err(|problem| error(field, problem))?;
-    Ok(Some(span))
-}
-
-fn repetitions(
-    config: &TakeConfig,
-    primitive: &str,
-    options: ImportOptions<'_>,
-    joints: &Assembled,
-    [first_s, last_s]: [f64; 2],
-    error: ConfigError<'_>,
-) -> Result<Vec<RepetitionReport>, RecordingError> {
-    let num_marked = config.repetitions_s.as_ref().map_or(0, Vec::len);
-    if let Some(labels) = &config.repetition_labels
-        && labels.len() != num_marked
-    {
-        let problem = format!(
-            "{} labels for {num_marked} spans of repetitions_s; give one for each, alike for repetitions of the same motion, \
-             or leave them out",
-            labels.len(),
-        );
-        return Err(error("repetition_labels", problem));
-    }
-    let Some(marked) = &config.repetitions_s else {
-        if !options.find_repetitions {
-            return Ok(Vec::new());
-        }
-        let num_dofs = joints.table.values.len() / joints.table.times_s.len().max(1);
-        let found = repetitions::find(&joints.table.times_s, &joints.table.values, num_dofs);
-        let is_one_motion = found.iter().all(|found| found.group == 0);
-        let label = |group: usize| {
-            if is_one_motion { primitive.to_owned() } else { format!("{primitive} {}", group + 1) }
-        };
-        let repetition = |found: &repetitions::Found| RepetitionReport {
-            start_s: found.start_s,
-            end_s: found.end_s,
-            label: label(found.group),
-        };
-        return Ok(found.iter().map(repetition).collect());
-    };
-    let mut repetitions = Vec::with_capacity(marked.len());
-    for (span_idx, &span) in marked.iter().enumerate() {
-        check_span(span, first_s, last_s)
-            .map_err(|problem| error(&format!("repetitions_s, span {}", span_idx + 1), problem))?;
-        let label = config.repetition_labels.as_ref().map_or(primitive, |labels| &labels[span_idx]);
-        repetitions.push(RepetitionReport { start_s: span[0], end_s: span[1], label: label.to_owned() });
-    }
-    Ok(repetitions)
-}
-
 /// The take's name as a file stem that is safe in addresses too.
 fn take_id(source: &TakeSource) -> Result<String, RecordingError> {
     let id: String = source
@@ -621,23 +562,6 @@ fn take_id(source: &TakeSource) -> Result<String, RecordingError> {
         let problem = "has no letter or digit in its name, from which the take's id comes; rename it";
         Err(RecordingError::content(&source.path, source.kind(), problem))
     }
-}
-
-fn check_span([start_s, end_s]: [f64; 2], first_s: f64, last_s: f64) -> Result<(), String> {
-    if !(start_s.is_finite() && end_s.is_finite()) {
-        return Err(format!("[{start_s}, {end_s}] must be finite"));
-    }
-    if end_s <= start_s {
-        return Err(format!("[{start_s}, {end_s}] ends before it starts"));
-    }
-    if end_s < first_s || start_s > last_s || start_s < first_s.floor() {
-        return Err(format!("[{start_s}, {end_s}] lies outside the recording, {first_s}..{last_s} s"));
-    }
-    // As the take will hold it.
-    if ns_from_secs((end_s - last_s).max(0.0)).is_none() {
-        return Err(format!("[{start_s}, {end_s}] ends too long after the recording, {first_s}..{last_s} s"));
-    }
-    Ok(())
 }
 
 fn times_ns(path: &Path, table: &Table, zero_s: f64) -> Result<Vec<u64>, RecordingError> {
@@ -672,23 +596,21 @@ fn check_stream(
     let times_ns = times_ns(path, table, zero_s)?;
     if binary {
         let active = table.values.iter().map(|&value| value == 1.0).collect();
-        return Ok(CheckedStream { times_ns, raw: Vec::new(), active });
+        return Ok(CheckedStream { times_ns, raw: Vec::new(), active, axes: Vec::new() });
     }
     let raw: Vec<f32> = table.values.iter().map(|&value| value as f32).collect();
     // The times as the reader will see them, so that both find the same reference.
     let times_s: Vec<f64> = times_ns.iter().map(|&time_ns| secs_from_ns(time_ns)).collect();
-    let reference = reference_readings(&times_s, &raw, num_channels, spans);
+    let mut log = StreamLog { times_s, raw, ..StreamLog::default() };
+    log.find_references(num_channels, spans);
     let config = &station.streams[stream_idx];
     for (offset, channel) in channels.enumerate() {
-        let readings = raw.iter().skip(offset).step_by(num_channels).copied();
-        if let Some(fall) = plausible::fall_under_load(config, readings, reference[offset]) {
+        if let Some(fall) = plausible::fall_under_load(config, log.above_reference(offset, num_channels)) {
             let id = &station.layout.channels[channel].id;
-            report.warnings.push(format!(
-                "channel {id:?} {}",
-                plausible::falls(fall, &station.layout.streams[stream_idx].raw_unit)
-            ));
+            let stream = &station.layout.streams[stream_idx];
+            report.warnings.push(format!("channel {id:?} {}", plausible::falls(fall, stream)));
         }
     }
-    let active = activations(config, &raw, &reference);
-    Ok(CheckedStream { times_ns, raw, active })
+    let active = activations(config, &log, num_channels);
+    Ok(CheckedStream { times_ns, raw: log.raw, active, axes: Vec::new() })
 }

@@ -37,8 +37,10 @@ pub struct TakeReport {
     pub first_s: f64,
     /// Last time of any file, s.
     pub last_s: f64,
-    /// The span without touch, on the recording's own clock, s.
+    /// The first span without touch, on the recording's own clock, s.
     pub baseline_s: Option<[f64; 2]>,
+    /// Later spans without touch, from each of which on readings count from what they are in it.
+    pub later_baselines_s: Vec<[f64; 2]>,
     /// Where the repetitions come from: `marks` (of `take.toml` or the mapping file), `joint path` or `none`.
     pub repetitions_from: String,
     /// The repetitions, on the recording's own clock.
@@ -92,7 +94,7 @@ pub struct ColumnReport {
     pub column: usize,
     /// Its header; empty without one.
     pub header: String,
-    /// `joint`, `channel` or `object coordinate`.
+    /// `joint`, `channel`, `axis` or `object coordinate`.
     pub what: &'static str,
     /// The station's name for it.
     pub id: String,

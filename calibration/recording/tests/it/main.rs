@@ -4,9 +4,11 @@
 mod crashes;
 mod growing;
 mod import;
+mod import_axes;
 mod import_moving;
 mod import_names;
 mod import_parquet;
+mod import_tares;
 mod live;
 mod moving;
 mod session;

@@ -213,6 +213,72 @@ fn reference_readings_are_the_mean_over_the_baseline() {
 }
 
 #[test]
+fn a_reference_counts_until_the_next_baseline_begins() {
+    let station = station();
+    let mut writer = TakeWriter::new(Cursor::new(Vec::new()), &station, &meta(), START_UNIX_NS).unwrap();
+    writer.joints(0, &[0.0, 0.0]).unwrap();
+    for (second, first) in [10.0_f32, 20.0, 30.0, 900.0, 50.0].into_iter().enumerate() {
+        let raw = [first, 1.0, 2.0];
+        let sample = TactileSampleRef { raw: &raw, active: &[false; 3], device_time_ns: 0 };
+        writer.tactile(0, second as u64 * 1_000_000_000, sample).unwrap();
+    }
+    let sample = TactileSampleRef { raw: &[5.0, 6.0], active: &[false; 2], device_time_ns: 0 };
+    writer.tactile(1, 0, sample).unwrap();
+    // Out of order, as a tool may have written them.
+    for [start_s, end_s] in [[3.5, 4.5], [0.5, 2.5]] {
+        writer.span(&Span { kind: SpanKind::Baseline, start_s, end_s, label: String::new() }).unwrap();
+    }
+    let take = Take::from_bytes(Path::new("t.mcap"), &writer.finish().unwrap().into_inner()).unwrap();
+    let gel = &take.streams[0];
+    let counts = |time_s| gel.reference_at(time_s)[0];
+    assert_eq!([0.0, 2.0, 3.4, 3.5, 9.0].map(counts), [25.0, 25.0, 25.0, 50.0, 50.0]);
+    let above: Vec<f64> = gel.above_reference(0, 3).collect();
+    assert_eq!(above, [-15.0, -5.0, 5.0, 875.0, 0.0]);
+    assert_eq!((take.tares().len(), take.tares()[0].taken_s), (1, 4.0));
+    let film = &take.streams[1];
+    assert_eq!((&film.reference[..], film.later_references.len()), (&[5.0, 6.0][..], 0), "its only sample");
+}
+
+#[test]
+fn axes_are_written_beside_their_sample_and_come_back() {
+    let fixture = fixtures().join("finger-station");
+    let read = |path: &str| {
+        let text = std::fs::read_to_string(fixture.join(path)).map_err(|error| error.to_string())?;
+        let axes = "raw_unit = \"counts\"\naxes = 2\nreading = \"norm\"";
+        Ok(if path == "layout.toml" { text.replacen("raw_unit = \"counts\"", axes, 1) } else { text }
+            .into_bytes())
+    };
+    let station = palpate_robot_model::Station::read("station.toml", read).unwrap();
+    let mut writer = TakeWriter::new(Cursor::new(Vec::new()), &station, &meta(), START_UNIX_NS).unwrap();
+    writer.joints(0, &[0.0, 0.0]).unwrap();
+    for time_ns in [0, 5] {
+        let raw = [3.0, 4.0, 5.0];
+        writer
+            .tactile(0, time_ns, TactileSampleRef { raw: &raw, active: &[false; 3], device_time_ns: 0 })
+            .unwrap();
+    }
+    writer
+        .tactile(1, 0, TactileSampleRef { raw: &[5.0, 6.0], active: &[false; 2], device_time_ns: 0 })
+        .unwrap();
+    let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+    writer.axes(0, 5, &values).unwrap();
+    for (stream, time_ns, values, expected) in [
+        (0, 6, &values[..5], "5 numbers, the layout has 3 channels and axes [\"x\", \"y\"] for each"),
+        (0, 6, &[1.0, 2.0, 3.0, f32::NAN, 5.0, 6.0], "channel \"tip.1\", axis y, reads NaN"),
+        (0, 5, &values, "times must increase"),
+        (1, 6, &values[..2], "2 numbers, the layout has 2 channels and axes [\"x\"] for each"),
+        (2, 6, &values, "stream 2 of a layout with 2 streams"),
+    ] {
+        let error = writer.axes(stream, time_ns, values).unwrap_err().to_string();
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
+    let take = Take::from_bytes(Path::new("t.mcap"), &writer.finish().unwrap().into_inner()).unwrap();
+    let axes = &take.streams[0].axes;
+    assert_eq!((&axes.times_s[..], &axes.values[..]), (&[5e-9][..], &values[..]));
+    assert!(take.streams[1].axes.values.is_empty());
+}
+
+#[test]
 fn the_writer_refuses_what_the_reader_would() {
     let station = station();
     let mut writer = TakeWriter::new(Cursor::new(Vec::new()), &station, &meta(), START_UNIX_NS).unwrap();

@@ -74,12 +74,16 @@ class Patch:
 
 @dataclass(frozen=True)
 class Stream:
-    """Channels that arrive together. Readings above `on_threshold` (raw units over rest) count as touch."""
+    """Channels that arrive together. Readings above `on_threshold` (raw units over rest) count as touch.
+
+    Each taxel measures so many `axes`, of which its reading is made.
+    """
 
     id: str
     label: str
     channels: range
     on_threshold: float
+    axes: int = 1
 
 
 class Station:
@@ -108,7 +112,8 @@ class Station:
                 span = range(first, first + count)
                 patches.append(Patch(patch["id"], patch["label"], stream["id"], patch["link"], span, points, normals))
             span = range(begin, len(channels))
-            streams.append(Stream(stream["id"], stream["label"], span, thresholds[stream["id"]]))
+            axes = int(stream.get("axes", 1))
+            streams.append(Stream(stream["id"], stream["label"], span, thresholds[stream["id"]], axes))
         self.channels: tuple[str, ...] = tuple(channels)
         self.patches: tuple[Patch, ...] = tuple(patches)
         self.streams: dict[str, Stream] = {stream.id: stream for stream in streams}

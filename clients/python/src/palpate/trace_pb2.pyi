@@ -24,16 +24,18 @@ class TakeTrace(_message.Message):
     def __init__(self, frame_times_s: _Optional[_Iterable[float]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., real_active: _Optional[bytes] = ..., streams: _Optional[_Iterable[_Union[StreamTrace, _Mapping]]] = ..., spans: _Optional[_Iterable[_Union[SpanTrace, _Mapping]]] = ..., object_poses: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class StreamTrace(_message.Message):
-    __slots__ = ("stream", "times_s", "raw", "active")
+    __slots__ = ("stream", "times_s", "raw", "active", "axes")
     STREAM_FIELD_NUMBER: _ClassVar[int]
     TIMES_S_FIELD_NUMBER: _ClassVar[int]
     RAW_FIELD_NUMBER: _ClassVar[int]
     ACTIVE_FIELD_NUMBER: _ClassVar[int]
+    AXES_FIELD_NUMBER: _ClassVar[int]
     stream: str
     times_s: _containers.RepeatedScalarFieldContainer[float]
     raw: _containers.RepeatedScalarFieldContainer[float]
     active: bytes
-    def __init__(self, stream: _Optional[str] = ..., times_s: _Optional[_Iterable[float]] = ..., raw: _Optional[_Iterable[float]] = ..., active: _Optional[bytes] = ...) -> None: ...
+    axes: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, stream: _Optional[str] = ..., times_s: _Optional[_Iterable[float]] = ..., raw: _Optional[_Iterable[float]] = ..., active: _Optional[bytes] = ..., axes: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SpanTrace(_message.Message):
     __slots__ = ("kind", "start_s", "end_s", "label")

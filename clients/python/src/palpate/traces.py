@@ -47,6 +47,8 @@ class StreamSamples:
         times_s: n; seconds since the take began.
         raw: n x channels; readings less their value at rest, raw units. None for a take without readings.
         active: n x channels.
+        axes: n x channels x axes; what the axes (x, y, z) of each taxel measured, raw units, NaN where a sample has
+            none. None for a stream of one axis.
 
     """
 
@@ -54,6 +56,7 @@ class StreamSamples:
     times_s: Floats
     raw: Singles | None
     active: Bools
+    axes: Singles | None = None
 
     def to_pandas(self) -> pd.DataFrame:
         """Readings (or activations, where there are none) by time."""
@@ -190,6 +193,7 @@ def trace_of(data: bytes, station: Station) -> Trace:
             np.asarray(stream.times_s, np.float64),
             _reshape(raw, shape) if len(raw) else None,
             _bits(stream.active, shape),
+            _axes(np.asarray(stream.axes, np.float32), (*shape, station.streams[stream.stream].axes)),
         )
     return Trace(
         station.joints,
@@ -316,6 +320,10 @@ def _reshape(values: Singles, shape: tuple[int, int]) -> Singles:
     if values.size != shape[0] * shape[1]:
         raise PalpateError("Damaged answer", f"{values.size} numbers came, expected {shape[0]} x {shape[1]}")
     return values.reshape(shape)
+
+
+def _axes(values: Singles, shape: tuple[int, int, int]) -> Singles | None:
+    return _reshape(values, (shape[0], shape[1] * shape[2])).reshape(shape) if len(values) else None
 
 
 def _frame(times_s: Floats, columns: tuple[str, ...], values: Singles | Bools) -> pd.DataFrame:

@@ -27,6 +27,7 @@ fn good() -> Take {
             device_times_s: times_s.clone(),
             reference: vec![200.0; width],
             times_s,
+            ..StreamLog::default()
         }
     });
     Take {

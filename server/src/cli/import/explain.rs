@@ -61,6 +61,11 @@ fn add_take(lines: &mut Vec<String>, take: &TakeReport, before: Option<&TakeRepo
     if let Some([start_s, end_s]) = take.baseline_s {
         lines.push(format!("  without touch from {start_s} to {end_s} s"));
     }
+    for [start_s, end_s] in &take.later_baselines_s {
+        lines.push(format!(
+            "  and from {start_s} to {end_s} s, from when on readings count from what they are there"
+        ));
+    }
     match (take.repetitions.len(), take.repetitions_from.as_str()) {
         _ if take.streams.is_empty() => {}
         (0, _) => {

@@ -289,6 +289,15 @@ impl Reader<'_> {
             let problem = format!("the layout has no stream {:?}, expected one of {known}", stream.get_ref());
             return Err(self.source.error(stream.span(), at.what, problem));
         };
+        let num_axes = self.layout.streams[stream_idx].axes.count();
+        if num_axes > 1 {
+            let problem = format!(
+                "stream {:?} has {num_axes} axes for each taxel, which no device here reads; leave [[device]] out and \
+                 import recordings of it",
+                stream.get_ref()
+            );
+            return Err(self.source.error(stream.span(), at.what, problem));
+        }
         let of_stream = self.layout.streams[stream_idx].channels.clone();
         let first_channel = text.first_channel.map_or(0, Spanned::into_inner);
         let Some(num_channels) = text.num_channels.map(Spanned::into_inner).filter(|num| *num > 0) else {

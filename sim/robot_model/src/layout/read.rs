@@ -6,7 +6,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
-    Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout,
+    Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes,
     map::{self, MapConfig},
     surface::Surface,
 };
@@ -33,6 +33,19 @@ struct LayoutStreamConfig {
     kind: SensorKindConfig,
     rate_hz: f64,
     raw_unit: String,
+    /// How many numbers each taxel measures: 1 if left out.
+    axes: Option<usize>,
+    /// How several become one.
+    reading: Option<ReadingConfig>,
+    /// For `normal`: the axis along the outward normal, with a minus where pressing makes it fall.
+    normal_axis: Option<String>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ReadingConfig {
+    Norm,
+    Normal,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -161,7 +174,47 @@ fn stream(config: &LayoutStreamConfig, earlier: &[Stream]) -> Result<Stream, Str
         rate_hz: positive("rate_hz", config.rate_hz)?,
         channels: 0..0,
         raw_unit: config.raw_unit.clone(),
+        axes: axes(config)?,
     })
+}
+
+fn axes(config: &LayoutStreamConfig) -> Result<TaxelAxes, String> {
+    let count = config.axes.unwrap_or(1);
+    if !(1..=TaxelAxes::NAMES.len()).contains(&count) {
+        return Err(format!("axes is {count}, expected 1, 2 or 3 numbers for each taxel"));
+    }
+    if let Some(named) = config.normal_axis.as_ref().filter(|_| config.reading != Some(ReadingConfig::Normal))
+    {
+        return Err(format!("normal_axis = {named:?} has no effect without reading = \"normal\"; remove it"));
+    }
+    match (count, config.reading) {
+        (1, None) => Ok(TaxelAxes::One),
+        (1, Some(_)) => {
+            Err("reading says how several axes become one, but there is one; remove it, or add axes = 3"
+                .to_owned())
+        }
+        (_, None) => Err(format!(
+            "axes = {count} without a rule for the one reading that calibration works with; add reading = \"norm\" (how far \
+             they are from rest) or reading = \"normal\" (the one along the outward normal)"
+        )),
+        (_, Some(ReadingConfig::Norm)) => Ok(TaxelAxes::Norm { count }),
+        (_, Some(ReadingConfig::Normal)) => {
+            let names = &TaxelAxes::NAMES[..count];
+            let Some(stated) = config.normal_axis.as_deref().or((count == 3).then_some("z")) else {
+                let problem =
+                    "two axes and no normal_axis; say which one is along the outward normal: \"x\" or \"y\"";
+                return Err(problem.to_owned());
+            };
+            let (name, falls) = stated.strip_prefix('-').map_or((stated, false), |name| (name, true));
+            let axis = names.iter().position(|known| *known == name).ok_or_else(|| {
+                format!(
+                    "normal_axis is {stated:?}, expected one of {}, with a minus in front where pressing makes it fall",
+                    list(names.iter().copied())
+                )
+            })?;
+            Ok(TaxelAxes::Normal { count, axis, falls })
+        }
+    }
 }
 
 fn patch(
@@ -352,6 +405,24 @@ taxels_m = [[-0.005, 0.0], [0.005, 0.003], [0.012, 0.0]]
             ("position_m = [0.1, 0.0, 0.0]", "position_m = [nan, 0.0, 0.0]", "must be finite"),
             ("rate_hz = 40.0", "rate_hz = 0.0", "rate_hz is 0"),
             ("rate_hz = 40.0", "rate_hz = 40.0\ncolour = 1", "unknown field `colour`"),
+            ("raw_unit = \"mV\"", "raw_unit = \"mV\"\naxes = 4", "axes is 4, expected 1, 2 or 3"),
+            ("raw_unit = \"mV\"", "raw_unit = \"mV\"\naxes = 3", "add reading = \"norm\""),
+            ("raw_unit = \"mV\"", "raw_unit = \"mV\"\nreading = \"norm\"", "but there is one"),
+            (
+                "raw_unit = \"mV\"",
+                "raw_unit = \"mV\"\naxes = 2\nreading = \"normal\"",
+                "two axes and no normal_axis",
+            ),
+            (
+                "raw_unit = \"mV\"",
+                "raw_unit = \"mV\"\naxes = 2\nreading = \"normal\"\nnormal_axis = \"z\"",
+                "expected one of \"x\", \"y\"",
+            ),
+            (
+                "raw_unit = \"mV\"",
+                "raw_unit = \"mV\"\naxes = 3\nreading = \"norm\"\nnormal_axis = \"z\"",
+                "has no effect without reading = \"normal\"",
+            ),
             ("kind = \"arc\"", "kind = \"spline\"", "unknown variant `spline`"),
             ("kind = \"proximity\"", "kind = \"thermal\"", "unknown variant `thermal`"),
             ("taxels_m = [", "map = { positions = [[0, 0]] }\ntaxels_m = [", "expected 3 finite positions"),
@@ -365,6 +436,22 @@ taxels_m = [[-0.005, 0.0], [0.005, 0.003], [0.012, 0.0]]
         }
         let unknown_link = read(&LAYOUT.replacen("link = \"tip\"", "link = \"thumb\"", 1)).unwrap_err();
         assert_eq!(unknown_link.place, "line 23, patch \"pad\"");
+    }
+
+    #[test]
+    fn axes_say_how_they_become_a_reading() {
+        let axes_of = |more: &str| {
+            let layout =
+                read(&LAYOUT.replacen("raw_unit = \"mV\"", &format!("raw_unit = \"mV\"\n{more}"), 1));
+            layout.unwrap().streams[1].axes
+        };
+        assert_eq!(axes_of(""), TaxelAxes::One);
+        assert_eq!(axes_of("axes = 1"), TaxelAxes::One);
+        assert_eq!(axes_of("axes = 2\nreading = \"norm\""), TaxelAxes::Norm { count: 2 });
+        let normal = |axis, falls| TaxelAxes::Normal { count: 3, axis, falls };
+        assert_eq!(axes_of("axes = 3\nreading = \"normal\""), normal(2, false));
+        assert_eq!(axes_of("axes = 3\nreading = \"normal\"\nnormal_axis = \"-x\""), normal(0, true));
+        assert_eq!(normal(0, true).names(), ["x", "y", "z"]);
     }
 
     #[test]

@@ -78,6 +78,7 @@ impl FrameChain {
             positions: &[],
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         let mut contact = Contact {
             trace: Cow::Owned(ContactTrace::empty(layout, 0)),
@@ -220,6 +221,7 @@ impl FrameChain {
             positions: &path,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         let num_patches = scene.layout.patches.len();
         let mut contact = Contact {
@@ -256,6 +258,7 @@ impl FrameChain {
             positions: &[],
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         };
         let num_streams = self.is_carried.len();
         let mut transport =

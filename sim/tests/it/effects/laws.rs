@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use palpate_robot_model::{Place, Station};
-use palpate_sim::effects::{Effect, EffectKind, Parameter, Sensed, Stage, TACTILE};
+use palpate_robot_model::{Place, Station, Tare};
+use palpate_sim::effects::{Effect, EffectKind, Parameter, Sensed, Stage, TACTILE, TakeScene};
 use palpate_sim::geometry::SignedDistance;
 use palpate_sim::replay::contact_trace;
 use palpate_sim::{SensorModel, tactile};
@@ -33,6 +33,39 @@ pub(crate) fn effect(
 fn bits(sensed: &[Sensed]) -> Vec<u64> {
     let values = sensed.iter().flat_map(|sensed| sensed.load.iter().chain(&sensed.activation));
     values.map(|value| value.to_bits()).collect()
+}
+
+/// A reference that is taken anew takes away what a reading had gained until then, and changes nothing before.
+#[test]
+fn a_drift_begins_again_with_each_tare() {
+    let station = station("xarm6_leap.toml");
+    let take = take(&station, &INDEX, 4, 7);
+    let place = Place::Stream("twintac".to_owned());
+    let kind = TACTILE.iter().find(|kind| kind.id() == "baseline_drift").expect("it is there");
+    let rate_per_s = 0.01;
+    let effects = [effect(*kind, &place, &station, |_| rate_per_s)];
+    let scene = take.scene(&station, &take.clean);
+    let model = SensorModel { effects: effects.to_vec(), ..SensorModel::plain("drifting", THETA) };
+    let of = |tares: &[Tare]| model.sense(&TakeScene { tares, ..scene }).expect("it fits").load;
+    let (start_s, end_s) = (take.times_s[0], take.times_s[take.times_s.len() - 1]);
+    let tare = Tare { from_s: 0.5 * (start_s + end_s), taken_s: 0.6 * end_s + 0.4 * start_s };
+    let (once, anew) = (of(&[]), of(&[tare]));
+    let num_channels = station.layout.num_channels();
+    let channel =
+        station.layout.streams[station.layout.stream_index("twintac").expect("it has one")].channels.start;
+    let mut later = 0;
+    for (frame, &time_s) in take.times_s.iter().enumerate() {
+        let cell = frame * num_channels + channel;
+        if time_s < tare.from_s {
+            assert_eq!(once[cell], anew[cell], "{time_s} s");
+        } else {
+            let lost = (once[cell] - anew[cell]) / THETA.lambda_pre_pa;
+            let expected = rate_per_s * (tare.taken_s - start_s);
+            assert!((lost - expected).abs() < 1e-9, "{time_s} s: {lost}, expected {expected}");
+            later += 1;
+        }
+    }
+    assert!(later > 10, "{later} frames");
 }
 
 #[test]

@@ -50,6 +50,7 @@ impl Take {
             positions,
             arrival_times_s: &[],
             frozen_for_s: &[],
+            tares: &[],
         }
     }
 }

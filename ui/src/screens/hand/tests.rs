@@ -259,6 +259,7 @@ fn take_trace(station: &Station) -> TakeTrace {
                     times_s.iter().flat_map(|&t| std::iter::repeat_n(is_active(t, 0.0), width)),
                 ),
                 times_s,
+                axes: Vec::new(),
             }
         })
         .collect();
