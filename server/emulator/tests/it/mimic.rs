@@ -24,7 +24,7 @@ fn an_emulated_session_moves_it_with_the_other_and_both_fingers_feel() {
     let check = check_session(&session).unwrap();
     assert!(check.ok, "{:?}", check.problems);
     assert!(check.coverage.iter().all(|channel| channel.touches >= 4), "{:?}", check.coverage);
-    let mut moved_m = 0.0_f64;
+    let (mut moved_m, mut num_by_limb) = (0.0_f64, 0);
     for take in takes(&session) {
         let robot = &take.station.robot;
         let (left, right, num_dofs) = (dof(robot, "left"), dof(robot, "right"), robot.num_dofs());
@@ -42,6 +42,7 @@ fn an_emulated_session_moves_it_with_the_other_and_both_fingers_feel() {
             .filter(|span| span.kind == SpanKind::Repetition && span.label.contains("by limb"));
         let gel = &take.streams[0];
         for span in by_limb {
+            num_by_limb += 1;
             let channels = take.station.layout.channels.iter();
             let channel = channels
                 .clone()
@@ -53,7 +54,10 @@ fn an_emulated_session_moves_it_with_the_other_and_both_fingers_feel() {
             assert!(felt, "{}: nothing is felt in {:?}", take.id, span.label);
         }
     }
-    assert!(moved_m > 0.005, "{moved_m} m");
+    assert!(
+        moved_m > 0.005 && num_by_limb >= 6,
+        "{moved_m} m, {num_by_limb} presses of fingers by themselves"
+    );
 }
 
 #[test]
