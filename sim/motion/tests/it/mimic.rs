@@ -91,7 +91,7 @@ fn the_limb_of_a_finger_that_follows_is_the_one_that_it_follows() {
                     - at.iter().copied().fold(f64::INFINITY, f64::min)
             };
             assert!(range(LEADER) > 0.005 && range(FOLLOWER) > 0.004, "{}", span.label);
-            assert!((0..3).all(|stage| range(stage) == 0.0), "the stages stand still: {}", span.label);
+            assert!((0..3).all(|stage| range(stage) < 1e-12), "the stages stand still: {}", span.label);
         }
     };
     pressed_by_limb("left", 1);
