@@ -293,7 +293,8 @@ impl StreamLog {
         })
     }
 
-    /// Finds the references in the baselines of `spans`, which are in order. `width` is the number of the stream's channels.
+    /// Finds the references in the baselines of `spans`, which are in order. `width` is the number of the stream's
+    /// channels.
     pub(crate) fn find_references(&mut self, width: usize, spans: &[Span]) {
         let baselines = spans.iter().filter(|span| span.kind == SpanKind::Baseline);
         let mut found = baselines.filter_map(|span| {

@@ -270,7 +270,8 @@ impl<W: Write + Seek> TakeWriter<W> {
         topic.write(&mut self.writer, unix_ns, publish_ns, &message)
     }
 
-    /// What the axes of stream `stream_idx` measured in its sample of the same time: `num_channels x num_axes`, row-major.
+    /// What the axes of stream `stream_idx` measured in its sample of the same time: `num_channels x num_axes`,
+    /// row-major.
     pub fn axes(&mut self, stream_idx: usize, time_ns: u64, values: &[f32]) -> Result<(), RecordingError> {
         let unix_ns = self.unix_ns(time_ns);
         let num_streams = self.streams.len();

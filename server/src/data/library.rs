@@ -205,8 +205,8 @@ pub fn take_trace(take: &Take) -> TakeTrace {
     }
 }
 
-/// What the axes of `log` measured at each of its samples, `width` numbers each; NaN where a sample has none. Empty for streams
-/// of one axis.
+/// What the axes of `log` measured at each of its samples, `width` numbers each; NaN where a sample has none. Empty for
+/// streams of one axis.
 fn axes_at_samples(log: &StreamLog, width: usize) -> Vec<f32> {
     let axes = &log.axes;
     if axes.values.is_empty() || axes.times_s == log.times_s {

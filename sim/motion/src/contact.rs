@@ -52,8 +52,8 @@ pub(crate) struct Postures<'a> {
     pub(crate) depth_m: f64,
 }
 
-/// Degrees of freedom of the touching limb: those that move the link and do not carry the hand. In the place of one that
-/// follows another is that other, which may be on another limb.
+/// Degrees of freedom of the touching limb: those that move the link and do not carry the hand. In the place of one
+/// that follows another is that other, which may be on another limb.
 pub(crate) fn limb_dofs(scene: &Scene<'_>, link: usize) -> Vec<usize> {
     let robot = &scene.station.robot;
     let mut dofs = ik::leaders(robot, ik::chain_dofs(robot, link));

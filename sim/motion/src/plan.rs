@@ -316,7 +316,8 @@ fn no_pose(object: &str) -> String {
 /// How far the position that a plan states for a joint may be from where it follows another to, rad or m.
 const FOLLOWING_TOLERANCE: f64 = 1e-6;
 
-/// Refuses joints that follow others and are stated to be elsewhere, or would be outside of their limits at `positions`.
+/// Refuses joints that follow others and are stated to be elsewhere, or would be outside of their limits at
+/// `positions`.
 fn check_followers(
     station: &Station,
     named: &BTreeMap<String, f64>,

@@ -47,8 +47,8 @@ pub fn leaders(robot: &Robot, dofs: impl IntoIterator<Item = usize>) -> Vec<usiz
     leaders
 }
 
-/// Range that motions may use: the limits less a margin, unbounded without limits. A degree of freedom that others follow
-/// stays where they are within theirs; one point is left where these exclude each other.
+/// Range that motions may use: the limits less a margin, unbounded without limits. A degree of freedom that others
+/// follow stays where they are within theirs; one point is left where these exclude each other.
 pub fn range(robot: &Robot, dof: usize) -> (f64, f64) {
     let (mut lower, mut upper) = own_range(robot, dof);
     for led in robot.led().iter().filter(|led| led.leader == dof && led.multiplier != 0.0) {

@@ -45,8 +45,8 @@ pub struct TakeScene<'a> {
     /// Per stream, for how long the reading in effect at each frame had been repeated to the bit when it arrived, s; 0
     /// for one that is new. Empty where nobody can tell.
     pub frozen_for_s: &'a [Vec<f64>],
-    /// When readings were referred to what they were then, by time; the first reference, at the take's start, is none of
-    /// these. Empty where it counts for the whole take.
+    /// When readings were referred to what they were then, by time; the first reference, at the take's start, is none
+    /// of these. Empty where it counts for the whole take.
     pub tares: &'a [Tare],
 }
 

@@ -148,7 +148,8 @@ fn sampled(clock: &Clock, log: &Log<f64>, width: usize) -> Option<Vec<f32>> {
     Some(values)
 }
 
-/// Where the object is at each frame: as its newest pose says; before the first pose it stands there. NaN where nothing says so.
+/// Where the object is at each frame: as its newest pose says; before the first pose it stands there. NaN where nothing
+/// says so.
 fn object_poses(clock: &Clock, log: &Log<f64>) -> Vec<f32> {
     let width = POSE_NAMES.len();
     let mut values = Vec::with_capacity(clock.num_frames * width);

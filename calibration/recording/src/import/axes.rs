@@ -5,9 +5,9 @@ use palpate_robot_model::{Station, TaxelAxes};
 use super::{assemble::Assembled, report::TakeReport, table::Table};
 use crate::{RecordingError, plausible};
 
-/// The readings of stream `stream_idx`, a column for each channel, and what its axes measured: `num_samples x num_channels x
-/// num_axes`, row-major, as it is kept. `assembled` has a column for each axis of each channel; each of `baselines_s` holds a
-/// sample of it. `report` learns how readings were made.
+/// The readings of stream `stream_idx`, a column for each channel, and what its axes measured: `num_samples x
+/// num_channels x num_axes`, row-major, as it is kept. `assembled` has a column for each axis of each channel; each of
+/// `baselines_s` holds a sample of it. `report` learns how readings were made.
 pub(super) fn readings(
     station: &Station,
     stream_idx: usize,
