@@ -459,8 +459,11 @@ impl JointLog {
     }
 }
 
+/// Makes a role of the index of a stream.
+type RoleOfStream = fn(usize) -> Role;
+
 /// The stream that a topic is about, what the topic carries of it, and in which schema.
-fn stream_topic(topic: &str) -> Option<(&str, fn(usize) -> Role, &'static str)> {
+fn stream_topic(topic: &str) -> Option<(&str, RoleOfStream, &'static str)> {
     let of_samples = topic.strip_prefix(TACTILE_TOPIC_PREFIX);
     let of_axes = || topic.strip_prefix(AXES_TOPIC_PREFIX);
     match of_samples {
