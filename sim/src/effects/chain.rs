@@ -11,7 +11,8 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use palpate_robot_model::{
-    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout, Tare,
+    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
+    Tare,
 };
 
 use super::{Effect, EffectKind, FingerTouches, TACTILE, places};

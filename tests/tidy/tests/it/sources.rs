@@ -233,6 +233,18 @@ fn comments_fit_beside_each_other_on_a_screen() {
 }
 
 #[test]
+fn documents_hold_no_rests_of_a_merge() {
+    let docs =
+        std::fs::read_dir(root().join("docs")).expect("docs").map(|entry| entry.expect("a file").path());
+    let pages = ["README.md", "ARCHITECTURE.md", "BENCHMARKS.md", "CHANGELOG.md", "CONTRIBUTING.md"];
+    for path in docs.chain(pages.map(|page| root().join(page))).filter(|path| path.extension().is_some()) {
+        let Ok(text) = std::fs::read_to_string(&path) else { continue };
+        let rest = text.lines().position(|line| line.starts_with("<<<<<<<") || line.starts_with(">>>>>>>"));
+        assert_eq!(rest, None, "{} has marks of a merge", shown(&path));
+    }
+}
+
+#[test]
 fn documents_that_sources_name_exist() {
     for path in shipped_sources() {
         let text = std::fs::read_to_string(&path).expect("a source file");
