@@ -18,15 +18,15 @@ use crate::{
 };
 
 /// A span without touch that is shorter says little about the zero of a channel, ns. It is not marked.
-const LEAST_BASELINE_NS: u64 = 250_000_000;
+const MIN_BASELINE_NS: u64 = 250_000_000;
 /// An armed station may hold for so long, ns, and be part of the take: whoever moves it tells it to go elsewhere meanwhile.
-const LONGEST_HOLD_NS: u64 = 1_000_000_000;
+const MAX_HOLD_NS: u64 = 1_000_000_000;
 /// Marks that may be open at once.
-const MOST_MARKS: usize = 64;
+const MAX_MARKS: usize = 64;
 /// Characters of a label.
-const LONGEST_LABEL: usize = 200;
+const MAX_LABEL_CHARS: usize = 200;
 /// A pose may be so much ahead of the station's clock, ns: a client knows that clock to a few milliseconds.
-const MOST_AHEAD_NS: u64 = 100_000_000;
+const MAX_AHEAD_NS: u64 = 100_000_000;
 /// How far the norm of a rotation may be from 1, as readers of takes see it.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
@@ -142,7 +142,7 @@ impl Free {
                     let text = format!("the station holds: {reason}");
                     return vec![Effect::Record(RecorderCommand::Log { at_ns: now_ns, text })];
                 };
-                if now_ns.saturating_sub(since_ns) > LONGEST_HOLD_NS {
+                if now_ns.saturating_sub(since_ns) > MAX_HOLD_NS {
                     return self.stop(now_ns, &format!("the station held: {reason}"));
                 }
             }
@@ -175,11 +175,11 @@ impl Free {
     }
 
     fn begin_mark(&mut self, now_ns: u64, kind: MarkKind, label: &str) -> Result<Vec<Effect>, String> {
-        if label.chars().count() > LONGEST_LABEL {
-            return Err(format!("the label is longer than {LONGEST_LABEL} characters; give a shorter one"));
+        if label.chars().count() > MAX_LABEL_CHARS {
+            return Err(format!("the label is longer than {MAX_LABEL_CHARS} characters; give a shorter one"));
         }
-        if self.marks.len() >= MOST_MARKS {
-            return Err(format!("{MOST_MARKS} marks have not ended; end some first"));
+        if self.marks.len() >= MAX_MARKS {
+            return Err(format!("{MAX_MARKS} marks have not ended; end some first"));
         }
         if self.marks.iter().any(|mark| mark.kind == kind && mark.label == label) {
             return Err(format!("the mark {label:?} has begun already; end it first"));
@@ -200,7 +200,7 @@ impl Free {
         if !self.is_recording() || !std::mem::take(&mut self.is_baseline) {
             return Vec::new();
         }
-        if now_ns.saturating_sub(self.since_ns) < LEAST_BASELINE_NS {
+        if now_ns.saturating_sub(self.since_ns) < MIN_BASELINE_NS {
             return Vec::new();
         }
         let mark = Mark { kind: MarkKind::Baseline, label: String::new(), since_ns: self.since_ns };
@@ -226,7 +226,7 @@ impl Free {
                 return Err(format!("time_s is {time_s}, expected a time of the station, or 0 for now"));
             }
         };
-        if at_ns > now_ns.saturating_add(MOST_AHEAD_NS) {
+        if at_ns > now_ns.saturating_add(MAX_AHEAD_NS) {
             let ahead_s = (at_ns - now_ns) as f64 * 1e-9;
             return Err(format!(
                 "the pose is {ahead_s:.3} s ahead of the station's time; time_s counts as that of live frames"

@@ -29,9 +29,9 @@ const BECAUSE: &str = "recorded outside guided sessions";
 /// Who ends takes by itself, in the audit log.
 const RECORDER: &str = "recording";
 /// Characters of a primitive's id and of an operator's name.
-const LONGEST_NAME: usize = 200;
+const MAX_NAME_CHARS: usize = 200;
 /// Boxes that may stand around an object.
-const MOST_BOXES: usize = 64;
+const MAX_BOXES: usize = 64;
 /// A joint of the hand that is told to be farther than this from where it is told to be now moves, rad or m.
 const MOVES: f64 = 1e-3;
 
@@ -76,16 +76,17 @@ pub(crate) fn prepare(
         marks_baseline,
     } = start;
     check_name(&id).map_err(|problem| refused(format!("session {id:?} {problem}")))?;
-    if primitive.is_empty() || [&primitive, &operator].iter().any(|name| name.chars().count() > LONGEST_NAME)
+    if primitive.is_empty()
+        || [&primitive, &operator].iter().any(|name| name.chars().count() > MAX_NAME_CHARS)
     {
         return Err(refused(format!(
-            "a primitive and an operator have names of 1 to {LONGEST_NAME} characters"
+            "a primitive and an operator have names of 1 to {MAX_NAME_CHARS} characters"
         )));
     }
     let base_from_object =
         pose_of_seven(&object_pose).map_err(|problem| refused(format!("object_pose: {problem}")))?;
-    if surroundings.len() > MOST_BOXES {
-        return Err(refused(format!("surroundings are {} boxes, at most {MOST_BOXES}", surroundings.len())));
+    if surroundings.len() > MAX_BOXES {
+        return Err(refused(format!("surroundings are {} boxes, at most {MAX_BOXES}", surroundings.len())));
     }
     let fixed_box = |(number, fixed): (usize, &palpate_wire::api::SurroundingBox)| {
         let place = |problem: String| refused(format!("surroundings, box {}: {problem}", number + 1));

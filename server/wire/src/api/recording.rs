@@ -39,8 +39,8 @@ pub struct RecordingDocument {
 /// Body of `POST /api/v1/recording/take`: begins a take outside guided sessions; answered by [`RecordingDocument`].
 ///
 /// Samples of all devices are recorded at their own rates, as in a guided session, whatever moves the robot. Only the operator
-/// may begin one. It ends by [`TakeAction::End`], when control is lost, when the armed station stops following, and
-/// when a device is lost.
+/// may begin one. It ends by [`TakeAction::End`], when control is lost, when the armed station stops or holds for
+/// longer than a second, and when a device is lost.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]

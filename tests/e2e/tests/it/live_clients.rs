@@ -27,7 +27,7 @@ const WATCH_S: u64 = 8;
 /// Frames are published so often, Hz.
 const FRAMES_HZ: f64 = 30.0;
 /// A client gets at least this share of them: the rest is what a busy machine may cost.
-const LEAST_SHARE: f64 = 0.9;
+const MIN_SHARE: f64 = 0.9;
 /// The control loop turns so often, Hz, and keeps these shares of it: on average, and in its worst second.
 const LOOP_HZ: f64 = 200.0;
 const LOOP_SHARES: [f64; 2] = [0.97, 0.8];
@@ -271,7 +271,7 @@ fn page_script_and_foxglove_watch_while_a_session_is_recorded_and_nothing_is_los
          {} frames, longest step {:.3} s, {} dropped; Python {script}; Foxglove {topics:?} {complaints:?}",
         page.lost_samples, page.bad_frames, page.frames, page.longest_step_s, page.dropped
     );
-    let least_frames = LEAST_SHARE * FRAMES_HZ * seconds as f64;
+    let least_frames = MIN_SHARE * FRAMES_HZ * seconds as f64;
     assert!(
         mean_hz > LOOP_SHARES[0] * LOOP_HZ && worst_hz > LOOP_SHARES[1] * LOOP_HZ,
         "{mean_hz} {worst_hz}"
