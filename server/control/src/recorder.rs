@@ -175,7 +175,7 @@ impl Recorder {
     pub(crate) fn command(&self, command: RecorderCommand) {
         match command {
             RecorderCommand::StartTake { .. } | RecorderCommand::StartFreeTake { .. } => {
-                self.shared.recording.store(true, Ordering::Relaxed)
+                self.shared.recording.store(true, Ordering::Relaxed);
             }
             RecorderCommand::EndTake { .. } => self.shared.recording.store(false, Ordering::Relaxed),
             _ => {}

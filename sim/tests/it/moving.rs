@@ -225,6 +225,7 @@ fn surroundings_are_felt_as_an_object_in_their_place_and_the_nearest_body_counts
         object: &twice.object,
         base_from_object: &far,
         surroundings,
+        tares: &[],
         frame_times_s: &twice.times_s,
         positions,
         arrival_times_s: &[],

@@ -117,8 +117,7 @@ mod tests {
     #[test]
     fn what_was_read_stays_read_while_something_beside_it_comes_and_goes() {
         let mut notice = Notice::default();
-        let mut follow =
-            |notice: &mut Notice, reason, at| notice.follow(&state(Phase::Disarmed, "", reason), at);
+        let follow = |notice: &mut Notice, reason, at| notice.follow(&state(Phase::Disarmed, "", reason), at);
         follow(&mut notice, "servo 6 stopped itself", "10:00:00");
         follow(&mut notice, "servo 6 stopped itself; the audit log is full", "10:00:01");
         assert_eq!(notice.text().map(|(when, _)| when).as_deref(), Some("10:00:01:"), "something was added");

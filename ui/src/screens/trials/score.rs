@@ -143,8 +143,7 @@ fn trial_ui(
     ui.add_space(6.0);
     let free = !cx.store.campaigns.is_busy;
     for (verdict, key, letter, meaning) in KEYS {
-        let text =
-            RichText::new(format!("{letter}   {}", crate::screens::as_sentence(verdict.label()))).strong();
+        let text = RichText::new(format!("{letter}   {}", as_sentence(verdict.label()))).strong();
         let button = egui::Button::new(text)
             .right_text(RichText::new(""))
             .min_size(egui::vec2(ui.available_width().min(420.0), 44.0));
