@@ -32,6 +32,8 @@ pub enum Request {
     Station(String),
     /// The live station.
     LiveStation,
+    /// Plans of the live station, with their takes.
+    Plans,
     /// Check results of a session.
     Check(String),
     /// A recorded take.
@@ -276,6 +278,7 @@ impl Request {
             Self::Session(session) => get(format!("/sessions/{}", segment(session))),
             Self::Station(session) => get(format!("/sessions/{}/station", segment(session))),
             Self::LiveStation => get("/station".into()),
+            Self::Plans => get("/recording/plans".into()),
             Self::Check(session) => get(format!("/sessions/{}/check", segment(session))),
             Self::Take { session, take } => {
                 get(format!("/sessions/{}/takes/{}/trace", segment(session), segment(take)))

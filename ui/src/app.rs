@@ -3,6 +3,7 @@
 mod bars;
 mod frame_rate;
 mod help;
+mod jobs_drawer;
 mod lag;
 mod name;
 mod notes;
@@ -98,6 +99,7 @@ pub struct StudioApp {
     help: Option<help::HelpState>,
     library: help::Library,
     strip: strip::StripState,
+    jobs_drawer: jobs_drawer::JobsDrawer,
     picture: picture::PictureState,
     name_question: Option<name::NameQuestion>,
     frame_rate: frame_rate::FrameRate,
@@ -136,6 +138,7 @@ impl StudioApp {
             help: None,
             library: help::Library::default(),
             strip: strip::StripState::default(),
+            jobs_drawer: jobs_drawer::JobsDrawer::default(),
             picture: picture::PictureState::default(),
             name_question: None,
             frame_rate: frame_rate::FrameRate::default(),

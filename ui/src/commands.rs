@@ -1,5 +1,7 @@
 //! What can be done from the keyboard: one table for the shortcuts, the list under `?` and the command palette.
 
+use std::borrow::Cow;
+
 use egui::{Key, KeyboardShortcut, Modifiers};
 
 use crate::route::Screen;
@@ -55,19 +57,12 @@ pub enum Command {
 
 impl Command {
     /// Every command, in the order of the palette.
-    pub const ALL: [Self; 33] = [
-        Self::Open(Screen::Home),
-        Self::Open(Screen::Hand),
-        Self::Open(Screen::Record),
-        Self::Open(Screen::Sessions),
-        Self::Open(Screen::Timelines),
-        Self::Open(Screen::Objects),
-        Self::Open(Screen::Calibrate),
-        Self::Open(Screen::Diagnose),
-        Self::Open(Screen::Models),
-        Self::Open(Screen::Trials),
-        Self::Open(Screen::Jobs),
-        Self::Open(Screen::Settings),
+    pub fn all() -> impl Iterator<Item = Self> + Clone {
+        Screen::ALL.iter().copied().map(Self::Open).chain(Self::OTHERS)
+    }
+
+    /// Those that open no screen.
+    const OTHERS: [Self; 21] = [
         Self::Stop,
         Self::ResetStop,
         Self::TakeControl,
@@ -92,11 +87,9 @@ impl Command {
     ];
 
     /// What it does, in words.
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Open(Screen::Home) => "Go to Home",
-            Self::Open(Screen::Hand) => "Go to Hand",
-            Self::Open(Screen::Record) => "Go to Record",
+    pub fn label(self) -> Cow<'static, str> {
+        Cow::Borrowed(match self {
+            Self::Open(screen) => return format!("Go to {}", screen.label()).into(),
             Self::Stop => "STOP (software)",
             Self::ResetStop => "Reset stop",
             Self::TakeControl => "Take control",
@@ -104,15 +97,6 @@ impl Command {
             Self::Arm => "Arm",
             Self::Disarm => "Disarm",
             Self::Tare => "Set zero of touch",
-            Self::Open(Screen::Timelines) => "Go to Timelines",
-            Self::Open(Screen::Calibrate) => "Go to Calibrate",
-            Self::Open(Screen::Diagnose) => "Go to Diagnose",
-            Self::Open(Screen::Sessions) => "Go to Sessions",
-            Self::Open(Screen::Objects) => "Go to Objects",
-            Self::Open(Screen::Models) => "Go to Models",
-            Self::Open(Screen::Trials) => "Go to Trials",
-            Self::Open(Screen::Jobs) => "Go to Jobs",
-            Self::Open(Screen::Settings) => "Go to Settings",
             Self::PlayPause => "Play or pause",
             Self::PreviousFrame => "One frame back",
             Self::NextFrame => "One frame on",
@@ -127,7 +111,7 @@ impl Command {
             Self::CopyLink => "Copy link",
             Self::SavePicture => "Save picture of the screen",
             Self::Palette => "Find a command",
-        }
+        })
     }
 
     /// Whether it means anything here: what concerns a live station is left out where there is none.
@@ -150,21 +134,10 @@ impl Command {
         let plain = |key| Some(KeyboardShortcut::new(Modifiers::NONE, key));
         let alt = |key| Some(KeyboardShortcut::new(Modifiers::ALT, key));
         match self {
-            // In the order of the rail.
-            Self::Open(Screen::Home) => alt(Key::Num1),
-            Self::Open(Screen::Hand) => alt(Key::Num2),
-            Self::Open(Screen::Record) => alt(Key::Num3),
-            Self::Open(Screen::Sessions) => alt(Key::Num4),
-            Self::Open(Screen::Timelines) => alt(Key::Num5),
-            Self::Open(Screen::Objects) => alt(Key::Num6),
-            Self::Open(Screen::Calibrate) => alt(Key::Num7),
-            Self::Open(Screen::Diagnose) => alt(Key::Num8),
-            Self::Open(Screen::Models) => alt(Key::Num9),
-            Self::Open(Screen::Trials) => alt(Key::Num0),
+            Self::Open(screen) => alt(screen.about().key?),
             // The space bar means one of the two at any moment: see `pressed`.
             Self::Stop | Self::PlayPause => plain(Key::Space),
-            Self::Open(Screen::Jobs | Screen::Settings)
-            | Self::ResetStop
+            Self::ResetStop
             | Self::TakeControl
             | Self::GiveBackControl
             | Self::Arm
@@ -225,8 +198,7 @@ impl Command {
         // A focused button takes the space bar for itself.
         let focused = ctx.memory(|memory| memory.focused().is_some());
         ctx.input_mut(|input| {
-            Self::ALL
-                .into_iter()
+            Self::all()
                 .filter(|command| *command != Self::Stop && command.is_offered(commandable))
                 .filter(|command| {
                     let Some(shortcut) = command.shortcut() else { return false };
@@ -263,9 +235,9 @@ mod tests {
 
     #[test]
     fn no_two_commands_share_keys_or_words() {
-        for (idx, command) in Command::ALL.into_iter().enumerate() {
-            for other in &Command::ALL[idx + 1..] {
-                let space = [*other, command] == [Command::PlayPause, Command::Stop];
+        for (idx, command) in Command::all().enumerate() {
+            for other in Command::all().skip(idx + 1) {
+                let space = [other, command] == [Command::PlayPause, Command::Stop];
                 let shared = command.shortcut().is_some() && command.shortcut() == other.shortcut();
                 assert!(!shared || space, "{command:?} {other:?}");
                 assert_ne!(command.label(), other.label());
@@ -280,15 +252,15 @@ mod tests {
 
     #[test]
     fn without_a_station_nothing_moves() {
-        let left: Vec<_> = Command::ALL.into_iter().filter(|command| !command.is_offered(false)).collect();
+        let left: Vec<_> = Command::all().filter(|command| !command.is_offered(false)).collect();
         assert!(left.contains(&Command::Stop) && left.contains(&Command::Open(Screen::Record)));
-        assert!(Command::ALL.iter().all(|command| command.is_offered(true)));
+        assert!(Command::all().all(|command| command.is_offered(true)));
     }
 
     #[test]
     fn palette_finds_by_any_words() {
-        let found: Vec<_> = Command::ALL.into_iter().filter(|command| command.matches("MISM next")).collect();
+        let found: Vec<_> = Command::all().filter(|command| command.matches("MISM next")).collect();
         assert_eq!(found, [Command::NextMismatch]);
-        assert!(Command::ALL.iter().all(|command| command.matches("  ")));
+        assert!(Command::all().all(|command| command.matches("  ")));
     }
 }

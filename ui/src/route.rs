@@ -51,6 +51,7 @@ screens! {
     Sessions: sessions,
     Timelines: timelines,
     Objects: objects,
+    Plans: plans,
     Calibrate: calibrate,
     Diagnose: diagnose,
     Models: models,
@@ -96,6 +97,8 @@ pub struct Route {
     pub live: bool,
     /// Object shown, by id.
     pub object: Option<String>,
+    /// Plan shown, or to be recorded, by id.
+    pub plan: Option<String>,
     /// Model, policy or other artifact shown ([`palpate_wire::api::ArtifactKey`] as text).
     pub artifact: Option<String>,
     /// Campaign shown, by id.
@@ -128,6 +131,7 @@ impl Route {
             run: None,
             live: false,
             object: None,
+            plan: None,
             artifact: None,
             campaign: None,
             part: None,
@@ -175,6 +179,7 @@ impl Route {
                 "run" => route.run = value,
                 "source" => route.live = value.as_deref() == Some("live"),
                 "object" => route.object = value,
+                "plan" => route.plan = value,
                 "artifact" => route.artifact = value,
                 "campaign" => route.campaign = value,
                 "part" => route.part = value,
@@ -188,8 +193,8 @@ impl Route {
     /// Whether going from `self` to `other` is a step that "back" should undo, as opposed to scrubbing in place.
     pub fn is_same_place(&self, other: &Self) -> bool {
         let ids = |route: &Self| {
-            let Self { session, take, run, object, artifact, campaign, part, job, .. } = route.clone();
-            [session, take, run, object, artifact, campaign, part, job]
+            let Self { session, take, run, object, plan, artifact, campaign, part, job, .. } = route.clone();
+            [session, take, run, object, plan, artifact, campaign, part, job]
         };
         (self.screen, self.live, &self.lost, ids(self)) == (other.screen, other.live, &other.lost, ids(other))
     }
@@ -218,6 +223,7 @@ impl fmt::Display for Route {
             ("diagnosed", &self.diagnosed),
             ("run", &self.run),
             ("object", &self.object),
+            ("plan", &self.plan),
             ("artifact", &self.artifact),
             ("campaign", &self.campaign),
             ("part", &self.part),
@@ -363,13 +369,13 @@ mod tests {
         #[test]
         fn every_route_survives_its_hash(
             screen_idx in 0..Screen::ALL.len(), session in id(), take in id(), model in id(),
-            diagnosed in id(), run in id(), (object, artifact) in (id(), id()), campaign in id(), part in id(), job in id(),
+            diagnosed in id(), run in id(), (object, plan, artifact) in (id(), id(), id()), campaign in id(), part in id(), job in id(),
             time_ms in proptest::option::of(0_u32..10_000_000), live in any::<bool>(),
         ) {
             let screen = Screen::ALL[screen_idx];
             let time_s = time_ms.map(|ms| f64::from(ms) / 1000.0);
             let route = Route {
-                screen, session, take, time_s, model, diagnosed, run, live, object, artifact, campaign, part, job,
+                screen, session, take, time_s, model, diagnosed, run, live, object, plan, artifact, campaign, part, job,
                 lost: None,
             };
             prop_assert_eq!(Route::from_hash(&route.to_string()), route);

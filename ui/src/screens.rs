@@ -12,6 +12,7 @@ pub mod home;
 pub mod jobs;
 pub mod models;
 pub mod objects;
+pub mod plans;
 pub mod record;
 pub mod run_controls;
 pub mod sessions;

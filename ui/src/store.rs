@@ -23,9 +23,9 @@ use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
-        DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage, ModelSummary, ObjectEntry, RecordingAction,
-        RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail, SessionSummary,
-        StationDocument, TrashEntry,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage, ModelSummary, ObjectEntry, PlanDocument,
+        RecordingAction, RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail,
+        SessionSummary, StationDocument, TrashEntry,
     },
     proto::{Changed, LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };
@@ -180,6 +180,7 @@ pub struct Store {
     replays: BTreeMap<(TakeKey, ModelRef), Loadable<Arc<ReplayTrace>>>,
     models: Loadable<Arc<Vec<ModelSummary>>>,
     objects: Loadable<Arc<Vec<ObjectEntry>>>,
+    plans: Loadable<Arc<Vec<PlanDocument>>>,
     lineage: Loadable<Arc<Lineage>>,
     trash: Loadable<Arc<Vec<TrashEntry>>>,
     calibrations: RunTable<CalibrationRequest, CalibrationReport>,
@@ -242,6 +243,11 @@ impl Store {
     /// What is touched and grasped.
     pub fn objects(&mut self) -> Loadable<Arc<Vec<ObjectEntry>>> {
         ask(&mut self.objects, &mut self.outbox, || Request::Objects)
+    }
+
+    /// Plans of the live station, with their takes.
+    pub fn plans(&mut self) -> Loadable<Arc<Vec<PlanDocument>>> {
+        ask(&mut self.plans, &mut self.outbox, || Request::Plans)
     }
 
     /// What was made from what.
@@ -354,6 +360,7 @@ impl Store {
         reset(&mut self.recording);
         reset(&mut self.models);
         reset(&mut self.objects);
+        reset(&mut self.plans);
         reset(&mut self.lineage);
         reset(&mut self.trash);
         self.campaigns.retry_failed();
@@ -436,6 +443,7 @@ impl Store {
             Request::Station(session) => {
                 self.stations.insert(session, parse_station(result));
             }
+            Request::Plans => self.plans = shared(parse_json(result)),
             Request::LiveStation => self.live_station = parse_station(result),
             Request::Check(session) => {
                 self.checks.insert(session, shared(parse_json(result)));

@@ -5,6 +5,7 @@
 
 mod browser;
 mod build;
+mod lanes;
 mod mujoco;
 mod others;
 mod page;
@@ -15,7 +16,6 @@ mod skip;
 mod slurm;
 mod studio;
 mod test;
-mod twice;
 mod wasm;
 
 use std::path::PathBuf;

@@ -90,9 +90,10 @@ fn fetch(dir: &Path) -> anyhow::Result<()> {
 
 /// Has `cargo` build the grasp world and what trains in it, and lets what it runs find the library.
 pub(crate) fn add(cargo: &mut Command, link_dir: &Path) {
-    cargo
-        .args(["--features", "palpate_grasp/mujoco,palpate_train/mujoco"])
-        .env(LINK_DIR, link_dir)
-        // Test binaries know where the library is; those of documentation examples do not.
-        .env("LD_LIBRARY_PATH", link_dir);
+    let_find(cargo.args(["--features", "palpate_grasp/mujoco,palpate_train/mujoco"]), link_dir);
+}
+
+/// Lets what `command` builds or starts find the library.
+pub(crate) fn let_find(command: &mut Command, link_dir: &Path) {
+    command.env(LINK_DIR, link_dir).env("LD_LIBRARY_PATH", link_dir);
 }

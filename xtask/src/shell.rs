@@ -25,31 +25,27 @@ pub(crate) fn print_long_steps(begun: Instant) {
 
 /// Runs `command`, showing its output; fails when it does.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
-    timed(command, run_line)
-}
-
-/// Shows `command`, runs it by `run`, which gets it as text too, and notes how long that took.
-pub(crate) fn timed<T>(
-    command: &mut Command,
-    run: impl Fn(&mut Command, &str) -> anyhow::Result<T>,
-) -> anyhow::Result<T> {
     let line = describe(command);
     eprintln!("$ {line}");
-    let begun = Instant::now();
-    let result = run(command, &line);
-    let taken = begun.elapsed();
-    if taken >= LONG {
-        LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner).push((line, taken));
-    }
-    result
+    timed_as(&line, || {
+        let status =
+            command.stdin(Stdio::null()).status().with_context(|| format!("failed to start {line}"))?;
+        if !status.success() {
+            bail!("{line}: {status}");
+        }
+        Ok(())
+    })
 }
 
-fn run_line(command: &mut Command, line: &str) -> anyhow::Result<()> {
-    let status = command.stdin(Stdio::null()).status().with_context(|| format!("failed to start {line}"))?;
-    if !status.success() {
-        bail!("{line}: {status}");
+/// Does `work` and notes under `name` how long that took.
+pub(crate) fn timed_as<T>(name: &str, work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
+    let begun = Instant::now();
+    let result = work();
+    let taken = begun.elapsed();
+    if taken >= LONG {
+        LONG_STEPS.lock().unwrap_or_else(PoisonError::into_inner).push((name.to_owned(), taken));
     }
-    Ok(())
+    result
 }
 
 /// What `command` prints, trimmed; fails when it does.

@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::Command, time::Instant};
 
 use clap::Args;
 
-use crate::{browser, build, mujoco, paths, python, shell, skip, slurm, twice, wasm};
+use crate::{browser, build, lanes, mujoco, paths, python, shell, skip, slurm, wasm};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 const PROPTEST_SEED: &str = "20261121";
@@ -60,7 +60,7 @@ impl Tests {
         }
         let tests = Self { filter: args.filter.clone(), python, page, grasp_world, artifacts, skipped };
         // A step of its own, so that one sees what building takes and what running takes.
-        shell::run(tests.cargo().arg("--no-run"))?;
+        lanes::build(|| tests.cargo())?;
         Ok(tests)
     }
 
@@ -77,9 +77,8 @@ impl Tests {
 
     fn run(&self) -> anyhow::Result<()> {
         let xtask = std::env::current_exe()?;
-        let tests = || {
-            let mut cargo = self.cargo();
-            cargo
+        let env = |command: &mut Command| {
+            command
                 .env("PALPATE_BIN", paths::target().join("debug").join("palpate"))
                 .env("PALPATE_PYTHON", &self.python)
                 .env("PALPATE_BROWSER_TESTS", browser::folder())
@@ -87,12 +86,14 @@ impl Tests {
                 .env("PALPATE_ARTIFACTS", &self.artifacts)
                 .env("PALPATE_XTASK", &xtask)
                 .env("PROPTEST_RNG_SEED", PROPTEST_SEED);
-            cargo
+            if let Some(dir) = &self.grasp_world {
+                mujoco::let_find(command, dir);
+            }
         };
-        let tested = twice::run(tests, self.filter.as_deref());
+        let tested = lanes::run(|| self.cargo(), env, self.filter.as_deref());
         eprintln!("screenshots and reports: {}", self.artifacts.display());
         skip::report(&self.skipped);
-        twice::report();
+        lanes::report();
         tested
     }
 }

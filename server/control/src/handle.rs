@@ -13,8 +13,8 @@ use palpate_robot_model::Station;
 use palpate_sim::SensorModel;
 use palpate_wire::{
     api::{
-        FreeTakeState, RecordingAction, RecordingDocument, Source, StartRecording, StartTake, StepState,
-        TakeAction, WantedTake,
+        FreeTakeState, PlanDocument, RecordingAction, RecordingDocument, Source, StartRecording, StartTake,
+        StepState, TakeAction, WantedTake,
     },
     proto::{ControlReply, ControlRequest, control_request::Request},
 };
@@ -173,6 +173,11 @@ impl Handle {
     /// The guided session that is under way, and the plans that there are.
     pub fn recording(&self) -> Result<RecordingDocument, ControlError> {
         self.ask(Message::Recording)
+    }
+
+    /// The plans that there are, with their takes.
+    pub fn plans(&self) -> Result<Vec<PlanDocument>, ControlError> {
+        self.shared.plans.documents()
     }
 
     /// Begins a guided session, or goes on with one. The first time this takes as long as the plan's motions take to be

@@ -10,10 +10,10 @@ use std::{
     thread,
 };
 
-use palpate_motion::{MotionLimits, Plan, PlanError, Primitives, TakeMotion, plan_take};
+use palpate_motion::{MotionLimits, Plan, PlanError, Primitives, TakeMotion, channel_named, plan_take};
 use palpate_recording::{GrowingSession, PlannedStep, SessionPlan, files::check_name};
 use palpate_robot_model::Station;
-use palpate_wire::api::{PlanSummary, RecordingSession, StartRecording, WantedTake};
+use palpate_wire::api::{PlanDocument, PlanSummary, PlanTake, RecordingSession, StartRecording, WantedTake};
 
 use crate::{audit::rfc3339_now, error::ControlError};
 
@@ -89,6 +89,37 @@ impl Plans {
             duration_s: plan.takes.iter().map(|take| take.duration_s).sum(),
         };
         self.plans.iter().map(summary).collect()
+    }
+
+    /// The plans with their takes.
+    pub(crate) fn documents(&self) -> Result<Vec<PlanDocument>, ControlError> {
+        self.plans.iter().map(|plan| self.document(plan)).collect()
+    }
+
+    fn document(&self, plan: &Plan) -> Result<PlanDocument, ControlError> {
+        let refused = |problem: String| ControlError::Refused(format!("{}: {problem}", plan.file));
+        let channels = &self.station.layout.channels;
+        let takes = plan.takes.iter().map(|take| {
+            let of_plan = || refused(format!("object {:?} is not of this station", take.object));
+            let object = self.station.objects.get(&take.object).ok_or_else(of_plan)?;
+            let pose = plan.objects.get(&take.object).ok_or_else(of_plan)?.to_isometry().map_err(refused)?;
+            let no_others = Primitives::new();
+            let primitive =
+                plan.primitive(&take.primitive, &no_others).map_err(|error| refused(error.to_string()))?;
+            let touches = take.touch.iter().filter_map(|touch| channel_named(&self.station, touch));
+            Ok(PlanTake {
+                object: take.object.clone(),
+                object_label: object.label.clone(),
+                object_position_m: pose.translation.vector.into(),
+                primitive: take.primitive.clone(),
+                primitive_label: primitive.label.clone(),
+                instruction: take.instruction.clone(),
+                touches: touches.map(|channel| channels[channel].id.clone()).collect(),
+                duration_s: take.duration_s,
+            })
+        });
+        let takes = takes.collect::<Result<_, ControlError>>()?;
+        Ok(PlanDocument { id: plan.id.clone(), label: plan.label.clone(), takes })
     }
 
     /// Plans the motions and opens the folder. Takes seconds the first time: not for the control loop's thread.

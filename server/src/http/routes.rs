@@ -206,6 +206,7 @@ pub(super) fn all_routes(with_emulator: bool) -> Vec<Route> {
         route(Method::GET, "/control", VIEW, get(control_socket::upgrade)),
         route(Method::GET, "/recording", VIEW, get(recording::document)),
         route(Method::POST, "/recording", MOVE, post(recording::start)),
+        route(Method::GET, "/recording/plans", VIEW, get(recording::plans)),
         route(Method::POST, "/recording/act", MOVE, post(recording::act)),
         route(Method::POST, "/recording/take", MOVE, post(recording::begin_take)),
         route(Method::POST, "/recording/take/act", MOVE, post(recording::act_on_take)),

@@ -81,7 +81,8 @@ async function recordTake(idx) {
         if (verdict === null) break;
         if (idx === 0) await shot("record-review");
         if (session.problem === "" && verdict.covered.length > 0) {
-          await press("Enter", taken(idx));
+          // What is bad is recorded again by Enter; this session takes it as it is.
+          await press(verdict.good ? "Enter" : "a", taken(idx));
         } else {
           retries.push(session.problem || verdict.summary);
           await press("r", async () => (await phase()) !== "review");

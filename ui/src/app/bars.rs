@@ -67,6 +67,7 @@ impl StudioApp {
             let row = (room - groups) / Screen::ALL.len() as f32 - ROW_GAP;
             egui::ScrollArea::vertical().max_height(room).show(ui, |ui| {
                 ui.spacing_mut().item_spacing.y = ROW_GAP;
+                ui.spacing_mut().interact_size.y = MIN_ROW;
                 self.screens_ui(ui, false, row.clamp(MIN_ROW, ROW), go_to);
             });
             ui.with_layout(Layout::bottom_up(Align::Min), |ui| {
@@ -224,6 +225,7 @@ impl StudioApp {
             ui.horizontal_wrapped(|ui| self.station_ui(ui, palette, MAX_NAME));
             ui.horizontal_wrapped(|ui| self.shown_ui(ui, palette, MAX_NAME));
             ui.horizontal(|ui| self.connection_ui(ui, palette, now_s));
+            self.jobs_menu_ui(ui, palette);
             ui.separator();
             self.page_ui(ui);
         });
@@ -237,6 +239,7 @@ impl StudioApp {
             self.shown_ui(ui, palette, letters);
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 self.connection_ui(ui, palette, now_s);
+                self.jobs_button_ui(ui, palette);
             });
         });
     }

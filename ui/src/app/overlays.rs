@@ -1,5 +1,7 @@
 //! What lies over the screens besides Help: the list of shortcuts and the palette. `Esc` closes each.
 
+use std::borrow::Cow;
+
 use egui::{Align2, Key, RichText, Vec2};
 
 use super::stop;
@@ -72,10 +74,10 @@ enum Found<'a> {
 }
 
 impl Found<'_> {
-    fn label(&self) -> &str {
+    fn label(&self) -> Cow<'_, str> {
         match self {
             Self::Command(command) => command.label(),
-            Self::Place(place) => &place.label,
+            Self::Place(place) => Cow::Borrowed(&place.label),
         }
     }
 
@@ -152,10 +154,9 @@ impl Overlays {
                 // Rows to read, not to hit: all of them must fit into 800 points.
                 ui.spacing_mut().interact_size.y = 20.0;
                 ui.vertical(|ui| {
-                    let commands = Command::ALL
-                        .into_iter()
+                    let commands = Command::all()
                         .filter(|command| command.shortcut().is_some() && command.is_offered(commandable))
-                        .map(|command| (command.shortcut_text(), command.label().to_owned()));
+                        .map(|command| (command.shortcut_text(), command.label().into_owned()));
                     list_ui(ui, &palette, "Everywhere", commands.chain(pairs(&EVERYWHERE)));
                 });
                 ui.add_space(28.0);
@@ -206,7 +207,7 @@ impl Overlays {
             if field.changed() {
                 state.marked_idx = 0;
             }
-            let commands = Command::ALL.into_iter().filter(|command| {
+            let commands = Command::all().filter(|command| {
                 *command != Command::Palette
                     && command.is_offered(commandable)
                     && command.matches(&state.words)

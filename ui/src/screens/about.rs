@@ -9,6 +9,8 @@ pub struct About {
     pub label: &'static str,
     /// The word in addresses.
     pub slug: &'static str,
+    /// With Alt, opens it; `None` for those that are reached by the rail and the palette alone.
+    pub key: Option<egui::Key>,
     /// The sign in a rail that is too narrow for words.
     pub icon: &'static str,
     /// One line on what the screen is for.

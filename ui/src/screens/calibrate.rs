@@ -23,6 +23,7 @@ use crate::{playback::ModelRef, route::Screen, store::Loadable};
 pub const ABOUT: About = About {
     label: "Calibrate",
     slug: "calibrate",
+    key: Some(egui::Key::Num7),
     icon: "\u{2696}",
     purpose: "Fit the sensor model until simulated events line up with real ones",
     group: Some("Simulator"),

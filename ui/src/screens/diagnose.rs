@@ -5,13 +5,14 @@ mod bars;
 mod details;
 mod effects;
 mod keep;
+mod names;
 mod residual_map;
 mod results;
 
 use std::{collections::BTreeSet, sync::Arc};
 
 use egui::RichText;
-use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
+use palpate_wire::api::{DiagnosisReport, DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
 
 use super::{
     About, Part, ScreenContext, Subject, View,
@@ -32,6 +33,7 @@ const NULL_SESSIONS: usize = 200;
 pub const ABOUT: About = About {
     label: "Diagnose",
     slug: "diagnose",
+    key: Some(egui::Key::Num8),
     icon: "\u{1f50d}",
     purpose: "Find where simulation and hand disagree, name the missing effect, add it to the model",
     group: Some("Simulator"),
@@ -68,6 +70,8 @@ struct Shown {
     open: BTreeSet<usize>,
     all_candidates: bool,
     residual_before: bool,
+    /// Its report with names for people, once the station is known.
+    named: Option<Arc<DiagnosisReport>>,
     /// What the run was saved as when the compared simulations were last set to it.
     in_use: Option<Option<String>>,
 }
@@ -305,6 +309,13 @@ fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseSta
                 };
             }
             use_result(cx, &mut state.shown, &run);
+            if state.shown.named.is_none()
+                && let Loadable::Ready(station) = cx.store.station(&run.request.session)
+            {
+                state.shown.named = Some(Arc::new(names::named(report, &station)));
+            }
+            let named = state.shown.named.clone();
+            let report = named.as_deref().unwrap_or(report);
             let begun = started_from(cx, &run);
             if results::results_ui(ui, cx, state, &run, report, &begun) {
                 start(cx, state);

@@ -42,6 +42,7 @@ const MAX_LISTED: usize = 5;
 pub const ABOUT: About = About {
     label: "Home",
     slug: "home",
+    key: Some(egui::Key::Num1),
     icon: "\u{1f3e0}",
     purpose: "What the station does, what runs, and what to do next",
     group: None,

@@ -28,6 +28,7 @@ const NARROW: f32 = 700.0;
 pub const ABOUT: About = About {
     label: "Jobs",
     slug: "jobs",
+    key: None,
     icon: "\u{231b}",
     purpose: "Long work: what waits, what runs, how it ended",
     group: None,
@@ -200,7 +201,7 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, job: &Job, is_chosen:
 }
 
 /// State is never colour alone.
-fn mark(state: JobState) -> &'static str {
+pub fn mark(state: JobState) -> &'static str {
     match state {
         JobState::Queued => "\u{2026}",
         JobState::Running => "\u{25b6}",
@@ -247,11 +248,10 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
 fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job, working: &[String]) {
     match job.state {
         JobState::Running => {
-            let left = job
-                .seconds_left
-                .map_or_else(String::new, |seconds| format!(", about {} left", duration_text(seconds)));
-            let text = format!("{:.0} %{left}", 100.0 * job.fraction);
-            ui.add(progress_bar(job.fraction, &text).desired_width(ui.available_width().min(420.0)));
+            ui.add(
+                progress_bar(job.fraction, &progress_text(job))
+                    .desired_width(ui.available_width().min(420.0)),
+            );
             let asked = if job.cancel_requested { "It has been asked to stop. " } else { "" };
             ui.label(format!("{asked}{}", job.stage));
         }
@@ -266,6 +266,14 @@ fn progress_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, job: &Job, working: &[
             ui.colored_label(colour(cx, job.state), format!("{} {}", mark(job.state), job.state.name()));
         }
     }
+}
+
+/// How far a running job is, and how long it still takes.
+pub fn progress_text(job: &Job) -> String {
+    let left = job
+        .seconds_left
+        .map_or_else(String::new, |seconds| format!(", about {} left", duration_text(seconds)));
+    format!("{:.0} %{left}", 100.0 * job.fraction)
 }
 
 /// Ids of the jobs that have begun and not ended.
@@ -286,15 +294,10 @@ pub(super) fn waits_text(who: &str, working: &[String]) -> String {
 
 fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
     ui.horizontal_wrapped(|ui| {
-        if let Some((screen, name)) = outcome_of(job)
-            && job.state == JobState::Done
+        if let Some((route, name)) = outcome_of(job)
             && ui.button(name).clicked()
         {
-            *cx.go_to = Some(Route {
-                run: Some(job.id.clone()),
-                session: job.spec.request["session"].as_str().map(str::to_owned),
-                ..Route::to(screen)
-            });
+            *cx.go_to = Some(route);
         }
         if !may_start_jobs_ui(ui, cx) {
             return;
@@ -334,14 +337,17 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSta
     });
 }
 
-/// Where the outcome of a job is shown best.
-fn outcome_of(job: &Job) -> Option<(Screen, &'static str)> {
-    match job.kind.as_str() {
-        "calibrate" => Some((Screen::Calibrate, "Open the result")),
-        "diagnose" => Some((Screen::Diagnose, "Open the result")),
-        "emulate" => Some((Screen::Sessions, "Open the session")),
-        _ => None,
-    }
+/// Where the outcome of a job that is done is shown best, and what a button that leads there says.
+pub fn outcome_of(job: &Job) -> Option<(Route, &'static str)> {
+    let (screen, name) = match job.kind.as_str() {
+        _ if job.state != JobState::Done => return None,
+        "calibrate" => (Screen::Calibrate, "Open the result"),
+        "diagnose" => (Screen::Diagnose, "Open the result"),
+        "emulate" => (Screen::Sessions, "Open the session"),
+        _ => return None,
+    };
+    let session = job.spec.request["session"].as_str().map(str::to_owned);
+    Some((Route { run: Some(job.id.clone()), session, ..Route::to(screen) }, name))
 }
 
 /// Links to what a job has left.

@@ -37,6 +37,7 @@ enum Towards {
 pub const ABOUT: About = About {
     label: "Models",
     slug: "models",
+    key: Some(egui::Key::Num9),
     icon: "\u{1f4d0}",
     purpose: "Sensor models and policies: what each was made from, and what was made of it",
     group: Some("Simulator"),

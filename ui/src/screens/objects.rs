@@ -39,6 +39,7 @@ const HELP_WIDTH: f32 = 48.0;
 pub const ABOUT: About = About {
     label: "Objects",
     slug: "objects",
+    key: Some(egui::Key::Num6),
     icon: "\u{1f4e6}",
     purpose: "What is touched and grasped: shape, mass, poses at rest",
     group: Some("Data"),

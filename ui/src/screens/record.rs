@@ -15,7 +15,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use egui::{Key, Panel};
 use palpate_robot_model::Station;
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StepState},
+    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StepState, TakeVerdict},
     proto::{RecordingStatus, control_state::Phase},
 };
 
@@ -34,6 +34,7 @@ const INCOMING_WIDTH: f32 = 300.0;
 pub const ABOUT: About = About {
     label: "Record",
     slug: "record",
+    key: Some(egui::Key::Num3),
     icon: "\u{23fa}",
     purpose: "Record a calibration session, take by take, as a checklist says",
     group: Some("Operate"),
@@ -113,6 +114,11 @@ impl Scene<'_> {
         let accepted =
             |idx: &usize| self.session.steps.get(*idx).is_some_and(|step| step.state == StepState::Accepted);
         self.session.current.filter(accepted)
+    }
+
+    /// What its check says of the take that is reviewed; `None` until it is there.
+    fn verdict(&self) -> Option<&TakeVerdict> {
+        self.session.steps.get(self.session.current?)?.verdict.as_ref()
     }
 
     fn is_at_start(&self, state: &RecordState) -> bool {
@@ -250,7 +256,8 @@ fn ask_twice(
     action: RecordingAction,
     actions: &mut Vec<RecordingAction>,
 ) {
-    match scene.accepted_step() {
+    let sets_aside = matches!(action, RecordingAction::Again | RecordingAction::Discard);
+    match scene.accepted_step().filter(|_| sets_aside) {
         Some(step) => state.doubt = Some((step, action)),
         None => actions.push(action),
     }
@@ -303,10 +310,12 @@ fn primary(scene: &Scene<'_>, state: &RecordState, store: &Store) -> Option<Prim
         RecordingPhase::StartPose if scene.is_at_start(state) => ("Run", RecordingAction::Run),
         RecordingPhase::StartPose => ("Go to start pose", RecordingAction::GoToStart),
         RecordingPhase::Review => {
-            // Its check has the last word.
-            let step = scene.session.current.and_then(|idx| scene.session.steps.get(idx))?;
-            step.verdict.as_ref()?;
-            ("Accept", RecordingAction::Accept)
+            // Its check has the last word, and says what is best done with it.
+            if scene.verdict()?.good {
+                ("Accept", RecordingAction::Accept)
+            } else {
+                ("Record again", RecordingAction::Again)
+            }
         }
         RecordingPhase::GoingToStart
         | RecordingPhase::Baseline
@@ -341,7 +350,7 @@ fn keys(
         && let Some(Primary::Act(_, action)) = primary(scene, state, store)
         && !(moves(&action) && scene.not_ready.is_some())
     {
-        actions.push(action);
+        ask_twice(scene, state, action, actions);
     }
     match scene.phase {
         RecordingPhase::PlaceObject if key(Key::P) => state.fixture_elsewhere ^= true,
@@ -373,6 +382,9 @@ fn keys(
         state.write_note = true;
     }
     if scene.phase == RecordingPhase::Review {
+        if key(Key::A) && scene.verdict().is_some() {
+            actions.push(RecordingAction::Accept);
+        }
         if key(Key::R) {
             ask_twice(scene, state, RecordingAction::Again, actions);
         }

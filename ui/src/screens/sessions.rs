@@ -20,6 +20,7 @@ use crate::{
 pub const ABOUT: About = About {
     label: "Sessions",
     slug: "sessions",
+    key: Some(egui::Key::Num4),
     icon: "\u{1f5c0}",
     purpose: "What has been recorded, and whether it can be used",
     group: Some("Data"),

@@ -17,6 +17,7 @@ use crate::{
 pub const ABOUT: About = About {
     label: "Settings",
     slug: "settings",
+    key: None,
     icon: "\u{2699}",
     purpose: "People, API tokens, storage, the audit log",
     group: None,

@@ -28,6 +28,7 @@ const NARROW: f32 = 700.0;
 pub const ABOUT: About = About {
     label: "Trials",
     slug: "trials",
+    key: Some(egui::Key::Num0),
     icon: "\u{1f3af}",
     purpose: "Try policies on the hand, score each trial, compare success rates",
     group: Some("Learn"),

@@ -523,3 +523,15 @@ fn the_form_is_copied_with_every_choice() {
     let command = "palpate diagnose --session data/sessions/bench-1 --data data --null-bar 200";
     assert_eq!(copied.as_deref(), Some(command));
 }
+
+#[test]
+fn channels_have_their_names_in_the_bars_too() {
+    let bench = station();
+    let channel = bench.layout.num_channels() - 1;
+    let mut report = named();
+    report.candidates[0].place = Place::Channel(bench.layout.channels[channel].id.clone());
+    let (api, window) = result_page(&run(JobState::Done, Some(report)));
+    let mut harness = page(&api, &window);
+    harness.run_steps(5);
+    harness.get_by_label_contains(&format!("channel {}: evidence", bench.layout.channel_label(channel)));
+}

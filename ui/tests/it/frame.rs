@@ -192,7 +192,7 @@ fn palette_finds_takes_and_sessions_and_fits_low_windows() {
         harness.run_steps(4);
         let field = harness.get_by_label("Command").rect();
         assert!(field.top() >= 0.0 && field.right() <= size[0], "{size:?}: {field:?}");
-        for _ in 0..25 {
+        for _ in 0..26 {
             harness.key_press(Key::ArrowDown);
             harness.run_steps(1);
         }

@@ -97,6 +97,39 @@ fn progress_comes_by_itself() {
 }
 
 #[test]
+fn jobs_at_work_are_in_a_drawer_of_every_screen() {
+    let api =
+        with(vec![job("run-1", "calibrate", JobState::Running), job("blind-2", "blind", JobState::Done)]);
+    let window = FakeWindow::at("#/sessions/bench-1");
+    let mut harness = page(&api, &window);
+    harness.run_steps(3);
+    let button = "Jobs at work: \u{25b6} 1 at work, 25 %";
+    harness.get_by_role_and_label(Role::Button, button).click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("takes 1 of 4");
+    assert!(harness.query_by_label("Show job blind-2").is_none(), "it had ended before the page was opened");
+    let (cancel, stop) = (harness.get_by_label("Cancel job run-1"), harness.get_by_label("STOP (software)"));
+    assert!(cancel.rect().right() < stop.rect().left(), "STOP would be pressed instead");
+    harness.get_by_role_and_label(Role::Button, "Cancel job run-1").click();
+    harness.run_steps(3);
+    let cancelled = Request::ActOnJob { job: "run-1".into(), act: JobAct::Cancel };
+    assert!(api.0.borrow().sent.contains(&cancelled));
+
+    // It ends: the drawer says so until somebody has looked.
+    let done = job("run-1", "calibrate", JobState::Done);
+    let body = serde_json::to_vec(&done).expect("it is plain data");
+    api.0.borrow_mut().answer(&Request::Job("run-1".into()), body);
+    let update = JobUpdate { job: "run-1".into(), state: "done".into(), ..JobUpdate::default() };
+    let message = StreamMessage { message: Some(stream_message::Message::Job(update)), dropped: 0 };
+    api.0.borrow_mut().events.push_back(ApiEvent::SocketMessage(message.encode_to_vec()));
+    harness.run_steps(5);
+    harness.get_by_role_and_label(Role::Button, "Open the result of job run-1").click();
+    harness.run_steps(5);
+    assert!(window.current().starts_with("#/calibrate/bench-1?") && window.current().contains("run=run-1"));
+    assert!(harness.query_by_label_contains("Jobs at work").is_none(), "it has been looked at");
+}
+
+#[test]
 fn deleting_asks_once() {
     let api = with(vec![job("run-1", "calibrate", JobState::Done)]);
     let mut harness = page(&api, &FakeWindow::at("#/jobs"));

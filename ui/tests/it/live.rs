@@ -65,7 +65,17 @@ impl Bench {
 
     /// The same in a window of `size` points.
     pub(crate) fn of(window: FakeWindow, recording: &RecordingDocument, size: [f32; 2]) -> Self {
-        let (api, station) = (full_api(), leap());
+        Self::on(full_api(), window, recording, size)
+    }
+
+    /// The same, with what else `api` answers.
+    pub(crate) fn on(
+        api: SharedApi,
+        window: FakeWindow,
+        recording: &RecordingDocument,
+        size: [f32; 2],
+    ) -> Self {
+        let station = leap();
         api.0.borrow_mut().answer(&Request::LiveStation, document(&station));
         let recording = serde_json::to_vec(recording).expect("it serialises");
         api.0.borrow_mut().answer(&Request::Recording, recording);

@@ -13,6 +13,7 @@ mod mirror;
 mod models;
 mod objects;
 mod pictures;
+mod plans;
 mod policy;
 mod record;
 mod sessions;

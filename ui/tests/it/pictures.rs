@@ -14,7 +14,7 @@ use crate::{
     fixture::{FakeWindow, SharedApi, full_api, page_of},
     home, jobs,
     live::{Bench, nothing_recorded},
-    models, objects, record, settings, trials,
+    models, objects, plans, record, settings, trials,
 };
 
 /// Width and height, points.
@@ -104,6 +104,15 @@ fn diagnose() {
 fn objects() {
     let api = objects::with_objects(&[objects::block(), objects::bad()]);
     compare("objects", &api, "#/objects?object=block");
+}
+
+#[test]
+fn plans() {
+    compare_pages("plans", "#/plans", |window, size| {
+        let mut bench = plans::with_plans(window, size);
+        bench.harness.run_steps(4);
+        bench.harness
+    });
 }
 
 #[test]

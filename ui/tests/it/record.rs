@@ -151,7 +151,8 @@ fn the_start_of_a_session_fits_a_phone() {
     let text = bench.harness.get_by_label_contains("A plan is a list of takes");
     let plan = bench.harness.get_by_role_and_label(Role::ComboBox, "Plan");
     let field = bench.harness.get_by_role_and_label(Role::TextInput, "Session name");
-    for rect in [text, plan, field].map(|node| node.rect()) {
+    let look = bench.harness.get_by_role_and_label(Role::Button, "Look at the plan");
+    for rect in [text, plan, look, field].map(|node| node.rect()) {
         assert!(rect.left() > rail.right() && rect.right() < 390.0, "{rect:?} beside {rail:?}");
     }
 }
@@ -386,7 +387,9 @@ fn a_take_is_reviewed_by_keys() {
     bench.harness.get_by_label_contains("FSR came at 31 Hz");
     bench.harness.get_by_label("Take 2: Slide, Cylinder, to review");
     for (pressed, action) in [
-        (Key::Enter, RecordingAction::Accept),
+        // What is bad is recorded again unless somebody knows better.
+        (Key::Enter, RecordingAction::Again),
+        (Key::A, RecordingAction::Accept),
         (Key::R, RecordingAction::Again),
         (Key::Delete, RecordingAction::Discard),
     ] {
@@ -401,6 +404,8 @@ fn a_take_is_reviewed_by_keys() {
         bench.click(name);
         assert_eq!(acts(&bench), [action], "{name}");
     }
+    let height = |name: &str| bench.harness.get_by_role_and_label(Role::Button, name).rect().height();
+    assert!(height("Record again") > height("Accept"), "the large button is the sensible one");
     bench.harness.get_by_label_contains("nothing at POST /api/v1/recording/act");
     assert!(!bench.can("Add note"), "a mark without words belongs to a moment");
     bench.harness.get_by_label("Note").focus();

@@ -92,7 +92,7 @@ fn many_warnings_are_one_line_and_coverage_stays_on_the_page() {
     harness.get_by_label(&format!("{all} of {all} taxels were touched too seldom, {all} of them never"));
     assert!(harness.query_by_label_contains(&format!("{first}: never touched")).is_none(), "it is folded");
     let about = format!("0 of {all} channels touched at least 4 times in each half");
-    let picture = harness.get_by_role_and_label(Role::Image, &about).rect();
+    let picture = harness.get_by_label(&about).rect();
     assert!(picture.bottom() < 800.0, "{picture:?}");
     harness.get_by_label(&format!("Which {all}")).click();
     harness.run_steps(20);

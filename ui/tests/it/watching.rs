@@ -256,7 +256,7 @@ fn server_that_is_open_to_the_network_says_so_on_every_screen_and_others_do_not(
     let info = br#"{"name":"palpate","version":"0.1.0","station":null,"source":"replay","insecure":true}"#;
     api.0.borrow_mut().answer(&Request::Info, info.to_vec());
     let mut harness = page(&api, &FakeWindow::at("#/sessions"));
-    for screen in Screen::ALL.iter().copied().filter(|screen| *screen != Screen::Record) {
+    for screen in Screen::ALL.iter().copied().filter(|screen| screen.is_offered(false)) {
         harness.get_by_role_and_label(Role::Button, screen.label()).click();
         harness.run_steps(4);
         assert_eq!(app(&harness).screen(), screen, "it blocks nothing");

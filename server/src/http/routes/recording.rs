@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::{Json, extract::State};
 use palpate_control::ControlError;
 use palpate_wire::api::{
-    RecordingAction, RecordingDocument, StartRecording, StartTake, TakeAction, WantedTake,
+    PlanDocument, RecordingAction, RecordingDocument, StartRecording, StartTake, TakeAction, WantedTake,
 };
 
 use crate::{
@@ -31,6 +31,20 @@ use crate::{
 )]
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<RecordingDocument>> {
     with_station(&state, |handle| Ok(handle.recording()?)).await
+}
+
+/// Lists the plans of the live station with their takes.
+#[utoipa::path(
+    get,
+    path = "/recording/plans",
+    tag = "recording",
+    responses(
+        (status = 200, description = "Done.", body = Vec<PlanDocument>),
+        Refusal<404>,
+    ),
+)]
+pub(super) async fn plans(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<PlanDocument>>> {
+    with_station(&state, |handle| Ok(handle.plans()?)).await
 }
 
 /// Begins a session by a plan, or goes on with one that was begun.
@@ -187,10 +201,10 @@ pub(super) async fn unwant(
     with_station(&state, move |handle| Ok(handle.unwant(&claim, &object, &primitive)?)).await
 }
 
-async fn with_station(
+async fn with_station<T: Send + 'static>(
     state: &Arc<AppState>,
-    work: impl FnOnce(&palpate_control::Handle) -> Result<RecordingDocument, Error> + Send + 'static,
-) -> Answer<Json<RecordingDocument>> {
+    work: impl FnOnce(&palpate_control::Handle) -> Result<T, Error> + Send + 'static,
+) -> Answer<Json<T>> {
     let speak = move |state: &AppState| {
         let live = state.live().ok_or(Error::NoStation)?;
         work(live.handle()).map(Json)

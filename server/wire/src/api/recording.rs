@@ -195,6 +195,40 @@ pub struct PlanSummary {
     pub duration_s: f64,
 }
 
+/// A plan with its takes, as `GET /api/v1/recording/plans` lists those of the live station.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PlanDocument {
+    /// Id: the stem of its file.
+    pub id: String,
+    /// Name for people.
+    pub label: String,
+    /// Its takes, in order.
+    pub takes: Vec<PlanTake>,
+}
+
+/// A take of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PlanTake {
+    /// Object id.
+    pub object: String,
+    /// Name of the object.
+    pub object_label: String,
+    /// Where the object stands, from the robot's base: x, y, z, m.
+    pub object_position_m: [f64; 3],
+    /// Primitive id.
+    pub primitive: String,
+    /// Name of the primitive.
+    pub primitive_label: String,
+    /// What to do with the body before the motion runs; empty where that is to put the object in place.
+    pub instruction: String,
+    /// Channels that the motion means to touch, by id, once for each touch.
+    pub touches: Vec<String>,
+    /// How long the motion takes, s; longer where limits make the robot slower.
+    pub duration_s: f64,
+}
+
 /// A session that is being recorded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

@@ -71,6 +71,7 @@ const CONTROL_WIDTH: f32 = 410.0;
 pub const ABOUT: About = About {
     label: "Hand",
     slug: "hand",
+    key: Some(egui::Key::Num2),
     icon: "\u{270b}",
     purpose: "Watch the hand replay a take, taxels lit by what they felt",
     group: Some("Operate"),

@@ -5,7 +5,7 @@ use palpate_wire::api::{PlanSummary, RecordingDocument, StartRecording, WantedTa
 
 use super::step::{decides_ui, primary_button_ui, take_control_ui};
 use crate::{
-    route::Screen,
+    route::{Route, Screen},
     screens::{
         ScreenContext,
         controls::{combo_ui, name_button, option_ui},
@@ -18,6 +18,8 @@ use crate::{
 #[derive(Debug, Default)]
 pub(super) struct StartState {
     plan_idx: usize,
+    /// The plan that the address named last.
+    asked: Option<String>,
     /// What is wanted, without the takes of a plan.
     only_wanted: bool,
     /// `None` until somebody types: then the name is made up.
@@ -41,6 +43,11 @@ pub(super) fn start_ui(
              This page leads through them, checks every take, and can be left and taken up again at any time.",
         );
         ui.add_space(12.0);
+        // A link that names a plan chooses it, once.
+        if let Some(asked) = cx.route.plan.as_ref().filter(|asked| state.asked.as_ref() != Some(asked)) {
+            state.plan_idx = plans.iter().position(|plan| plan.id == *asked).unwrap_or(state.plan_idx);
+            state.asked = Some(asked.clone());
+        }
         let Some(plan) = plans.get(state.plan_idx).or(plans.first()) else {
             ui.label(RichText::new("This station has no plan").strong());
             ui.label(
@@ -70,13 +77,18 @@ fn form_ui(
         .name
         .clone()
         .unwrap_or_else(|| free_name(if state.only_wanted { "next" } else { &plan.id }, &known));
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label("Plan");
         combo_ui(ui, "Plan", &plan.label, 260.0, |ui| {
             for (idx, plan) in document.plans.iter().enumerate() {
                 option_ui(ui, &mut state.plan_idx, idx, &plan.label);
             }
         });
+        let look = ui.button("Look at it").on_hover_text("Its takes, and what they touch");
+        name_button(&look, "Look at the plan");
+        if look.clicked() {
+            *cx.go_to = Some(Route { plan: Some(plan.id.clone()), ..Route::to(Screen::Plans) });
+        }
     });
     ui.label(match state.only_wanted {
         true => "Of this plan, only where objects stand and how the robot moves".to_owned(),

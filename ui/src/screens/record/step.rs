@@ -299,7 +299,7 @@ fn buttons_ui(
                 let ready = scene.may_act() && !blocked;
                 let response = primary_button_ui(ui, &cx.palette, name, &face, ready);
                 if response.on_hover_text("Enter does the same").clicked() {
-                    actions.push(action);
+                    ask_twice(scene, state, action, actions);
                 }
             }
             None => {}
@@ -325,7 +325,12 @@ fn buttons_ui(
                 }
             }
             RecordingPhase::Review => {
-                if second(ui, "Record again", "R", true) {
+                // The other one of the two is the primary button.
+                if scene.verdict().is_some_and(|verdict| !verdict.good) {
+                    if second(ui, "Accept", "A", true) {
+                        actions.push(RecordingAction::Accept);
+                    }
+                } else if second(ui, "Record again", "R", true) {
                     ask_twice(scene, state, RecordingAction::Again, actions);
                 }
                 if second(ui, "Discard", "Del", true) {

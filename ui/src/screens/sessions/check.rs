@@ -157,12 +157,13 @@ fn coverage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckRepo
         legend_ui(ui, palette.text_weak, "second half");
     });
     let num_channels = report.coverage.len().max(1);
-    let size = vec2(ui.available_width() - 8.0, 150.0);
+    let size = vec2(ui.available_width() - 8.0, 132.0);
     let (rect, response) = ui.allocate_exact_size(size, Sense::hover());
     let summary = coverage_text(&report.coverage);
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, &summary));
+    let about = "Bars: contacts of each channel in either half of the takes";
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, about));
     let painter = ui.painter_at(rect);
-    let plot = egui::Rect::from_min_max(rect.min + vec2(34.0, 6.0), rect.max - vec2(2.0, 22.0));
+    let plot = egui::Rect::from_min_max(rect.min + vec2(34.0, 6.0), rect.max - vec2(2.0, 6.0));
     let most = report.coverage.iter().flat_map(|c| c.touches_by_half).max().unwrap_or(0).max(ENOUGH_TOUCHES);
     let y_of = |touches: usize| plot.bottom() - plot.height() * touches as f32 / most as f32;
     let font = FontId::proportional(13.0);
@@ -199,13 +200,8 @@ fn coverage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &CheckRepo
             painter.rect_filled(bar, 0.0, colour);
         }
     }
-    painter.text(
-        pos2(plot.center().x, rect.bottom()),
-        Align2::CENTER_BOTTOM,
-        &summary,
-        font,
-        palette.text_weak,
-    );
+    // Below the picture and not in it: on a phone it takes two lines.
+    ui.label(RichText::new(&summary).color(palette.text_weak));
     if let Some(channel_idx) = hovered {
         cx.playback.hovered = Some(channel_idx);
         let station = cx.store.station(&report.session);

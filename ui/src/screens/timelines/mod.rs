@@ -35,6 +35,7 @@ use crate::{
 pub const ABOUT: About = About {
     label: "Timelines",
     slug: "timelines",
+    key: Some(egui::Key::Num5),
     icon: "\u{2630}",
     purpose: "Compare real and simulated touch on one time axis",
     group: Some("Data"),

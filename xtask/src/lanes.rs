@@ -1,0 +1,286 @@
+//! Runs the tests in two lanes beside each other: those that watch a clock, and those that compute.
+//!
+//! A station in real time waits most of the time, and needs the processor at once when it wakes. So its tests run one
+//! program after another, and what computes runs beside them with the lowest priority. A test that fails is run a second
+//! time when everything else has ended: a station on a busy machine may be late once. What fails twice is wrong, and so is
+//! a run in which more than a few fail. A test that needed its second time is named at the end.
+
+use std::{
+    io::{BufRead as _, BufReader, Read, Write as _},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    sync::{Mutex, PoisonError},
+    thread,
+};
+
+use anyhow::{Context as _, bail};
+use serde_json::Value;
+
+use crate::shell;
+
+/// Test programs with stations in real time, clusters, or servers that somebody waits for: package, and target where others
+/// of the package only compute.
+const WATCH_A_CLOCK: [(&str, Option<&str>); 8] = [
+    ("e2e", None),
+    ("palpate_control", None),
+    ("palpate_drivers", None),
+    ("palpate_emulator", None),
+    ("palpate_jobs", None),
+    ("palpate_people", None),
+    ("palpate_server", None),
+    ("palpate_train", Some("hand")),
+];
+
+/// Tests of a run that may have a second time. More failures are no accident, and nothing is run again.
+const MAX_RETRIES: usize = 2;
+
+/// Tests that passed at their second time in this run.
+static LATE: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// A test program.
+#[derive(Debug)]
+struct Program {
+    package: String,
+    target: String,
+    executable: PathBuf,
+    /// Folder of its package, where it runs.
+    dir: PathBuf,
+}
+
+/// How a test program ended that did not pass.
+struct Failed<'a> {
+    program: &'a Program,
+    /// What it printed.
+    output: String,
+}
+
+/// Builds the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves.
+pub(crate) fn build(cargo: impl Fn() -> Command) -> anyhow::Result<()> {
+    shell::run(cargo().arg("--no-run"))
+}
+
+/// Runs the tests that [`build`] has built, those whose name contains `filter` only; `env` sets what they need. The examples
+/// of the documentation come last.
+pub(crate) fn run(
+    cargo: impl Fn() -> Command,
+    env: impl Fn(&mut Command) + Sync,
+    filter: Option<&str>,
+) -> anyhow::Result<()> {
+    let listed = shell::output(cargo().args(["--no-run", "--quiet", "--message-format=json"]))?;
+    let programs = programs(&listed)?;
+    let (watching, computing): (Vec<&Program>, Vec<&Program>) =
+        programs.iter().partition(|program| program.watches_a_clock());
+    let (first, second) = thread::scope(|scope| {
+        let computing = scope.spawn(|| in_lane(&computing, &env, filter, true));
+        let watching = in_lane(&watching, &env, filter, false);
+        (watching, computing.join())
+    });
+    let mut failed = first?;
+    failed.extend(second.map_err(|_| anyhow::anyhow!("a lane of tests panicked"))??);
+    again(&failed, &env)?;
+    let mut examples = cargo();
+    examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());
+    env(&mut examples);
+    shell::run(&mut examples)
+}
+
+/// Runs the programs of a lane one after another; gives those that did not pass.
+fn in_lane<'a>(
+    lane: &[&'a Program],
+    env: &(impl Fn(&mut Command) + Sync),
+    filter: Option<&str>,
+    gives_way: bool,
+) -> anyhow::Result<Vec<Failed<'a>>> {
+    let failed = lane.iter().map(|program| program.attempt(env, filter.as_slice(), gives_way));
+    Ok(failed.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
+/// Names the tests that needed a second time.
+pub(crate) fn report() {
+    match LATE.lock().unwrap_or_else(PoisonError::into_inner).as_slice() {
+        [] => eprintln!("no test needed a second time"),
+        late => eprintln!("FLAKY, passed at the second time: {}", late.join(", ")),
+    }
+}
+
+/// Runs the tests that failed once more, alone; fails where too many did, or one does again.
+fn again(failed: &[Failed<'_>], env: &(impl Fn(&mut Command) + Sync)) -> anyhow::Result<()> {
+    let mut names = Vec::with_capacity(failed.len());
+    for one in failed {
+        let of_program = failed_tests(&one.output);
+        // A process that was killed has no list of failed tests.
+        if of_program.is_empty() {
+            bail!("{} failed; see above", one.program.name());
+        }
+        names.push(of_program);
+    }
+    let late: Vec<String> = names.iter().flatten().cloned().collect();
+    if late.is_empty() {
+        return Ok(());
+    }
+    if late.len() > MAX_RETRIES {
+        bail!("{} tests failed, see above: {}", late.len(), late.join(", "));
+    }
+    eprintln!("failed once, and run again alone: {}", late.join(", "));
+    for (one, names) in failed.iter().zip(&names) {
+        let mut args = vec!["--exact", "--test-threads=1"];
+        args.extend(names.iter().map(String::as_str));
+        if one.program.attempt(env, &args, false)?.is_some() {
+            bail!("tests failed twice; see above");
+        }
+    }
+    LATE.lock().unwrap_or_else(PoisonError::into_inner).extend(late);
+    Ok(())
+}
+
+impl Program {
+    fn name(&self) -> String {
+        format!("{} {}", self.package, self.target)
+    }
+
+    fn watches_a_clock(&self) -> bool {
+        WATCH_A_CLOCK.iter().any(|(package, target)| {
+            *package == self.package && target.is_none_or(|target| target == self.target)
+        })
+    }
+
+    /// Runs it; `None` if it passes. Where it `gives_way` to everything else, what it prints is shown when it has ended.
+    fn attempt(
+        &self,
+        env: &(impl Fn(&mut Command) + Sync),
+        args: &[&str],
+        gives_way: bool,
+    ) -> anyhow::Result<Option<Failed<'_>>> {
+        let mut command = Command::new("nice");
+        // Whatever the tests start inherits it.
+        command.args(["-n", if gives_way { "19" } else { "0" }]).arg(&self.executable).args(args);
+        command.current_dir(&self.dir).env("CARGO_MANIFEST_DIR", &self.dir);
+        env(&mut command);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        shell::timed_as(&self.name(), || {
+            let mut child =
+                command.spawn().with_context(|| format!("failed to start {:?}", self.executable))?;
+            let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+            let (output, errors) = thread::scope(|scope| {
+                let errors = scope.spawn(|| stderr.map_or_else(String::new, |from| read(from, |_| ())));
+                let show = |line: &str| {
+                    if !gives_way {
+                        show(line)
+                    }
+                };
+                show(&format!("\n== {}\n", self.name()));
+                (stdout.map_or_else(String::new, |from| read(from, show)), errors.join().unwrap_or_default())
+            });
+            let status = child.wait().with_context(|| format!("failed to wait for {}", self.name()))?;
+            // In one piece: the other lane prints too.
+            show(&if gives_way { format!("\n== {}\n{output}{errors}", self.name()) } else { errors });
+            Ok((!status.success()).then_some(Failed { program: self, output }))
+        })
+    }
+}
+
+/// What comes from `from`, each line given to `line_read` as it comes.
+fn read(from: impl Read, line_read: impl Fn(&str)) -> String {
+    let (mut from, mut all, mut line) = (BufReader::new(from), String::new(), Vec::new());
+    loop {
+        line.clear();
+        match from.read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return all,
+            Ok(_) => {}
+        }
+        let text = String::from_utf8_lossy(&line);
+        line_read(&text);
+        all.push_str(&text);
+    }
+}
+
+fn show(text: &str) {
+    // Whoever reads may have gone; the tests go on.
+    let mut screen = std::io::stdout().lock();
+    let _ = screen.write_all(text.as_bytes()).and_then(|()| screen.flush());
+}
+
+/// The test programs in what `cargo test --no-run --message-format=json` printed.
+fn programs(listed: &str) -> anyhow::Result<Vec<Program>> {
+    let mut programs = Vec::new();
+    for line in listed.lines().filter(|line| line.starts_with('{')) {
+        let message: Value = serde_json::from_str(line).context("cargo printed a line that is no JSON")?;
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        let (Some(executable), true) =
+            (text(&message["executable"]), message["profile"]["test"] == Value::Bool(true))
+        else {
+            continue;
+        };
+        let manifest = text(&message["manifest_path"]).context("a test program has no package")?;
+        let dir = Path::new(&manifest).parent().context("a package has a folder")?.to_owned();
+        // `path+file:///x/sim#palpate_sim@0.1.0`; where the folder has the package's name, that is left out.
+        let id = text(&message["package_id"]).context("a test program has no package")?;
+        let fragment = id.rsplit('#').next().unwrap_or_default();
+        let package = match fragment.split_once('@') {
+            Some((name, _)) => name.to_owned(),
+            None => dir.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        };
+        let target = text(&message["target"]["name"]).context("a test program has no name")?;
+        programs.push(Program { package, target, executable: executable.into(), dir });
+    }
+    if programs.is_empty() {
+        bail!("cargo listed no test program");
+    }
+    Ok(programs)
+}
+
+/// The names under the last `failures:` of what a test program printed.
+fn failed_tests(stdout: &str) -> Vec<String> {
+    let mut listed = Vec::new();
+    for line in stdout.lines() {
+        if line == "failures:" {
+            listed.clear();
+        } else if let Some(name) = line.strip_prefix("    ").filter(|name| !name.contains(' ')) {
+            listed.push(name.to_owned());
+        } else if line.starts_with("test result: FAILED") {
+            return listed;
+        } else if !line.is_empty() {
+            listed.clear();
+        }
+    }
+    Vec::new()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn failed_tests_are_read_from_the_last_list() {
+        let printed = "running 2 tests\ntest a::b ... ok\ntest a::c ... FAILED\n\nfailures:\n\n\
+            ---- a::c stdout ----\nthread panicked:\n    not a name\n    neither\nmore\n\nfailures:\n    a::c\n    d\n\n\
+            test result: FAILED. 1 passed; 2 failed; 0 ignored\n";
+        assert_eq!(failed_tests(printed), ["a::c", "d"]);
+        // A program that was killed.
+        assert!(failed_tests("running 2 tests\ntest a::b ... ok\n").is_empty());
+        assert!(failed_tests("test result: ok. 2 passed; 0 failed\n").is_empty());
+    }
+
+    #[test]
+    fn programs_are_read_from_what_cargo_lists() {
+        let line = |id: &str, target: &str, test: bool| {
+            serde_json::json!({
+                "reason": "compiler-artifact", "package_id": id, "manifest_path": "/x/tests/e2e/Cargo.toml",
+                "target": { "name": target }, "profile": { "test": test }, "executable": "/x/target/it-1",
+            })
+            .to_string()
+        };
+        let listed = [
+            line("path+file:///x/tests/e2e#0.1.0", "it", true),
+            line("path+file:///x/policy/train#palpate_train@0.1.0", "hand", true),
+            line("path+file:///x/policy/train#palpate_train@0.1.0", "it", true),
+            line("path+file:///x/server#palpate_server@0.1.0", "palpate", false),
+        ];
+        let programs = programs(&listed.join("\n")).expect("programs");
+        let found: Vec<_> =
+            programs.iter().map(|program| (program.name(), program.watches_a_clock())).collect();
+        let expected = [("e2e it", true), ("palpate_train hand", true), ("palpate_train it", false)];
+        assert_eq!(found, expected.map(|(name, watches)| (name.to_owned(), watches)));
+        assert!(super::programs("warning: nothing\n").is_err());
+    }
+}
