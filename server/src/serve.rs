@@ -49,6 +49,8 @@ pub struct ServeConfig {
     pub tls: Tls,
     /// The `palpate-train` program; without, it is looked for beside this one and on `PATH`.
     pub train: Option<PathBuf>,
+    /// Socket of the operator of an emulated station (`palpate-train station`), who places objects and sees where they are.
+    pub operator: Option<PathBuf>,
     /// What becomes of old jobs and of the trash.
     pub retention: RetentionConfig,
 }
@@ -138,6 +140,7 @@ pub async fn serve(
         behind_proxy,
         tls,
         train,
+        operator,
         retention,
         ..
     } = config;
@@ -159,6 +162,10 @@ pub async fn serve(
         own_url: Some(own.url()),
         program: None,
         train,
+        // Jobs run in folders of their own.
+        operator: operator
+            .map(|path| std::path::absolute(&path).map_err(Error::io("find", &path)))
+            .transpose()?,
     };
     if needs_login {
         refuse_nobody(&data, listen)?;
@@ -328,6 +335,7 @@ mod tests {
             login: false,
             tls: Tls::Auto,
             train: None,
+            operator: None,
             retention: RetentionConfig::default(),
         };
         let security = |config: ServeConfig| {

@@ -46,6 +46,8 @@ pub struct Access {
     pub program: Option<PathBuf>,
     /// The `palpate-train` program; without, it is looked for beside `palpate` and on `PATH`.
     pub train: Option<PathBuf>,
+    /// Socket of the operator of an emulated station, who places objects for jobs that move the robot.
+    pub operator: Option<PathBuf>,
 }
 
 /// What requests share.
@@ -86,7 +88,12 @@ impl Studio {
         };
         let trainer = Trainer { configured: access.train.clone(), palpate: Some(program) };
         let people = Arc::new(open_people(store.root())?);
-        let way_in = WayIn { url: access.own_url.clone(), login: access.login, people: people.clone() };
+        let way_in = WayIn {
+            url: access.own_url.clone(),
+            operator: access.operator.clone(),
+            login: access.login,
+            people: people.clone(),
+        };
         let jobs = Jobs::open(store.clone(), hub.clone(), trainer, way_in)?;
         // After the database has been made.
         let library = Arc::new(Library::with_index(TakeIndex::open(store.root())?));

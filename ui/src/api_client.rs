@@ -12,7 +12,7 @@ use palpate_wire::{
     api::{
         CalibrationRequest, CampaignPlan, DiagnosisRequest, JobChanges, JobRequest, LiveModel, NewPerson,
         NewToken, PersonChanges, ProblemDetails, RecordingAction, SaveDiagnosisRequest, SaveModelRequest,
-        ScoreBack, ScoreRequest, StartRecording, TrialEnd, WantedTake,
+        ScoreBack, ScoreRequest, StartRecording, StartTake, TakeAction, TrialEnd, WantedTake,
     },
     proto::{ControlRequest, control_request},
 };
@@ -113,6 +113,10 @@ pub enum Request {
     StartRecording(StartRecording),
     /// Do something with the step under way.
     ActOnRecording(RecordingAction),
+    /// Begin a take outside guided sessions.
+    StartTake(StartTake),
+    /// Do something with that take.
+    ActOnTake(TakeAction),
     /// Put a take on the list of what is recorded next.
     Want(WantedTake),
     /// Take it off again.
@@ -156,6 +160,8 @@ pub enum Request {
     JobLog(String),
     /// The curves of a job.
     JobMetrics(String),
+    /// What a job of kind `comparison` found.
+    ComparisonReport(String),
     /// The kinds of jobs, and which of them the studio can do.
     Kinds,
     /// Start a job of any kind.
@@ -259,7 +265,12 @@ impl Request {
     pub fn needs_lease(&self) -> bool {
         matches!(
             self,
-            Self::StartRecording(_) | Self::ActOnRecording(_) | Self::Want(_) | Self::Unwant { .. }
+            Self::StartRecording(_)
+                | Self::ActOnRecording(_)
+                | Self::StartTake(_)
+                | Self::ActOnTake(_)
+                | Self::Want(_)
+                | Self::Unwant { .. }
         )
     }
 
@@ -316,6 +327,8 @@ impl Request {
             Self::Recording => get("/recording".into()),
             Self::StartRecording(body) => post("/recording".into(), json(body)),
             Self::ActOnRecording(body) => post("/recording/act".into(), json(body)),
+            Self::StartTake(body) => post("/recording/take".into(), json(body)),
+            Self::ActOnTake(body) => post("/recording/take/act".into(), json(body)),
             Self::Want(body) => post("/recording/wanted".into(), json(body)),
             Self::Unwant { object, primitive } => {
                 delete(format!("/recording/wanted/{}/{}", segment(object), segment(primitive)))
@@ -357,6 +370,7 @@ impl Request {
             Self::Job(job) => get(format!("/jobs/{}", segment(job))),
             Self::JobLog(job) => get(format!("/jobs/{}/log", segment(job))),
             Self::JobMetrics(job) => get(format!("/jobs/{}/metrics", segment(job))),
+            Self::ComparisonReport(job) => get(format!("/jobs/{}/files/report.json", segment(job))),
             Self::Kinds => get("/kinds".into()),
             Self::SubmitJob(body) => post("/jobs".into(), json(body)),
             Self::ActOnJob { job, act } => {
@@ -565,6 +579,7 @@ mod tests {
         let guarded = [
             Request::StartRecording(start),
             Request::ActOnRecording(RecordingAction::Accept),
+            Request::ActOnTake(TakeAction::End { set_aside: false }),
             Request::Want(wanted),
             Request::Unwant { object: "o".into(), primitive: "p".into() },
         ];

@@ -141,6 +141,10 @@ pub struct Store {
     pub notice: Notice,
     /// Why the last thing that was done in a recording did not work; `None` when all is well.
     pub recording_problem: Option<String>,
+    /// Why the last thing that was done with a take outside guided sessions did not work; `None` when all is well.
+    pub free_take_problem: Option<String>,
+    /// Something was done with such a take, and the server has not answered yet.
+    pub free_take_busy: bool,
     /// Why the list of what is recorded next could not be changed; `None` when all is well.
     pub wanted_problem: Option<String>,
     /// The list of what is recorded next is being changed.
@@ -476,6 +480,7 @@ impl Store {
             Request::Job(_) => self.jobs.receive_job(result),
             Request::JobLog(id) => self.jobs.receive_log(id, result),
             Request::JobMetrics(id) => self.jobs.receive_metrics(id, result),
+            Request::ComparisonReport(id) => self.jobs.receive_comparison(id, result),
             Request::Kinds => self.jobs.receive_kinds(result),
             Request::Docs => self.docs.receive_list(result),
             Request::Doc(name) => self.docs.receive_text(name, result),
@@ -531,6 +536,7 @@ impl Store {
             }
             Request::Recording => self.receive_asked_recording(parse_json(result)),
             Request::StartRecording(_) => self.receive_acted(result),
+            Request::StartTake(_) | Request::ActOnTake(_) => self.receive_free(result),
             Request::ActOnRecording(action) => {
                 self.receive_acted(result);
                 let changes_takes = !matches!(

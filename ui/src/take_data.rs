@@ -1,7 +1,7 @@
 //! A recorded take as the page uses it: the trace from the server, checked, with look-ups by time.
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{PoseConfig, Station};
+use palpate_robot_model::{FixedBox, PoseConfig, Station};
 use palpate_wire::{
     bits,
     proto::{ReplayTrace, StreamTrace, TakeTrace},
@@ -16,6 +16,7 @@ pub struct TakeData {
     duration_s: f64,
     /// base_from_object of each frame; empty of an object that stands still.
     object_poses: Vec<Isometry3<f64>>,
+    surroundings: Vec<FixedBox>,
 }
 
 impl TakeData {
@@ -37,6 +38,7 @@ impl TakeData {
         }
         let num_dofs = num_values.checked_div(num_frames).unwrap_or(0);
         let object_poses = object_poses(&trace.object_poses, num_frames)?;
+        let surroundings = surroundings(&trace.surroundings)?;
         let duration_s = trace
             .streams
             .iter()
@@ -44,7 +46,7 @@ impl TakeData {
             .chain([&trace.frame_times_s])
             .filter_map(|times_s| times_s.last())
             .fold(0.0, |longest: f64, &end_s| longest.max(end_s));
-        Ok(Self { trace, num_dofs, duration_s, object_poses })
+        Ok(Self { trace, num_dofs, duration_s, object_poses, surroundings })
     }
 
     /// Checks the take against the station it is said to come from: joints, channels and streams must match.
@@ -124,6 +126,11 @@ impl TakeData {
         Some(from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*from))
     }
 
+    /// Fixed boxes beside the object, such as the table.
+    pub fn surroundings(&self) -> &[FixedBox] {
+        &self.surroundings
+    }
+
     /// The joint frame in effect at `time_s`, and how much of the time to the next is over, 0 to 1; 0 at the last.
     fn between_frames(&self, time_s: f64) -> Option<(usize, f64)> {
         let frame_idx = self.frame_at(time_s)?;
@@ -165,13 +172,34 @@ fn object_poses(numbers: &[f32], num_frames: usize) -> Result<Vec<Isometry3<f64>
             numbers.len()
         ));
     }
-    let pose = |(frame_idx, pose): (usize, &[f32])| {
-        let [x, y, z, qw, qx, qy, qz] = std::array::from_fn(|idx| f64::from(pose[idx]));
-        let pose = PoseConfig { position_m: [x, y, z], quaternion_wxyz: [qw, qx, qy, qz] };
-        pose.to_isometry()
-            .map_err(|problem| format!("the object's pose in joint frame {frame_idx}: {problem}"))
+    let pose = |(frame_idx, numbers): (usize, &[f32])| {
+        pose_of(numbers).map_err(|problem| format!("the object's pose in joint frame {frame_idx}: {problem}"))
     };
     numbers.chunks_exact(7).enumerate().map(pose).collect()
+}
+
+/// A pose from x, y, z, then w, x, y, z.
+fn pose_of(numbers: &[f32]) -> Result<Isometry3<f64>, String> {
+    let [x, y, z, qw, qx, qy, qz] =
+        std::array::from_fn(|idx| numbers.get(idx).map_or(f64::NAN, |&number| f64::from(number)));
+    PoseConfig { position_m: [x, y, z], quaternion_wxyz: [qw, qx, qy, qz] }.to_isometry()
+}
+
+/// Boxes from ten numbers each: a pose, then three edges.
+fn surroundings(numbers: &[f32]) -> Result<Vec<FixedBox>, String> {
+    if !numbers.len().is_multiple_of(10) {
+        return Err(format!("{} numbers of boxes beside the object, expected 10 each", numbers.len()));
+    }
+    let fixed_box = |(idx, numbers): (usize, &[f32])| {
+        let place = |problem: String| format!("box {idx} beside the object: {problem}");
+        let base_from_box = pose_of(numbers).map_err(place)?;
+        let size_m: [f64; 3] = std::array::from_fn(|edge| f64::from(numbers[7 + edge]));
+        if !size_m.iter().all(|edge_m| edge_m.is_finite() && *edge_m > 0.0) {
+            return Err(place(format!("its edges are {size_m:?} m")));
+        }
+        Ok(FixedBox { base_from_box, size_m })
+    };
+    numbers.chunks_exact(10).enumerate().map(fixed_box).collect()
 }
 
 /// Checks a replay against the take it belongs to.
@@ -270,6 +298,21 @@ mod tests {
         let mut lost = moving;
         lost.object_poses[7] = f32::NAN;
         assert!(TakeData::new(lost).expect_err("lost").contains("the object's pose in joint frame 1"));
+    }
+
+    #[test]
+    fn boxes_beside_the_object_have_a_place_and_edges() {
+        let table = [0.4, 0.0, -0.02, 1.0, 0.0, 0.0, 0.0, 0.8, 1.2, 0.04_f32];
+        let with = |surroundings: Vec<f32>| TakeData::new(TakeTrace { surroundings, ..trace() });
+        let take = with(table.to_vec()).expect("a sound trace");
+        let [fixed] = take.surroundings() else { panic!("{:?}", take.surroundings()) };
+        assert!(
+            (fixed.base_from_box.translation.z + 0.02).abs() < 1e-6 && (fixed.size_m[1] - 1.2).abs() < 1e-6
+        );
+        assert!(with(table[..9].to_vec()).expect_err("short").contains("9 numbers of boxes"));
+        let mut flat = table;
+        flat[9] = 0.0;
+        assert!(with(flat.to_vec()).expect_err("flat").contains("box 0 beside the object: its edges"));
     }
 
     #[test]

@@ -15,11 +15,11 @@ use serde_json::json;
 
 use crate::fit::{self, FitArgs, Fitted, SCRIPTS};
 use crate::journal::{Journal, Stage};
-use crate::link::Link;
+use crate::link::{Link, switch_reflex_on};
 use crate::operator::Operator;
 use crate::run::{
     Begins, Hand, Making, Outcome, Outcomes, Placing, RolloutArgs, alive_while, begin, hold, make, ready,
-    still_there, switch_reflex_on,
+    still_there,
 };
 use crate::studio::{RequestError, Studio};
 use crate::take::Recording;
@@ -306,6 +306,7 @@ impl Session<'_> {
             is_silenced,
             inject: None,
             recording: self.options.recording,
+            planned: Some(&start),
         };
         let arm = self.arms.get_mut(&(policy.to_owned(), trial.object.clone()));
         let arm = arm.with_context(|| format!("there is no policy {policy:?} on {:?}", trial.object))?;
@@ -391,7 +392,10 @@ fn to_tell(outcome: &Outcome) -> RolloutOutcome {
         reasons: outcome.reasons.iter().map(|reason| cut(reason).to_owned()).collect(),
         time_to_grasp_s: outcome.time_to_grasp_s,
         held_s: Some(outcome.held_s),
-        take: None,
+        take: outcome
+            .recorded
+            .as_ref()
+            .and_then(|recorded| recorded.take.as_ref().map(|take| format!("{}/{take}", recorded.session))),
         record: Some(shown(Path::new(&outcome.take))),
     }
 }

@@ -58,6 +58,8 @@ pub struct Fitted {
     pub policy_name: String,
     /// Id of the object.
     pub object: String,
+    /// The object.
+    pub object_model: ObjectModel,
     /// Files that were read, the station's included.
     pub sources: Vec<Source>,
     /// What an operator should know, though it keeps nobody from trying.
@@ -136,7 +138,8 @@ pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Re
         (None, None) => bail!("there is nothing to run: give --policy or --script"),
     };
     let sources = sources.0.into_inner();
-    Ok(Fitted { station, world, policy, policy_name, object: object.id, sources, warnings })
+    let id = object.id.clone();
+    Ok(Fitted { station, world, policy, policy_name, object: id, object_model: object, sources, warnings })
 }
 
 /// Whether the policy at `path` says that it was learned without a script.

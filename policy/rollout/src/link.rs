@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use futures_util::{SinkExt as _, StreamExt as _};
 use palpate_wire::proto::{
-    Acquire, ControlReply, ControlRequest, Heartbeat, LiveFrame, Release, StreamMessage,
+    Acquire, ControlReply, ControlRequest, Heartbeat, LiveFrame, Reflex, Release, StreamMessage,
     control_request::Request, stream_message,
 };
 use prost::Message as _;
@@ -453,4 +453,11 @@ fn take_frame(shared: &Shared, live: LiveFrame) {
     state.newest = Some(frame);
     drop(state);
     shared.changed.notify_all();
+}
+
+/// Switches the studio's reflex on, if there is the text of its file. It ends with the lease.
+pub(crate) fn switch_reflex_on(link: &Link, config_toml: Option<&str>) -> anyhow::Result<()> {
+    let Some(config_toml) = config_toml else { return Ok(()) };
+    let reflex = Reflex { on: true, config_toml: config_toml.to_owned() };
+    link.must("switching the reflex on", Request::Reflex(reflex)).map(drop)
 }

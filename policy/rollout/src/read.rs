@@ -19,6 +19,12 @@ pub struct KnownStart {
     pub start_cm: Option<f64>,
     /// x y z (m), then w x y z, in the base's frame, when the object lay there.
     pub object_pose: Option<[f64; 7]>,
+    /// In a campaign: where its plan has the object, from the middle of the region, m.
+    pub offset_m: Option<[f64; 2]>,
+    /// In a campaign: how far its plan has the object turned, rad.
+    pub yaw_rad: Option<f64>,
+    /// In a campaign: on which of its sides its plan has the object, from 0 to 1.
+    pub side: Option<f64>,
 }
 
 /// The first line of a record.

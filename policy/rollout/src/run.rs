@@ -11,14 +11,15 @@ use anyhow::{Context as _, bail};
 use palpate_robot_model::Station;
 use palpate_sim::job::Cancel;
 use palpate_terminal::cancel_on_ctrl_c;
-use palpate_wire::proto::{Arm, Reflex, control_request::Request, control_state::Phase};
+use palpate_wire::api::TrialStart;
+use palpate_wire::proto::{Arm, control_request::Request, control_state::Phase};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::campaign;
 use crate::fit::{self, FitArgs, Fitted};
 use crate::inject::Injected;
-use crate::link::{Frame, Link};
+use crate::link::{Frame, Link, switch_reflex_on};
 use crate::operator::Operator;
 use crate::record::Record;
 use crate::studio::Studio;
@@ -179,7 +180,8 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         bail!("nobody is there to place the object: give --operator, or {placed}");
     }
     let studio = Studio::new(&args.url, std::env::var(TOKEN).ok(), args.ca_file.as_deref())?;
-    let recording = Recording::new(&args.record, &studio, args.operator.as_ref(), &args.name)?;
+    let is_planned = args.campaign.is_some() && !args.placed;
+    let recording = Recording::new(&args.record, &studio, args.operator.as_ref(), is_planned, &args.name)?;
     if let Some(id) = &args.campaign {
         let options = campaign::Options {
             id,
@@ -353,6 +355,8 @@ pub(crate) struct Making<'a> {
     pub(crate) inject: Option<Injected>,
     /// Where its take goes.
     pub(crate) recording: Option<&'a Recording>,
+    /// Where the plan of a campaign has its object.
+    pub(crate) planned: Option<&'a TrialStart>,
 }
 
 /// Runs a trial that [`begin`] prepared; gives what it came to, and whether somebody wants no further one.
@@ -363,7 +367,8 @@ pub(crate) fn make(
     begins: &Begins,
     operator: Option<&mut Operator>,
 ) -> anyhow::Result<(Outcome, bool)> {
-    let Making { campaign, trial, attempt, path, mut start, is_silenced, inject, recording } = making;
+    let Making { campaign, trial, attempt, path, mut start, is_silenced, inject, recording, planned } =
+        making;
     let Hand { link, cancel } = *hand;
     let station = Arc::clone(&fitted.station);
     if start.is_object() {
@@ -381,7 +386,7 @@ pub(crate) fn make(
         head["attempt"] = json!(attempt);
     }
     let mut take =
-        recording.map(|recording| recording.begin(hand, fitted, &begins.object_pose)).transpose()?;
+        recording.map(|recording| recording.begin(hand, fitted, &begins.object_pose, planned)).transpose()?;
     let setting = Setting { station: &station, world: &fitted.world, link, cancel, is_silenced, inject };
     let policy = &mut *fitted.policy;
     let mut trial_runs = || {
@@ -465,6 +470,7 @@ fn one(
         is_silenced: args.silence_touch,
         inject: args.inject,
         recording,
+        planned: None,
     };
     make(hand, fitted, making, &begins, operator)
 }
@@ -686,11 +692,4 @@ fn wait_for(
             bail!("waited {} s in vain for {what}: {problem}", PATIENCE.as_secs());
         }
     }
-}
-
-/// Switches the studio's reflex on, if there is the text of its file. It ends with the lease.
-pub(crate) fn switch_reflex_on(link: &Link, config_toml: Option<&str>) -> anyhow::Result<()> {
-    let Some(config_toml) = config_toml else { return Ok(()) };
-    let reflex = Reflex { on: true, config_toml: config_toml.to_owned() };
-    link.must("switching the reflex on", Request::Reflex(reflex)).map(drop)
 }

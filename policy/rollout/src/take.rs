@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use palpate_grasp::GraspConfig;
-use palpate_wire::api::{FreeTake, FreeTakeState, RecordingDocument};
+use palpate_sim::body::Solid;
+use palpate_wire::api::{FreeTake, FreeTakeState, RecordingDocument, TrialStart};
 use palpate_wire::proto::{ObjectPose, control_request::Request};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -86,6 +87,8 @@ enum Object {
     Followed(PathBuf),
     /// It is known where it begins, and whether a fixture keeps it there.
     Stated { pose: Pose, is_fixed: bool },
+    /// Somebody places it where the plan of a campaign has it; nobody measures where it is.
+    Planned,
 }
 
 /// The take that a trial became, as its outcome has it.
@@ -102,7 +105,8 @@ pub struct Recorded {
 }
 
 impl Recording {
-    /// What the arguments ask for. Asks the studio whether it could record now.
+    /// What the arguments ask for. Asks the studio whether it could record now. `is_planned`: somebody places each object where
+    /// the plan of a campaign has it.
     ///
     /// # Errors
     /// An object of which nobody knows where it is; a studio that records something else.
@@ -110,12 +114,14 @@ impl Recording {
         args: &RecordArgs,
         studio: &Studio,
         operator: Option<&PathBuf>,
+        is_planned: bool,
         name: &str,
     ) -> anyhow::Result<Option<Self>> {
         let Some(session) = args.record.clone() else { return Ok(None) };
         let object = match (operator, args.object_pose) {
             (Some(socket), _) => Object::Followed(socket.clone()),
             (None, Some(pose)) => Object::Stated { pose, is_fixed: args.fixture },
+            (None, None) if is_planned => Object::Planned,
             (None, None) => bail!(
                 "--record needs to know where the object is: give --operator of an emulated station, or --object-pose"
             ),
@@ -128,14 +134,24 @@ impl Recording {
         Ok(Some(Self { studio: studio.clone(), session, name: name.to_owned(), object }))
     }
 
-    /// Begins the take of a trial that is about to begin, with the object at `placed` (as an operator says). The hand stands
-    /// still meanwhile.
-    pub(crate) fn begin(&self, hand: &Hand<'_>, fitted: &Fitted, placed: &Value) -> anyhow::Result<Take<'_>> {
+    /// Begins the take of a trial that is about to begin, with the object at `placed` (as an operator says), or where a campaign
+    /// has it. The hand stands still meanwhile.
+    pub(crate) fn begin(
+        &self,
+        hand: &Hand<'_>,
+        fitted: &Fitted,
+        placed: &Value,
+        planned: Option<&TrialStart>,
+    ) -> anyhow::Result<Take<'_>> {
         let link = hand.link;
         // A connection of its own: the other one is the trial's.
         let (operator, object_pose, is_trusted) = match &self.object {
             Object::Followed(socket) => (Some(Operator::connect(socket)?), placed.clone(), true),
             Object::Stated { pose, is_fixed } => (None, json!(pose.0), *is_fixed),
+            Object::Planned => {
+                let start = planned.context("--record: only a campaign says where the object is placed")?;
+                (None, json!(planned_pose(fitted, start)?), false)
+            }
         };
         let start = json!({
             "session": self.session, "object": fitted.object, "object_pose": object_pose, "primitive": PRIMITIVE,
@@ -148,6 +164,15 @@ impl Recording {
         drop(begun);
         Ok(Take { recording: self, operator, sent: 0, problem: None })
     }
+}
+
+/// Where the plan of a campaign has the object: x y z, m, then the quaternion, w first.
+fn planned_pose(fitted: &Fitted, start: &TrialStart) -> anyhow::Result<[f64; 7]> {
+    let solid = Solid::new(&fitted.object_model.shape).map_err(anyhow::Error::msg)?;
+    let rest_poses = solid.rest_poses().map_err(anyhow::Error::msg)?;
+    let pose = fitted.world.on_table(&rest_poses, start.side, [start.x_m, start.y_m], start.yaw_rad);
+    let (at, turned) = (pose.translation.vector, pose.rotation);
+    Ok([at.x, at.y, at.z, turned.w, turned.i, turned.j, turned.k])
 }
 
 /// The table of the grasp world, as the studio has boxes.

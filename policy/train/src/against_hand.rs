@@ -11,8 +11,8 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use palpate_grasp::GraspScene;
-use palpate_rollout::read::{self, Recorded};
+use palpate_grasp::{GraspScene, Start};
+use palpate_rollout::read::{self, KnownStart, Recorded};
 use palpate_rollout::verdict::Verdict;
 use palpate_sim::job::Progress as _;
 use palpate_terminal::Bar;
@@ -72,6 +72,8 @@ enum Counted {
 struct Comparable {
     record: Recorded,
     begin: Begin,
+    /// Nobody measured where the object was: it is taken to have been where the campaign's plan has it.
+    is_planned: bool,
     /// Verdict on the hand, and whether it is the robot's own.
     verdict: Verdict,
     is_suggested: bool,
@@ -118,6 +120,11 @@ pub(crate) fn run(args: &CompareRolloutArgs) -> anyhow::Result<()> {
         control_rate_hz: head.control_rate_hz,
         num_recorded,
         left_out,
+        starts_as_planned: comparable
+            .iter()
+            .filter(|trial| trial.is_planned)
+            .map(|trial| trial.record.head.trial)
+            .collect(),
         hand: comparable
             .iter()
             .map(|trial| OnHand {
@@ -381,7 +388,9 @@ fn comparable(
             left_out.void.push(number);
             continue;
         }
-        let Some(begin) = begin(&record)? else {
+        let measured = begin(&record)?;
+        let is_planned = measured.is_none();
+        let Some(begin) = measured.or_else(|| planned(&record, scene)) else {
             left_out.unknown_start.push(number);
             continue;
         };
@@ -389,7 +398,7 @@ fn comparable(
             left_out.another_start.push(number);
             continue;
         }
-        comparable.push(Comparable { record, begin, verdict, is_suggested });
+        comparable.push(Comparable { record, begin, is_planned, verdict, is_suggested });
     }
     Ok((comparable, left_out))
 }
@@ -404,6 +413,17 @@ fn begin(record: &Recorded) -> anyhow::Result<Option<Begin>> {
     let Some(pose) = start.object_pose else { return Ok(None) };
     let base_from_object = isometry(pose).with_context(|| problem(format!("object_pose is {pose:?}")))?;
     Ok(Some(Begin::Pose { positions: record.head.begins_at.clone(), base_from_object }))
+}
+
+/// How a trial of a campaign began whose object somebody placed as the plan has it.
+fn planned(record: &Recorded, scene: &GraspScene) -> Option<Begin> {
+    let KnownStart { offset_m, yaw_rad, side, .. } = record.head.start.as_ref()?;
+    let (offset_m, yaw_rad, side) = ((*offset_m)?, (*yaw_rad)?, (*side)?);
+    let is_place = [offset_m[0], offset_m[1], yaw_rad, side].iter().all(|number| number.is_finite());
+    is_place.then(|| Begin::Pose {
+        positions: record.head.begins_at.clone(),
+        base_from_object: Start::placed(scene, side, offset_m, yaw_rad).base_from_object,
+    })
 }
 
 fn isometry([x, y, z, w, i, j, k]: [f64; 7]) -> anyhow::Result<Isometry3<f64>> {

@@ -76,6 +76,10 @@ pub(crate) struct ServeArgs {
     /// The palpate-train program [default: the one beside palpate, or on PATH]
     #[arg(long, value_name = "FILE")]
     train: Option<PathBuf>,
+    /// Socket of the operator of an emulated station, as `palpate-train station` prints it: places the objects of campaigns
+    /// that jobs run, and says where these are
+    #[arg(long, value_name = "SOCKET")]
+    operator: Option<PathBuf>,
     #[command(flatten)]
     retention: RetentionArgs,
     /// Print the address as JSON, once the studio is ready
@@ -118,6 +122,7 @@ pub(super) fn run(args: ServeArgs) -> Outcome {
             _ => Tls::Auto,
         },
         train: args.train,
+        operator: args.operator,
         retention: args.retention.config(),
     };
     if args.check_config {

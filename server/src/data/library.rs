@@ -195,6 +195,11 @@ pub fn take_trace(take: &Take) -> TakeTrace {
             numbers.map(|number| number as f32).collect()
         }
     };
+    let surroundings = take.meta.surroundings.iter().flat_map(|fixed| {
+        let [x, y, z, w, i, j, k] = pose_numbers(&PoseConfig::from_isometry(&fixed.base_from_box));
+        let [length, width, height] = fixed.size_m;
+        [x, y, z, w, i, j, k, length, width, height].map(|number| number as f32)
+    });
     TakeTrace {
         frame_times_s: take.joints.times_s.clone(),
         joint_positions: take.joints.positions.iter().map(|&position| position as f32).collect(),
@@ -202,6 +207,7 @@ pub fn take_trace(take: &Take) -> TakeTrace {
         streams: streams.collect(),
         spans: spans.collect(),
         object_poses,
+        surroundings: surroundings.collect(),
     }
 }
 

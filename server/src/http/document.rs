@@ -13,10 +13,10 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 use palpate_wire::api::{
-    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, DemonstrationsRequest,
-    DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest, EvaluationRequest, ExpertRequest,
-    GatheringRequest, ImitationRequest, LEASE_HEADER, PipelineRequest, PretrainingRequest, ProblemDetails,
-    ProblemType, RolloutsRequest, TuneRequest,
+    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, ComparisonReport, ComparisonRequest,
+    DemonstrationsRequest, DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest,
+    EvaluationRequest, ExpertRequest, GatheringRequest, ImitationRequest, LEASE_HEADER, PipelineRequest,
+    PretrainingRequest, ProblemDetails, ProblemType, RolloutsRequest, TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
@@ -69,7 +69,9 @@ use super::{
         GatheringRequest,
         ImitationRequest,
         PipelineRequest,
-        RolloutsRequest
+        RolloutsRequest,
+        ComparisonRequest,
+        ComparisonReport
     )),
 )]
 struct Head;

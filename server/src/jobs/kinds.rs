@@ -2,6 +2,7 @@
 
 mod blind;
 mod calibrate;
+mod comparison;
 mod demonstrations;
 mod diagnose;
 mod emulate;
@@ -51,6 +52,7 @@ pub(crate) const KINDS: &[&JobKind] = &[
     &imitation::IMITATION,
     &pipeline::PIPELINE,
     &rollouts::ROLLOUTS,
+    &comparison::COMPARISON,
 ];
 
 /// The numbers that a job found.
@@ -81,6 +83,7 @@ pub(crate) struct JobKind {
 }
 
 /// What a job works with.
+#[derive(Clone, Copy)]
 pub(crate) struct JobWork<'a> {
     pub(crate) store: &'a Store,
     pub(crate) library: &'a Library,

@@ -1,6 +1,6 @@
 //! What was made from what: read off the files that jobs have read, which every job's specification names.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_jobs::Scheduler;
 use palpate_wire::api::{
@@ -92,8 +92,22 @@ fn trace(
         for policy in &campaign.plan.policies {
             artifact.add_sources(tried(&policy.source, &objects));
         }
+        let key = artifact.key.clone();
+        for session in sessions_of(campaign) {
+            // One that has been deleted is in no list.
+            if let Some(session) = found.0.get_mut(&ArtifactKey::new(ArtifactSort::Session, session)) {
+                session.add_sources(vec![key.clone()]);
+            }
+        }
     }
     found.into_lineage()
+}
+
+/// Sessions that have takes of trials of `campaign`.
+fn sessions_of(campaign: &Campaign) -> BTreeSet<&str> {
+    let attempts = campaign.trials.iter().flat_map(|trial| &trial.attempts);
+    let takes = attempts.filter_map(|attempt| attempt.take.as_deref());
+    takes.filter_map(|take| take.split_once('/')).map(|(session, _)| session).collect()
 }
 
 /// Names of the shipped policies.

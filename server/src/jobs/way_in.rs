@@ -1,7 +1,7 @@
 //! The way from a job that moves the robot to the studio that has it: an address of this computer, and a token that is
 //! good for as long as the job works.
 
-use std::sync::Arc;
+use std::{path::PathBuf, sync::Arc};
 
 use palpate_jobs::{Database, JobsError, Launch, StationVariables};
 use palpate_people::{People, PeopleError, TokenRequest, now_s};
@@ -9,6 +9,8 @@ use palpate_wire::api::{Job, Scope};
 
 /// Where the studio is, for a job.
 pub(crate) const URL_VARIABLE: &str = "PALPATE_URL";
+/// Where the operator of an emulated station listens, for a job.
+pub(crate) const OPERATOR_VARIABLE: &str = "PALPATE_OPERATOR";
 /// What lets it in, where people have to log in.
 const TOKEN_VARIABLE: &str = "PALPATE_TOKEN";
 /// A token of a job whose studio was killed is good for no longer than this, days.
@@ -20,6 +22,8 @@ const SCOPES: [Scope; 2] = [Scope::Read, Scope::Control];
 pub(crate) struct WayIn {
     /// An address that this computer reaches without TLS; `None` where the studio listens nowhere.
     pub(crate) url: Option<String>,
+    /// Socket of the operator of an emulated station, who places objects and sees where they are.
+    pub(crate) operator: Option<PathBuf>,
     /// Whether it takes a token.
     pub(crate) login: bool,
     pub(crate) people: Arc<People>,
@@ -34,6 +38,9 @@ impl WayIn {
             let url = way_in.url.clone();
             let url = url.ok_or_else(|| problem("this studio listens at no address".to_owned()))?;
             let mut variables = vec![(URL_VARIABLE.to_owned(), url)];
+            if let Some(operator) = &way_in.operator {
+                variables.push((OPERATOR_VARIABLE.to_owned(), operator.display().to_string()));
+            }
             if way_in.login {
                 let job = database.job(&launch.id)?.ok_or_else(|| JobsError::NotFound(launch.id.clone()))?;
                 let token = way_in.token(&job).map_err(|err| problem(err.to_string()))?;

@@ -7,6 +7,7 @@ mod calibrations;
 mod campaigns;
 mod cli;
 mod client_paths;
+mod comparison;
 mod data_folder;
 mod diagnoses;
 mod docs;

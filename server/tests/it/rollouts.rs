@@ -113,9 +113,13 @@ async fn what_a_campaign_names_is_looked_up_and_never_a_file_of_the_computer() {
         assert!(second.problem(409).contains("has the station"), "{:?}", second.body);
         wait(&app, &job.id, |job| job.fraction > 0.0).await;
         let asked = fs::read_to_string(data.root().join("runs").join(&job.id).join("asked.txt")).unwrap();
-        for words in
-            [policy, "--placed-at-page", &format!("--url {OWN_URL}"), &format!("--campaign {campaign}")]
-        {
+        for words in [
+            policy,
+            "--placed-at-page",
+            &format!("--record {campaign}-takes"),
+            &format!("--url {OWN_URL}"),
+            &format!("--campaign {campaign}"),
+        ] {
             assert!(asked.contains(words), "{words:?} is missing in {asked:?}");
         }
         let told = fs::read_to_string(data.root().join("runs").join(&job.id).join("told.txt")).unwrap();
@@ -123,6 +127,30 @@ async fn what_a_campaign_names_is_looked_up_and_never_a_file_of_the_computer() {
         assert_eq!(post(&app, &format!("/api/v1/jobs/{}/cancel", job.id), &json!({})).await.status, 200);
         let job = wait(&app, &job.id, |job| !job.is_unfinished()).await;
         assert_eq!(job.state, JobState::Cancelled);
+    }
+
+    // Takes go where somebody wants them, and not into what somebody brought.
+    fs::create_dir_all(data.root().join("sessions/brought")).unwrap();
+    for (field, value, status, words) in [
+        ("session", json!("brought"), 409, "was not recorded by this studio"),
+        ("session", json!("../people"), 400, "session"),
+        ("without_recording", json!(true), 202, "without"),
+        ("session", json!("grasps"), 202, "--record grasps"),
+    ] {
+        let mut request = rollouts("script");
+        request["request"][field] = value;
+        let answer = post(&app, "/api/v1/jobs", &request).await;
+        if status != 202 {
+            let detail = answer.problem(status);
+            assert!(detail.contains(words), "{detail}");
+            continue;
+        }
+        let job = accepted(&answer);
+        wait(&app, &job.id, |job| job.fraction > 0.0).await;
+        let asked = fs::read_to_string(data.root().join("runs").join(&job.id).join("asked.txt")).unwrap();
+        assert!(asked.contains(words) || (words == "without" && !asked.contains("--record")), "{asked}");
+        assert_eq!(post(&app, &format!("/api/v1/jobs/{}/cancel", job.id), &json!({})).await.status, 200);
+        wait(&app, &job.id, |job| !job.is_unfinished()).await;
     }
     assert_eq!(post(&app, "/api/v1/campaigns/script/close", &json!({})).await.status, 200);
     assert!(post(&app, "/api/v1/jobs", &rollouts("script")).await.problem(409).contains("is closed"));

@@ -51,8 +51,17 @@ echo '{"event":"report","report":{"won":3}}'
 "#;
 
 /// The kinds that the program works on.
-const TRAININGS: [&str; 8] =
-    ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "pipeline"];
+const TRAININGS: [&str; 9] = [
+    "tune",
+    "expert",
+    "evaluation",
+    "demonstrations",
+    "pretraining",
+    "gathering",
+    "imitation",
+    "pipeline",
+    "comparison",
+];
 
 fn program(data: &Data, text: &str) -> PathBuf {
     let path = data.path("palpate-train");

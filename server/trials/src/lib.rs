@@ -4,6 +4,7 @@
 //! on disk before anybody is told so. Everything else follows from the two: [`Campaigns`] reads them, checks what somebody
 //! wants to add, and computes [`palpate_wire::api::CampaignResults`]. Nothing here moves a robot.
 
+mod beside;
 mod campaign;
 mod error;
 mod log;
@@ -12,6 +13,7 @@ mod results;
 mod store;
 mod tables;
 
+pub use beside::paired;
 pub use campaign::Viewer;
 pub use error::TrialsError;
 pub use plan::{MAX_TRIALS, PlannedTrial, check_plan, start_of, trials_of};

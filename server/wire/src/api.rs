@@ -1,6 +1,7 @@
 //! JSON documents of the HTTP API and of `palpate --json`. Field names are a contract.
 
 mod campaigns;
+mod comparison;
 mod diagnosis;
 mod docs;
 mod jobs;
@@ -16,6 +17,7 @@ mod trash;
 use std::collections::BTreeMap;
 
 pub use campaigns::*;
+pub use comparison::*;
 pub use diagnosis::*;
 pub use docs::*;
 pub use jobs::*;

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use palpate_robot_model::Robot;
+use palpate_sim::body::RestPose;
 use serde::Deserialize;
 
 use crate::GraspError;
@@ -178,6 +180,26 @@ impl GraspConfig {
     /// Physics steps in a control step.
     pub fn num_substeps(&self) -> usize {
         (1.0 / (self.control_rate_hz * self.physics.timestep_s)).round() as usize
+    }
+
+    /// Where an object with these `rest_poses` lies on the table: on the stable side that `side` (0 to 1, by how likely the
+    /// sides are) falls on, `offset_m` from the middle of the region and turned by `yaw_rad`.
+    pub fn on_table(
+        &self,
+        rest_poses: &[RestPose],
+        side: f64,
+        offset_m: [f64; 2],
+        yaw_rad: f64,
+    ) -> Isometry3<f64> {
+        let center_m = self.task.center_m;
+        let at_m = [center_m[0] + offset_m[0], center_m[1] + offset_m[1]];
+        let up = Translation3::new(0.0, 0.0, self.table.top_m);
+        // Every solid has a stable pose: the lowest that its centre of mass can be.
+        let rest = RestPose::pick(rest_poses, side).map(|pose| pose.at(at_m, yaw_rad));
+        up * rest.unwrap_or_else(|| {
+            let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+            Isometry3::from_parts(Translation3::new(at_m[0], at_m[1], 0.0), upright)
+        })
     }
 
     /// Start positions in the robot's order.

@@ -228,17 +228,8 @@ fn any_rotation(rng: &mut ChaCha8Rng) -> UnitQuaternion<f64> {
     ))
 }
 
-/// The object on the stable side that `side` (0 to 1) falls on, `offset_m` from the middle of the region.
 fn on_table(scene: &GraspScene, side: f64, offset_m: [f64; 2], yaw_rad: f64) -> Isometry3<f64> {
-    let center_m = scene.config.task.center_m;
-    let at_m = [center_m[0] + offset_m[0], center_m[1] + offset_m[1]];
-    let up = Translation3::new(0.0, 0.0, scene.config.table.top_m);
-    // Every solid has a stable pose: the lowest that its centre of mass can be.
-    let rest = RestPose::pick(&scene.rest_poses, side).map(|pose| pose.at(at_m, yaw_rad));
-    up * rest.unwrap_or_else(|| {
-        let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
-        Isometry3::from_parts(Translation3::new(at_m[0], at_m[1], 0.0), upright)
-    })
+    scene.config.on_table(&scene.rest_poses, side, offset_m, yaw_rad)
 }
 
 /// Random numbers of environment or trial number `idx` of those that share `seed`.

@@ -6,12 +6,12 @@ mod start;
 
 pub use curves::Curves;
 use egui::RichText;
-use palpate_wire::api::{Job, JobState};
+use palpate_wire::api::{Job, JobState, RolloutsRequest};
 
 use super::{
     About, ScreenContext, Subject, View,
     controls::{combo_ui, may_start_jobs_ui, option_ui},
-    copy_as, duration_text, empty_ui, failed_ui, heading_ui, loading_ui, progress_bar, topic_ui,
+    copy_as, duration_text, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, progress_bar, topic_ui,
 };
 use crate::{
     api_client::JobAct,
@@ -294,6 +294,7 @@ pub(super) fn waits_text(who: &str, working: &[String]) -> String {
 
 fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, job: &Job) {
     ui.horizontal_wrapped(|ui| {
+        trials_ui(ui, cx, job);
         if let Some((route, name)) = outcome_of(job)
             && ui.button(name).clicked()
         {
@@ -335,6 +336,29 @@ fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsSta
             state.deleting = Some(job.id.clone());
         }
     });
+}
+
+/// Leads to the campaign of a job on trials, and to the takes that they became.
+fn trials_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, job: &Job) {
+    let Some(campaign) = job.spec.request["campaign"].as_str() else { return };
+    let part = if job.kind == "comparison" { "results" } else { "run" };
+    if ui.button("Open the campaign").clicked() {
+        *cx.go_to = Some(Route {
+            campaign: Some(campaign.to_owned()),
+            part: Some(part.to_owned()),
+            ..Route::to(Screen::Trials)
+        });
+    }
+    if job.kind != "rollouts" {
+        return;
+    }
+    let request: Option<RolloutsRequest> = serde_json::from_value(job.spec.request.clone()).ok();
+    let session = request.and_then(|request| request.recorded_into());
+    if let Some(session) = session.filter(|session| !is_missing(cx, session))
+        && ui.button(format!("Open session {session}")).clicked()
+    {
+        *cx.go_to = Some(Route::to(Screen::Sessions).with_session(session));
+    }
 }
 
 /// Where the outcome of a job that is done is shown best, and what a button that leads there says.

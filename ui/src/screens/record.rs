@@ -5,6 +5,7 @@
 //! operator does.
 
 mod checklist;
+mod free;
 mod incoming;
 mod interruptions;
 mod start;
@@ -49,6 +50,7 @@ pub const ABOUT: About = About {
 #[derive(Default)]
 struct RecordState {
     start: start::StartState,
+    free: free::FreeState,
     /// The remark that is being typed.
     note: String,
     /// The field of remarks gets the focus in the next frame.
@@ -161,8 +163,19 @@ impl View for RecordState {
             Some(session) => session_ui(ui, cx, self, session, &station, &names),
             None => {
                 self.start_pose = StartPose::Unknown;
-                egui::CentralPanel::default()
-                    .show(ui, |ui| start::start_ui(ui, cx, &mut self.start, &document));
+                egui::CentralPanel::default().show(ui, |ui| {
+                    egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                        start::start_ui(ui, cx, &mut self.start, &document);
+                        ui.add_space(16.0);
+                        ui.vertical_centered(|ui| {
+                            ui.set_max_width(ui.available_width().min(520.0));
+                            ui.with_layout(egui::Layout::top_down(egui::Align::Min), |ui| {
+                                free::free_ui(ui, cx, &mut self.free, &document, &station);
+                            });
+                        });
+                        ui.add_space(12.0);
+                    });
+                });
             }
         }
     }

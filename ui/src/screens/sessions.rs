@@ -5,7 +5,7 @@ mod deleted;
 mod import;
 
 use egui::RichText;
-use palpate_wire::api::{SessionDetail, SessionSummary};
+use palpate_wire::api::{ArtifactKey, ArtifactSort, SessionDetail, SessionSummary};
 
 use super::{
     About, Part, ScreenContext, Subject, View, controls::file_link_ui, duration_text, failed_ui, heading_ui,
@@ -151,6 +151,7 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
             summary.frames,
             duration_text(summary.duration_s),
         ));
+        origin_ui(ui, cx, id);
         actions_ui(ui, cx, id);
         ui.add_space(8.0);
         check::check_ui(ui, cx, id);
@@ -158,6 +159,29 @@ fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
         takes_ui(ui, cx, id, &detail);
         ui.add_space(12.0);
     });
+}
+
+/// Which campaigns the takes are trials of, if they are of any.
+fn origin_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
+    let Loadable::Ready(lineage) = cx.store.lineage() else { return };
+    let made_from = lineage
+        .get(&ArtifactKey::new(ArtifactSort::Session, id))
+        .map(|artifact| artifact.made_from.as_slice());
+    let campaigns = made_from.unwrap_or_default().iter().filter(|key| key.sort == ArtifactSort::Campaign);
+    for key in campaigns {
+        let campaign = lineage.get(key);
+        let policies = campaign.map_or(&[][..], |campaign| campaign.made_from.as_slice()).iter();
+        let policies: Vec<&str> = policies.map(|policy| policy.id.as_str()).collect();
+        ui.horizontal_wrapped(|ui| {
+            ui.label("Takes are trials of the campaign");
+            if ui.button(campaign.map_or(key.id.as_str(), |campaign| &campaign.name)).clicked() {
+                *cx.go_to = Some(Route { campaign: Some(key.id.clone()), ..Route::to(Screen::Trials) });
+            }
+            if !policies.is_empty() {
+                ui.label(format!("of {}.", policies.join(", ")));
+            }
+        });
+    }
 }
 
 fn actions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {

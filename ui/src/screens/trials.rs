@@ -45,6 +45,8 @@ struct TrialsState {
     /// The plan that is being written.
     form: Option<form::FormState>,
     score: score::ScoreState,
+    hand: hand::HandState,
+    beside: beside::BesideState,
 }
 
 /// The parts of a campaign.
@@ -236,9 +238,9 @@ fn campaign_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Trials
         });
     }
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| match part {
-        Part::Run => run::run_ui(ui, cx, &campaign),
+        Part::Run => run::run_ui(ui, cx, &mut state.hand, &campaign),
         Part::Score => score::score_ui(ui, cx, &mut state.score, &campaign),
-        Part::Results => results::results_ui(ui, cx, &campaign),
+        Part::Results => results::results_ui(ui, cx, &mut state.beside, &campaign),
     });
 }
 

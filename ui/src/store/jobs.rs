@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use palpate_wire::{
-    api::{Job, JobKindDocument, JobPage, JobRequest, JobState},
+    api::{ComparisonReport, Job, JobKindDocument, JobPage, JobRequest, JobState},
     proto::JobUpdate,
 };
 
@@ -20,6 +20,7 @@ pub struct JobTable {
     next_cursor: Option<String>,
     logs: BTreeMap<String, Loadable<Arc<String>>>,
     curves: BTreeMap<String, Loadable<Arc<Curves>>>,
+    comparisons: BTreeMap<String, Loadable<Arc<ComparisonReport>>>,
     kinds: Loadable<Arc<Vec<JobKindDocument>>>,
     /// A job that was started or cloned: the new one's id once the server took it.
     pub cloned: Loadable<String>,
@@ -66,6 +67,12 @@ impl JobTable {
     /// Asks for the curves of job `id` again. What is known of them stays on the page until then.
     pub fn ask_curves_again(&mut self, id: &str) {
         self.outbox.push(Request::JobMetrics(id.to_owned()));
+    }
+
+    /// What job `id` of kind `comparison` found, once it is done.
+    pub fn comparison(&mut self, id: &str) -> Loadable<Arc<ComparisonReport>> {
+        let slot = self.comparisons.entry(id.to_owned()).or_default();
+        ask(slot, &mut self.outbox, || Request::ComparisonReport(id.to_owned()))
     }
 
     /// The kinds of jobs, and which of them the studio can do.
@@ -129,6 +136,10 @@ impl JobTable {
         self.curves.insert(id, shared(Loadable::from_result(curves)));
     }
 
+    pub(super) fn receive_comparison(&mut self, id: String, result: Result<Vec<u8>, String>) {
+        self.comparisons.insert(id, shared(parse_json(result)));
+    }
+
     pub(super) fn receive_kinds(&mut self, result: Result<Vec<u8>, String>) {
         self.kinds = shared(parse_json(result));
     }
@@ -182,6 +193,7 @@ impl JobTable {
         reset(&mut self.list);
         self.logs.values_mut().for_each(reset);
         self.curves.values_mut().for_each(reset);
+        self.comparisons.values_mut().for_each(reset);
         reset(&mut self.kinds);
     }
 

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use palpate_wire::{
     api::{
-        LiveModel, RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording, WantedTake,
+        LiveModel, RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording, StartTake,
+        TakeAction, WantedTake,
     },
     proto::{ControlState, control_state::Phase},
 };
@@ -43,6 +44,20 @@ impl Store {
         self.recording_busy = true;
         self.recording_problem = None;
         self.outbox.push(Request::ActOnRecording(action));
+    }
+
+    /// Begins a take outside guided sessions.
+    pub fn start_take(&mut self, request: StartTake) {
+        self.free_take_busy = true;
+        self.free_take_problem = None;
+        self.outbox.push(Request::StartTake(request));
+    }
+
+    /// Does something with the take outside guided sessions.
+    pub fn act_on_take(&mut self, action: TakeAction) {
+        self.free_take_busy = true;
+        self.free_take_problem = None;
+        self.outbox.push(Request::ActOnTake(action));
     }
 
     /// Puts a take on the list of what is recorded next.
@@ -108,6 +123,15 @@ impl Store {
         match result {
             Ok(body) => self.receive_done(body),
             Err(problem) => self.recording_problem = Some(problem),
+        }
+    }
+
+    /// What was done with a take outside guided sessions.
+    pub(super) fn receive_free(&mut self, result: Result<Vec<u8>, String>) {
+        self.free_take_busy = false;
+        match result {
+            Ok(body) => self.receive_done(body),
+            Err(problem) => self.free_take_problem = Some(problem),
         }
     }
 

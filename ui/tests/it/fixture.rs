@@ -219,6 +219,7 @@ pub(crate) fn take_trace(station: &Station) -> TakeTrace {
         .collect();
     TakeTrace {
         object_poses: Vec::new(),
+        surroundings: Vec::new(),
         joint_positions: vec![0.0; FRAMES * station.robot.num_dofs()],
         real_active: activations(num_channels, 0),
         streams,

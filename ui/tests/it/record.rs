@@ -8,8 +8,8 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{
-        PlanSummary, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, RecordingStep,
-        StartRecording, StepState, TakeVerdict, WantedTake,
+        FreeTake, FreeTakeState, PlanSummary, RecordingAction, RecordingDocument, RecordingPhase,
+        RecordingSession, RecordingStep, StartRecording, StepState, TakeAction, TakeVerdict, WantedTake,
     },
     bits,
     proto::{RecordingStatus, control_request::Request as Command, control_state::Phase},
@@ -155,6 +155,72 @@ fn the_start_of_a_session_fits_a_phone() {
     for rect in [text, plan, look, field].map(|node| node.rect()) {
         assert!(rect.left() > rail.right() && rect.right() < 390.0, "{rect:?} beside {rail:?}");
     }
+}
+
+/// Nothing is recorded but this take outside guided sessions.
+fn free(state: Option<FreeTakeState>) -> RecordingDocument {
+    let free = state.map(|state| FreeTake {
+        session: "by-hand-1".into(),
+        take: Some("take-02".into()),
+        object: "sphere_50mm".into(),
+        primitive: "free".into(),
+        state,
+        problem: String::new(),
+        verdict: None,
+    });
+    RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None, free }
+}
+
+#[test]
+fn a_take_of_what_one_does_now_begins_and_ends_by_whoever_has_control() {
+    const TITLE: &str = "Record a take of what you do now";
+    for size in [[390.0, 844.0], [1280.0, 800.0]] {
+        let mut bench = Bench::of(FakeWindow::of("Ada", "#/record"), &free(None), size);
+        bench.harness.get_by_label(TITLE).click();
+        bench.harness.run_steps(20);
+        bench.harness.get_by_label_contains("Take control to record a take");
+        assert!(bench.harness.query_by_label("Start recording").is_none());
+        bench.take_control_and_arm();
+        bench.harness.run_steps(5);
+        if let Some(folder) = std::env::var_os("PALPATE_ARTIFACTS") {
+            let picture = bench.harness.render().expect("it is painted on the CPU");
+            let path = std::path::PathBuf::from(folder).join(format!("free_{}.png", size[0]));
+            picture.save(path).expect("the folder can be written");
+        }
+        for field in ["x", "turned"] {
+            let rect = bench.harness.get_by_role_and_label(Role::SpinButton, field).rect();
+            assert!(rect.right() <= size[0], "{field}: {rect:?}");
+        }
+        bench.harness.get_by_role_and_label(Role::Button, "Start recording").scroll_to_me();
+        bench.harness.run_steps(5);
+        bench.click("Start recording");
+        let sent = bench.api.0.borrow().sent.clone();
+        let started = sent.iter().find_map(|request| match request {
+            Request::StartTake(start) => Some(start.clone()),
+            _ => None,
+        });
+        let started = started.expect("a take begins");
+        assert_eq!((started.session.as_str(), started.operator.as_str()), ("by-hand-1", "Ada"));
+        assert_eq!(started.object_pose, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+        assert!(!started.fixture_trusted && bench.station.objects.contains_key(&started.object));
+        bench.harness.run_steps(3);
+        // The made-up server refuses, and its words are on the page.
+        bench.harness.get_by_label_contains("nothing at POST /api/v1/recording/take");
+    }
+
+    // Everybody sees it; whoever has control ends it.
+    let mut bench = Bench::new("#/record", &free(Some(FreeTakeState::Recording)));
+    bench.harness.get_by_label_contains("Recording take-02 of by-hand-1: free on sphere_50mm");
+    assert!(bench.harness.query_by_label("Stop recording").is_none());
+    bench.take_control_and_arm();
+    bench.harness.get_by_role_and_label(Role::Button, "Stop and set aside").scroll_to_me();
+    bench.harness.run_steps(5);
+    bench.click("Stop and set aside");
+    let ended = Request::ActOnTake(TakeAction::End { set_aside: true });
+    assert!(bench.api.0.borrow().sent.contains(&ended));
+    let bench = Bench::new("#/record", &free(Some(FreeTakeState::Accepted)));
+    bench.harness.get_by_label_contains("take-02 is part of session by-hand-1.");
+    bench.harness.get_by_role_and_label(Role::Button, "Look at take-02");
 }
 
 #[test]

@@ -6,8 +6,9 @@ use palpate_ui::api_client::{ApiEvent, CampaignAct, JobAct, Request};
 use palpate_wire::{
     api::{
         Attempt, Campaign, CampaignObject, CampaignPlan, CampaignPolicy, CampaignResults, CampaignSummary,
-        FailureModes, Job, JobKindDocument, JobPage, JobRequest, JobState, PolicyResult, Role as May,
-        RolloutOutcome, SuccessRate, Trial, TrialOrder, TrialStart, TrialState, TrialVerdict, Via,
+        ComparedModel, ComparedPairing, ComparedTouch, ComparedTrial, ComparisonReport, FailureModes, Job,
+        JobKindDocument, JobPage, JobRequest, JobState, LeftOutTrial, PolicyResult, Role as May,
+        RolloutOutcome, SaidBy, SuccessRate, Trial, TrialOrder, TrialStart, TrialState, TrialVerdict, Via,
     },
     proto::{Changed, StreamMessage, stream_message},
 };
@@ -175,6 +176,19 @@ fn policies_run_by_one_button_and_say_what_they_wait_for() {
         runner: None,
     });
     assert!(api.0.borrow().sent.contains(&asked));
+
+    // Trials become takes unless somebody does not want that, and that is said.
+    let api = with_rollouts(None, None);
+    let mut harness = page(&api, &FakeWindow::at("#/trials"));
+    harness.run_steps(3);
+    assert!(harness.query_by_role_and_label(Role::TextInput, "in session").is_some());
+    harness.get_by_label("Record each trial as a take").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("Without takes there is nothing to diagnose");
+    harness.get_by_role_and_label(Role::Button, "Let the policies run here").click();
+    harness.run_steps(3);
+    let is_asked = |request: &Request| matches!(request, Request::SubmitJob(job) if job.request["without_recording"] == true);
+    assert!(api.0.borrow().sent.iter().any(is_asked));
 
     let api = with_rollouts(None, Some(rollouts(JobState::Running)));
     let mut harness = page(&api, &FakeWindow::at("#/trials"));
@@ -385,8 +399,8 @@ fn what_an_empty_screen_says_is_not_cut_on_a_phone() {
     assert!(rect.left() >= 48.0 && rect.right() <= phone[0], "{rect:?}");
 }
 
-#[test]
-fn what_can_be_compared_with_the_simulator_is_a_command_to_copy() {
+/// A campaign of five trials, each with a record in this folder.
+fn compared(folder: &str) -> Campaign {
     let mut made = campaign(TrialState::Unscored);
     made.plan.policies.push(CampaignPolicy {
         id: "numb".into(),
@@ -394,22 +408,27 @@ fn what_can_be_compared_with_the_simulator_is_a_command_to_copy() {
         is_silenced: true,
     });
     let first = made.trials[0].clone();
-    let trial = |number: u32, policy: &str, verdict: TrialVerdict, record: &str| {
+    let trial = |number: u32, policy: &str, verdict: TrialVerdict, record: String| {
         let mut trial = Trial { number, policy: Some(policy.into()), ..first.clone() };
         trial.attempts[0].verdict = Some(verdict);
         if let Some(outcome) = &mut trial.attempts[0].outcome {
-            outcome.record = Some(record.into());
+            outcome.record = Some(record);
         }
         trial
     };
     made.trials = vec![
-        trial(1, "dp", TrialVerdict::Success, "runs/first night/trial-0001-0.jsonl"),
-        trial(2, "numb", TrialVerdict::Success, "runs/first night/trial-0002-0.jsonl"),
-        trial(3, "dp", TrialVerdict::Void, "runs/first night/trial-0003-0.jsonl"),
-        trial(4, "dp", TrialVerdict::Slip, "runs/first night/trial-0004-0.jsonl"),
-        trial(5, "dp", TrialVerdict::Slip, "trial-0005-0.jsonl"),
+        trial(1, "dp", TrialVerdict::Success, format!("{folder}/trial-0001-0.jsonl")),
+        trial(2, "numb", TrialVerdict::Success, format!("{folder}/trial-0002-0.jsonl")),
+        trial(3, "dp", TrialVerdict::Void, format!("{folder}/trial-0003-0.jsonl")),
+        trial(4, "dp", TrialVerdict::Slip, format!("{folder}/trial-0004-0.jsonl")),
+        trial(5, "dp", TrialVerdict::Slip, "trial-0005-0.jsonl".into()),
     ];
-    let api = with(&made);
+    made
+}
+
+/// The results of `campaign`, and a studio that compares unless there is a `problem`, with this job.
+fn with_comparison(campaign: &Campaign, problem: Option<&str>, job: Option<Job>) -> SharedApi {
+    let api = with(campaign);
     let results = CampaignResults {
         campaign: "first-trials".into(),
         planned: 5,
@@ -419,18 +438,177 @@ fn what_can_be_compared_with_the_simulator_is_a_command_to_copy() {
         agreement: None,
         published: Vec::new(),
     };
-    let body = serde_json::to_vec(&results).expect("it is plain data");
-    api.0.borrow_mut().answer(&Request::CampaignResults("first-trials".into()), body);
+    let kind = JobKindDocument {
+        kind: "comparison".into(),
+        resources: Default::default(),
+        is_available: problem.is_none(),
+        problem: problem.map(str::to_owned),
+    };
+    let page = JobPage { jobs: job.into_iter().collect(), next_cursor: None };
+    let mut fake = api.0.borrow_mut();
+    let json = |value: Result<Vec<u8>, serde_json::Error>| value.expect("it is plain data");
+    fake.answer(&Request::CampaignResults("first-trials".into()), json(serde_json::to_vec(&results)));
+    fake.answer(&Request::Kinds, json(serde_json::to_vec(&[kind])));
+    fake.answer(&Request::Jobs(None), json(serde_json::to_vec(&page)));
+    drop(fake);
+    api
+}
+
+fn comparison(state: JobState) -> Job {
+    let mut job = job("comparison-1", "comparison", state);
+    job.stage = "dp on cube: trials".into();
+    job.spec.request = serde_json::json!({ "campaign": "first-trials", "models": ["nominal"] });
+    job
+}
+
+const RESULTS: &str = "#/trials?campaign=first-trials&part=results";
+/// Where jobs of the studio leave the records of a campaign.
+const OWN_RECORDS: &str = "/data/campaigns/first-trials/rollout";
+
+#[test]
+fn what_was_made_elsewhere_is_compared_by_a_command_to_copy() {
+    let api = with_comparison(&compared("runs/first night"), None, None);
     for size in [[390.0, 844.0], [1280.0, 800.0]] {
-        let at = FakeWindow::at("#/trials?campaign=first-trials&part=results");
-        let mut harness = page_of(&api, &at, size);
-        harness.get_by_label("Compare with the simulator").click();
+        let mut harness = page_of(&api, &FakeWindow::at(RESULTS), size);
+        harness.get_by_label_contains("These trials were made outside the studio");
+        assert!(harness.query_by_label("Compare with the simulator").is_none());
+        harness.get_by_label("In a terminal instead").click();
         harness.run_steps(20);
         harness.get_by_label_contains("This runs outside the studio");
         harness.get_by_label("palpate-train compare-rollout --rollout 'runs/first night' --only 1,4");
         let copy = harness.get_by_role_and_label(Role::Button, "Copy the command for dp on cube").rect();
         assert!(copy.right() <= size[0], "{copy:?}");
         assert!(harness.query_by_label_contains("for numb").is_none());
+    }
+}
+
+#[test]
+fn trials_are_compared_with_the_simulator_by_one_button() {
+    let api = with_comparison(&compared(OWN_RECORDS), None, None);
+    let mut harness = page_of(&api, &FakeWindow::at(RESULTS), [390.0, 844.0]);
+    harness.run_steps(3);
+    // The studio of the fixture has one saved model, without effects.
+    harness.get_by_label_contains("no diagnosed one: none is saved yet");
+    harness.get_by_role_and_label(Role::Button, "Compare with the simulator").click();
+    harness.run_steps(3);
+    let sent = api.0.borrow().sent.clone();
+    let asked = sent.iter().find_map(|request| match request {
+        Request::SubmitJob(job) => Some((job.kind.clone(), job.request.clone())),
+        _ => None,
+    });
+    let request = serde_json::json!({ "campaign": "first-trials", "models": ["nominal", "bench-fit"] });
+    assert_eq!(asked, Some(("comparison".to_owned(), request)));
+
+    let api = with_comparison(&compared(OWN_RECORDS), None, Some(comparison(JobState::Running)));
+    let mut harness = page(&api, &FakeWindow::at(RESULTS));
+    harness.run_steps(3);
+    harness.get_by_label_contains("comparison-1 compares. dp on cube: trials");
+    harness.get_by_role_and_label(Role::Button, "Stop comparing").click();
+    harness.run_steps(3);
+    let stopped = Request::ActOnJob { job: "comparison-1".into(), act: JobAct::Cancel };
+    assert!(api.0.borrow().sent.contains(&stopped));
+
+    let missing = "palpate-train is not installed beside palpate; build it with `cargo build`";
+    let api = with_comparison(&compared(OWN_RECORDS), Some(missing), None);
+    let mut harness = page(&api, &FakeWindow::at(RESULTS));
+    harness.run_steps(3);
+    harness.get_by_label_contains("This studio cannot simulate trials: palpate-train is not installed");
+    let mut blind = compared(OWN_RECORDS);
+    blind.plan.is_blind = true;
+    let api = with_comparison(&blind, None, None);
+    let mut harness = page(&api, &FakeWindow::at(RESULTS));
+    harness.run_steps(3);
+    harness.get_by_label_contains("it can be compared once it is closed");
+}
+
+/// What a comparison of three trials found: the first differs, and its take has no object that was followed.
+pub(crate) fn found(takes: bool) -> ComparisonReport {
+    let rate = |successes: u64| SuccessRate {
+        successes,
+        trials: 3,
+        rate: Some(successes as f64 / 3.0),
+        wilson_95: [0.2, 0.9],
+        clopper_pearson_95: [0.1, 0.95],
+    };
+    let pairing = |model: &str, won: u64| ComparedPairing {
+        policy: Some("dp".into()),
+        object: Some("cube".into()),
+        model: model.into(),
+        hand: rate(2),
+        simulated: rate(won),
+        same_verdict: 2,
+        only_hand: 0,
+        only_simulated: 1,
+        p_mcnemar: 1.0,
+        touch: Some(ComparedTouch {
+            f1: Some(0.4),
+            gap: Some(0.0223),
+            onset_error_ms: Some(400.0),
+            hand_contacts: 16,
+            simulated_contacts: 61,
+        }),
+    };
+    let trial = |number: u32, hand: TrialVerdict| ComparedTrial {
+        trial: number,
+        policy: "dp".into(),
+        object: "cube".into(),
+        hand,
+        said_by: if number == 1 { SaidBy::Scorers } else { SaidBy::Robot },
+        simulated: vec![TrialVerdict::Success; 2],
+        take: takes.then(|| format!("first-trials-takes/take-0{number}")),
+        is_followed: number > 1,
+        is_start_planned: number == 1,
+    };
+    let model = |id: &str, name: &str| ComparedModel { id: id.into(), name: name.into() };
+    ComparisonReport {
+        campaign: "first-trials".into(),
+        models: vec![model("nominal", "Nominal"), model("bench-fit", "Bench, diagnosed")],
+        trials: vec![
+            trial(1, TrialVerdict::Slip),
+            trial(2, TrialVerdict::Success),
+            trial(4, TrialVerdict::Success),
+        ],
+        left_out: vec![LeftOutTrial { trial: 3, why: "it is void".into() }],
+        pairings: vec![pairing("nominal", 3), pairing("bench-fit", 3)],
+    }
+}
+
+#[test]
+fn where_outcomes_differ_is_shown_beside_the_trials_and_leads_to_a_diagnosis() {
+    for (size, takes) in [([390.0, 844.0], true), ([1280.0, 800.0], true), ([1280.0, 800.0], false)] {
+        let api = with_comparison(&compared(OWN_RECORDS), None, Some(comparison(JobState::Done)));
+        let body = serde_json::to_vec(&found(takes)).expect("it is plain data");
+        api.0.borrow_mut().answer(&Request::ComparisonReport("comparison-1".into()), body);
+        let window = FakeWindow::at(RESULTS);
+        let mut harness = page_of(&api, &window, size);
+        harness.run_steps(6);
+        if let Some(folder) = std::env::var_os("PALPATE_ARTIFACTS") {
+            let picture = harness.render().expect("it is painted on the CPU");
+            let name = format!("compared_{}_{takes}.png", size[0]);
+            picture.save(std::path::PathBuf::from(folder).join(name)).expect("the folder can be written");
+        }
+        harness.get_by_label("Outcomes differ in 1 of 3 trials.");
+        for text in ["2/3 (20 to 90 %)", "slip (scored)", "0.0223"] {
+            assert!(harness.query_all_by_label(text).next().is_some(), "{text}");
+        }
+        assert_eq!(harness.query_all_by_label("\u{2716} success").count(), 2, "one a model");
+        assert!(harness.query_by_label("success (the robot's own)").is_none(), "they agree");
+        harness.get_by_label_contains("In 1 trial nobody measured where the object began");
+        if !takes {
+            harness.get_by_label_contains("were not recorded as takes");
+            assert!(harness.query_by_label_contains("Diagnose these takes").is_none());
+            continue;
+        }
+        let doubt = harness.get_by_label_contains("In 1 take nobody followed the object").rect();
+        assert!(doubt.right() <= size[0], "{doubt:?}");
+        harness.get_by_role_and_label(Role::CheckBox, "Show trials that agree too").click();
+        harness.run_steps(3);
+        assert_eq!(harness.query_all_by_label("success (the robot's own)").count(), 2);
+        let diagnose = harness.get_by_role_and_label(Role::Button, "Diagnose these takes");
+        assert!(diagnose.rect().right() <= size[0], "{:?}", diagnose.rect());
+        diagnose.click();
+        harness.run_steps(3);
+        assert_eq!(window.current(), "#/diagnose/first-trials-takes");
     }
 }
 

@@ -8,20 +8,22 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class TakeTrace(_message.Message):
-    __slots__ = ("frame_times_s", "joint_positions", "real_active", "streams", "spans", "object_poses")
+    __slots__ = ("frame_times_s", "joint_positions", "real_active", "streams", "spans", "object_poses", "surroundings")
     FRAME_TIMES_S_FIELD_NUMBER: _ClassVar[int]
     JOINT_POSITIONS_FIELD_NUMBER: _ClassVar[int]
     REAL_ACTIVE_FIELD_NUMBER: _ClassVar[int]
     STREAMS_FIELD_NUMBER: _ClassVar[int]
     SPANS_FIELD_NUMBER: _ClassVar[int]
     OBJECT_POSES_FIELD_NUMBER: _ClassVar[int]
+    SURROUNDINGS_FIELD_NUMBER: _ClassVar[int]
     frame_times_s: _containers.RepeatedScalarFieldContainer[float]
     joint_positions: _containers.RepeatedScalarFieldContainer[float]
     real_active: bytes
     streams: _containers.RepeatedCompositeFieldContainer[StreamTrace]
     spans: _containers.RepeatedCompositeFieldContainer[SpanTrace]
     object_poses: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, frame_times_s: _Optional[_Iterable[float]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., real_active: _Optional[bytes] = ..., streams: _Optional[_Iterable[_Union[StreamTrace, _Mapping]]] = ..., spans: _Optional[_Iterable[_Union[SpanTrace, _Mapping]]] = ..., object_poses: _Optional[_Iterable[float]] = ...) -> None: ...
+    surroundings: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, frame_times_s: _Optional[_Iterable[float]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., real_active: _Optional[bytes] = ..., streams: _Optional[_Iterable[_Union[StreamTrace, _Mapping]]] = ..., spans: _Optional[_Iterable[_Union[SpanTrace, _Mapping]]] = ..., object_poses: _Optional[_Iterable[float]] = ..., surroundings: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class StreamTrace(_message.Message):
     __slots__ = ("stream", "times_s", "raw", "active", "axes")

@@ -95,6 +95,8 @@ pub(super) struct Comparison {
     pub(super) control_rate_hz: f64,
     pub(super) num_recorded: usize,
     pub(super) left_out: LeftOut,
+    /// Trials that are compared with the object where the campaign's plan has it, because nobody measured where it was.
+    pub(super) starts_as_planned: Vec<u64>,
     pub(super) hand: Vec<OnHand>,
     pub(super) models: Vec<Model>,
     pub(super) seconds: f64,
@@ -311,8 +313,9 @@ impl Comparison {
         hand["seen_by_operator"] = json!(self.hand.len() - self.num_suggested());
         hand["suggested_by_robot"] = json!(self.num_suggested());
         if with_trials {
-            let trials =
-                self.hand.iter().map(|trial| json!({ "trial": trial.trial, "verdict": trial.verdict }));
+            let trials = self.hand.iter().map(|trial| {
+                json!({ "trial": trial.trial, "verdict": trial.verdict, "is_suggested": trial.is_suggested })
+            });
             hand["each"] = trials.collect();
         }
         json!({
@@ -322,6 +325,7 @@ impl Comparison {
             "recorded": self.num_recorded,
             "compared": self.hand.len(),
             "left_out": self.left_out,
+            "starts_as_planned": self.starts_as_planned,
             "control_rate_hz": self.control_rate_hz,
             "hand": hand,
             "models": models,
@@ -369,6 +373,14 @@ impl Comparison {
                 let shown: Vec<String> = numbers.iter().map(u64::to_string).collect();
                 let _ = writeln!(text, "left out, {why}: trial {}", shown.join(", "));
             }
+        }
+        if !self.starts_as_planned.is_empty() {
+            let shown: Vec<String> = self.starts_as_planned.iter().map(u64::to_string).collect();
+            let _ = writeln!(
+                text,
+                "the object begins where the plan has it, as nobody measured where it was: trial {}",
+                shown.join(", ")
+            );
         }
         if self.hand.is_empty() {
             return text;

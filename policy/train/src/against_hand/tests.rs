@@ -30,6 +30,7 @@ fn comparison(trials: &[(Verdict, Outcome)]) -> Comparison {
         channels: ["thumb", "index", "palm"].map(str::to_owned).to_vec(),
         control_rate_hz: 20.0,
         num_recorded: trials.len() + 2,
+        starts_as_planned: Vec::new(),
         left_out: LeftOut { unknown_start: vec![7], void: vec![9], ..LeftOut::default() },
         hand: (0..)
             .zip(trials)

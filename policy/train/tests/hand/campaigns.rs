@@ -6,10 +6,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use palpate_recording::Session;
 use palpate_rollout::link::Link;
 use palpate_rollout::operator::Operator;
 use palpate_rollout::studio::{RequestError, Studio};
-use palpate_wire::api::{Campaign, CampaignResults, Job, JobState, TrialVerdict};
+use palpate_wire::api::{Campaign, CampaignResults, ComparisonReport, Job, JobState, TrialVerdict};
 use serde_json::{Value, json};
 
 use super::station::{self, cube_station, palpate};
@@ -257,5 +258,29 @@ fn studio_makes_trials_itself_for_as_long_as_somebody_places_objects() {
     assert_eq!(until(&id, &|job| !job.is_unfinished()).state, JobState::Done);
     let report = std::fs::read(data.join("runs").join(&id).join("report.json")).expect("a report");
     let report: Value = serde_json::from_slice(&report).expect("JSON");
-    assert_eq!(report, json!({ "campaign": "by-the-studio", "ended": "paused", "trials_made": 0 }));
+    let session = "by-the-studio-takes";
+    let expected =
+        json!({ "campaign": "by-the-studio", "ended": "paused", "trials_made": 0, "session": session });
+    assert_eq!(report, expected);
+
+    // The trial became a take, which has the object where the plan put it, and is compared with simulation from there.
+    let campaign: Campaign = studio.get("/campaigns/by-the-studio").expect("the campaign");
+    assert_eq!(campaign.trials[0].attempts[0].take, Some(format!("{session}/take-01")));
+    let takes =
+        Session::open(&data.join("sessions").join(session)).and_then(|session| session.accepted_takes());
+    let take = takes.expect("a session").into_iter().next().expect("a take");
+    let planned_at = take.meta.base_from_object.translation;
+    let seen_at: [f64; 7] = serde_json::from_value(placed["object_pose"].clone()).expect("a pose");
+    let away_m =
+        (planned_at.x - seen_at[0]).hypot(planned_at.y - seen_at[1]).hypot(planned_at.z - seen_at[2]);
+    assert!(away_m < 0.002 && !take.meta.fixture_trusted, "{planned_at} against {seen_at:?}");
+    let request = json!({ "kind": "comparison", "request": { "campaign": "by-the-studio" } });
+    let id = studio.post::<Job>("/jobs", &request).expect("a job").id;
+    assert_eq!(until(&id, &|job| !job.is_unfinished()).state, JobState::Done);
+    let report = std::fs::read(data.join("runs").join(&id).join("report.json")).expect("a report");
+    let report: ComparisonReport = serde_json::from_slice(&report).expect("a comparison");
+    let [compared] = &report.trials[..] else { panic!("one trial: {report:?}") };
+    assert!(compared.is_start_planned && !compared.is_followed, "{compared:?}");
+    assert_eq!((compared.simulated.len(), report.pairings.len()), (1, 1), "{report:?}");
+    assert!(report.pairings[0].touch.as_ref().is_some_and(|touch| touch.f1.is_some()), "{report:?}");
 }

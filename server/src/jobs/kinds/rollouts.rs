@@ -2,6 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
+use palpate_recording::GrowingSession;
 use palpate_trials::{Viewer, campaign_of_folder};
 use palpate_wire::api::{Campaign, RolloutsRequest};
 use serde_json::Value;
@@ -10,7 +11,11 @@ use super::{
     JobKind, JobWork, LONG, parse,
     training::{Arguments, PolicyOf, Workplace, check_object, script_for},
 };
-use crate::{Error, Store, assets, data::files, jobs::way_in::URL_VARIABLE};
+use crate::{
+    Error, Store, assets,
+    data::files,
+    jobs::way_in::{OPERATOR_VARIABLE, URL_VARIABLE},
+};
 
 /// Makes the trials of a campaign.
 pub(crate) const ROLLOUTS: JobKind = JobKind {
@@ -34,7 +39,7 @@ const CLONE: &str = "clone:";
 const ENDING: &str = ".safetensors";
 /// Folder of the records of a campaign's trials, in the campaign's. It belongs to no job, so that a later one knows what an
 /// earlier one has begun.
-const RECORDS_DIR: &str = "rollout";
+pub(super) const RECORDS_DIR: &str = "rollout";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: RolloutsRequest = parse(&ROLLOUTS, request)?;
@@ -46,6 +51,9 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
         )));
     }
     sources(store, &campaign)?;
+    if let Some(session) = request.recorded_into() {
+        check_session(store, &session)?;
+    }
     let mut own = Vec::new();
     for object in &campaign.plan.objects {
         own.extend(check_object(store, &object.id)?);
@@ -62,16 +70,15 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
         ))
     })?;
     let workplace = Workplace::make(cx.folder)?;
-    for object in &campaign.plan.objects {
-        if let Some(own) = check_object(cx.store, &object.id)? {
-            let place = workplace.path().join("assets/objects").join(format!("{}.toml", object.id));
-            fs::copy(&own, &place).map_err(Error::io("copy", &own))?;
-        }
-    }
+    bring_objects(cx.store, &campaign, &workplace)?;
+    let session = request.recorded_into();
+    let operator = std::env::var_os(OPERATOR_VARIABLE);
     let records = folder(cx.store, &request.campaign)?.join(RECORDS_DIR);
     let mut arguments = Arguments::of("rollout")
         .with("campaign", &request.campaign)
-        .flag("placed-at-page", true)
+        .flag("placed-at-page", operator.is_none())
+        .path("operator", operator)
+        .maybe("record", session.as_deref())
         .flag("repeat-void", request.repeat_void)
         .with("name", &campaign.summary.name)
         .with("url", url)
@@ -83,7 +90,10 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     if !campaign.plan.is_blind {
         arguments.log();
     }
-    let report = cx.run_trainer_in(&workplace, arguments)?.unwrap_or_default();
+    let mut report = cx.run_trainer_in(&workplace, arguments)?.unwrap_or_default();
+    if let (Some(report), Some(session)) = (report.as_object_mut(), session) {
+        report.insert("session".to_owned(), session.into());
+    }
     cx.save_report(&report)?;
     // A rollout that is asked to stop ends well, and may do so before this process has heard of it.
     match report["ended"].as_str() {
@@ -92,14 +102,43 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     }
 }
 
+/// Refuses a session that takes cannot go into before the robot moves, and not at the first trial.
+fn check_session(store: &Store, id: &str) -> Result<(), Error> {
+    files::check_id("session", id)?;
+    let dir = store.sessions_dir().join(id);
+    if !dir.exists() {
+        return Ok(());
+    }
+    let why = match GrowingSession::steps_of(&dir)? {
+        None => "was not recorded by this studio",
+        // Those of free takes all say why they are no steps of a plan.
+        Some(steps) if steps.iter().any(|step| step.added_because.is_none()) => "follows a plan",
+        Some(_) => return Ok(()),
+    };
+    Err(Error::Conflict(format!(
+        "session {id:?} {why}, so the takes of trials cannot go into it; give another session, or without_recording"
+    )))
+}
+
+/// Copies one's own objects of `campaign` to where `palpate-train` looks for objects.
+pub(super) fn bring_objects(store: &Store, campaign: &Campaign, workplace: &Workplace) -> Result<(), Error> {
+    for object in &campaign.plan.objects {
+        if let Some(own) = check_object(store, &object.id)? {
+            let place = workplace.path().join("assets/objects").join(format!("{}.toml", object.id));
+            fs::copy(&own, &place).map_err(Error::io("copy", &own))?;
+        }
+    }
+    Ok(())
+}
+
 /// The folder of campaign `id`.
-fn folder(store: &Store, id: &str) -> Result<PathBuf, Error> {
+pub(super) fn folder(store: &Store, id: &str) -> Result<PathBuf, Error> {
     files::check_id("campaign", id)?;
     Ok(store.root().join("campaigns").join(id))
 }
 
 /// Campaign `id`, as whoever runs trials sees it.
-fn campaign(store: &Store, id: &str) -> Result<Campaign, Error> {
+pub(super) fn campaign(store: &Store, id: &str) -> Result<Campaign, Error> {
     let viewer = Viewer { name: ROLLOUTS.name.to_owned(), is_scorer: false };
     Ok(campaign_of_folder(&folder(store, id)?, &viewer)?)
 }

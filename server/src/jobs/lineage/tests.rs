@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use palpate_wire::api::{CampaignPlan, CampaignPolicy, JobSpec, ThetaReport};
+use palpate_wire::api::{CampaignPlan, CampaignPolicy, JobSpec, ThetaReport, Trial};
 use serde_json::json;
 
 use super::*;
@@ -68,6 +68,20 @@ fn campaign(sources: &[&str]) -> Campaign {
     }
 }
 
+/// A trial that became `take`.
+fn trial(take: &str) -> Trial {
+    let start = json!({ "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0, "side": 0.0, "seed": 1 });
+    let attempt = json!({
+        "began": "2026-01-05T00:00:00Z", "by": "olga", "outcome": null, "take": take, "has_ended": true, "scores": [],
+        "settled": null, "verdict": null,
+    });
+    let trial = json!({
+        "number": 1, "policy": "p0", "object": "cube", "start_number": 1, "start": start, "state": "unscored",
+        "attempts": [attempt],
+    });
+    serde_json::from_value(trial).unwrap()
+}
+
 fn keys(texts: &[&str]) -> Vec<ArtifactKey> {
     texts.iter().map(|text| ArtifactKey::parse(text).unwrap()).collect()
 }
@@ -103,12 +117,11 @@ fn takes_lead_to_a_model_a_policy_and_its_trials() {
         (calibrated, ArtifactSort::Model),
         (unsaved, ArtifactSort::Model),
     ];
-    let campaigns = [campaign(&[
-        "clone:data/runs/imitation-1/policy.safetensors",
-        "{object}.safetensors",
-        "script:close",
-    ])];
-    let lineage = trace(&["demo".to_owned()], &[model("bench")], &done, &campaigns);
+    let mut night =
+        campaign(&["clone:data/runs/imitation-1/policy.safetensors", "{object}.safetensors", "script:close"]);
+    night.trials = vec![trial("night-takes/take-01"), trial("deleted/take-01"), trial("night-takes/take-02")];
+    let sessions = ["demo".to_owned(), "night-takes".to_owned()];
+    let lineage = trace(&sessions, &[model("bench")], &done, &[night]);
 
     let of = |text: &str| lineage.get(&ArtifactKey::parse(text).unwrap()).unwrap();
     let bench = of("model:bench");
@@ -129,6 +142,12 @@ fn takes_lead_to_a_model_a_policy_and_its_trials() {
     let trials = of("campaign:night");
     assert_eq!(trials.made_from, keys(&["script:close", "policy:ball", "policy:cube", "policy:imitation-1"]));
     assert!(of("policy:cube").is_shipped && !policy.is_shipped);
+    assert_eq!(
+        of("session:night-takes").made_from,
+        keys(&["campaign:night"]),
+        "its takes are those of trials"
+    );
+    assert!(lineage.get(&ArtifactKey::parse("session:deleted").unwrap()).is_none());
     let session = ArtifactKey::parse("session:demo").unwrap();
     let children: Vec<_> = lineage.made_of(&session).map(|artifact| artifact.key.to_string()).collect();
     assert_eq!(children, ["model:bench"]);

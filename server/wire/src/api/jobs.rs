@@ -20,7 +20,7 @@ pub struct JobRequest {
     pub kind: String,
     /// What is asked, in the form of its kind: `CalibrationRequest`, `DiagnosisRequest`, `EmulateRequest`, `BlindRequest`,
     /// `ExpertRequest`, `EvaluationRequest`, `DemonstrationsRequest`, `PretrainingRequest`, `GatheringRequest`,
-    /// `ImitationRequest`, `PipelineRequest`, `RolloutsRequest`, `TuneRequest`.
+    /// `ImitationRequest`, `PipelineRequest`, `RolloutsRequest`, `ComparisonRequest`, `TuneRequest`.
     #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub request: Value,
     /// Seed of everything random.

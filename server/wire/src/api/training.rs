@@ -159,6 +159,21 @@ pub struct RolloutsRequest {
     /// Make trials that were scored void once more, after all others.
     #[serde(default)]
     pub repeat_void: bool,
+    /// Id of the session that each trial becomes a take of, which is made if there is none; absent means the campaign's id
+    /// with `-takes` after it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
+    /// Record no takes: what the trials felt is then in their records alone, at the rate of the live stream.
+    #[serde(default)]
+    pub without_recording: bool,
+}
+
+impl RolloutsRequest {
+    /// Id of the session that takes go into; `None` where none are recorded.
+    pub fn recorded_into(&self) -> Option<String> {
+        let usual = || format!("{}-takes", self.campaign);
+        (!self.without_recording).then(|| self.session.clone().unwrap_or_else(usual))
+    }
 }
 
 /// Request of a job of kind `imitation`: learns to do what an expert did. An attempt that was cut off goes on from its last

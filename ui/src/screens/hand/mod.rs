@@ -443,6 +443,7 @@ fn shot_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut HandState,
         looks: &looks,
         object: shot.object.as_ref().map(|(id, pose)| (id.as_str(), pose)),
         commanded_from_link: &commanded_from_link,
+        surroundings: shot.take.as_ref().map_or(&[], |(take, _)| take.surroundings()),
     };
     let details = Details {
         station: &shot.station,

@@ -95,6 +95,7 @@ impl PlacementView {
             looks: &looks,
             object: Some((object, base_from_object)),
             commanded_from_link: &start_from_link,
+            surroundings: &[],
         };
         let seen = view3d_ui(ui, rect, &mut self.view, &geometry, &moment, palette, surface);
         if seen.response.is_some_and(|response| response.double_clicked()) {

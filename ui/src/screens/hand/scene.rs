@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix4, Point3, Unit, UnitQuaternion, Vector3};
-use palpate_robot_model::{LinkShape, ObjectShape, Patch, Robot, Station};
+use palpate_robot_model::{FixedBox, LinkShape, ObjectShape, Patch, Robot, Station};
 
 use super::{
     camera::{Bounds, Ray},
@@ -42,6 +42,8 @@ pub(super) struct Geometry {
     object_meshes: BTreeMap<String, usize>,
     marker_mesh: usize,
     axis_mesh: usize,
+    /// A cube of one metre, which boxes are made of.
+    box_mesh: usize,
     /// For each mesh: a ball around it.
     bounds: Vec<Option<Bounds>>,
     /// The link that all patches hang from.
@@ -107,6 +109,8 @@ pub(super) struct SceneColors {
     pub object: [f32; 4],
     /// Links where they are told to be.
     pub ghost: [f32; 4],
+    /// What stands beside the object.
+    pub surroundings: [f32; 4],
 }
 
 /// What of the scene is shown.
@@ -161,6 +165,7 @@ impl Geometry {
             .collect();
         let marker_mesh = add(Mesh::lens(0.45, 20));
         let axis_mesh = add(axes_mesh());
+        let box_mesh = add(Mesh::rounded_box([1.0; 3], 0.0005, WHITE));
         let bounds = meshes.iter().map(Mesh::bounds).collect();
         let hand_root = hand_root(station);
         Self {
@@ -172,6 +177,7 @@ impl Geometry {
             object_meshes,
             marker_mesh,
             axis_mesh,
+            box_mesh,
             bounds,
             hand_root,
             views: views(station, hand_root),
@@ -191,6 +197,7 @@ impl Geometry {
             object_meshes: BTreeMap::new(),
             marker_mesh: 0,
             axis_mesh: 0,
+            box_mesh: 0,
             hand_root: 0,
             views: Vec::new(),
         }
@@ -258,6 +265,19 @@ impl Geometry {
             instances.push(solid(mesh, pose, colors.object));
         }
         instances
+    }
+
+    /// Boxes that stand beside the object and do not move.
+    pub(super) fn boxes(&self, boxes: &[FixedBox], color: [f32; 4]) -> Vec<Instance> {
+        let instance = |fixed: &FixedBox| Instance {
+            mesh: self.box_mesh,
+            root_from_mesh: fixed.base_from_box.cast::<f32>().to_homogeneous()
+                * Matrix4::new_nonuniform_scaling(&Vector3::from(fixed.size_m).cast()),
+            color,
+            unlit: 0.0,
+            rim: 0.0,
+        };
+        boxes.iter().map(instance).collect()
     }
 
     /// The links that are not yet where they are told to be, translucent, there. Links that are would only flicker over

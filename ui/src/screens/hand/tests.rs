@@ -82,6 +82,7 @@ const COLORS: SceneColors = SceneColors {
     skin: [0.3, 0.3, 0.3, 1.0],
     object: [0.5, 0.5, 0.5, 0.4],
     ghost: [0.1, 0.1, 0.1, 0.3],
+    surroundings: [0.1, 0.1, 0.1, 0.25],
 };
 
 #[test]
@@ -265,6 +266,7 @@ fn take_trace(station: &Station) -> TakeTrace {
         .collect();
     TakeTrace {
         object_poses: Vec::new(),
+        surroundings: Vec::new(),
         joint_positions: frame_times_s
             .iter()
             .flat_map(|_| std::iter::repeat_n(0.1, station.robot.num_dofs()))
@@ -416,6 +418,7 @@ fn no_view_looks_through_what_carries_the_pad() {
             looks: &[],
             object: None,
             commanded_from_link: &[],
+            surroundings: &[],
         };
         let opening = home(geometry, &moment, 1.5, SHOWN);
         let named = geometry.views.iter().map(|view| {

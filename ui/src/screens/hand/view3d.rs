@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use egui::{Align2, Color32, FontId, Key, PointerButton, Pos2, Rect, Rgba, Sense, Vec2, accesskit::Role};
 use nalgebra::{Isometry3, Point3, Vector3};
-use palpate_robot_model::Station;
+use palpate_robot_model::{FixedBox, Station};
 
 use super::{
     camera::{Bounds, Camera},
@@ -76,6 +76,8 @@ pub(super) struct Moment<'a> {
     pub object: Option<(&'a str, &'a Isometry3<f64>)>,
     /// Pose of every link where it is told to be; empty where nothing is commanded.
     pub commanded_from_link: &'a [Isometry3<f64>],
+    /// Boxes that stand beside the object.
+    pub surroundings: &'a [FixedBox],
 }
 
 /// What the pointer did.
@@ -299,6 +301,9 @@ pub(super) fn view3d_ui(
             &colors,
             state.shown,
         );
+        if state.shown.object {
+            instances.extend(geometry.boxes(moment.surroundings, colors.surroundings));
+        }
         if state.ghost {
             let [from, to] = [moment.root_from_link, moment.commanded_from_link];
             instances.extend(geometry.ghost(from, to, colors.ghost, state.shown));
@@ -432,6 +437,7 @@ fn scene_colors(palette: &Palette) -> SceneColors {
             skin: linear(Color32::from_rgb(0x4a, 0x4d, 0x55), 1.0),
             object: linear(Color32::from_rgb(0xb9, 0xa8, 0x8c), 0.45),
             ghost: linear(palette.text_weak, 0.2),
+            surroundings: linear(palette.text_weak, 0.25),
         }
     } else {
         SceneColors {
@@ -439,6 +445,7 @@ fn scene_colors(palette: &Palette) -> SceneColors {
             skin: linear(Color32::from_rgb(0x6a, 0x6d, 0x75), 1.0),
             object: linear(Color32::from_rgb(0xb0, 0x98, 0x72), 0.45),
             ghost: linear(palette.text_weak, 0.2),
+            surroundings: linear(palette.text_weak, 0.25),
         }
     }
 }

@@ -181,7 +181,7 @@ fn wanted_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartSta
 }
 
 /// The first name of the form `plan-1` that no session has.
-fn free_name(plan: &str, known: &[&str]) -> String {
+pub(super) fn free_name(plan: &str, known: &[&str]) -> String {
     (1..)
         .map(|number| format!("{plan}-{number}"))
         .find(|name| !known.contains(&name.as_str()))
@@ -189,7 +189,7 @@ fn free_name(plan: &str, known: &[&str]) -> String {
 }
 
 /// Why a session cannot be called so: its name becomes a folder.
-fn name_problem(name: &str) -> Option<&'static str> {
+pub(super) fn name_problem(name: &str) -> Option<&'static str> {
     let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     if name.is_empty() {
         Some("Give the session a name.")

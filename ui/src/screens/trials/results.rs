@@ -5,7 +5,7 @@ use palpate_wire::api::{
     Campaign, CampaignResults, PolicyComparison, PolicyResult, Role, Scope, SuccessRate,
 };
 
-use super::beside::beside_ui;
+use super::beside::{BesideState, beside_ui};
 use crate::{
     screens::{ScreenContext, duration_text, failed_ui, loading_ui},
     store::Loadable,
@@ -16,7 +16,12 @@ const BESIDE: f32 = 520.0;
 /// Height of a line of the picture.
 const LINE: f32 = 24.0;
 
-pub(super) fn results_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
+pub(super) fn results_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut BesideState,
+    campaign: &Campaign,
+) {
     let id = &campaign.summary.id;
     let is_kept_back = campaign.plan.is_blind
         && campaign.summary.closed.is_none()
@@ -52,7 +57,7 @@ pub(super) fn results_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign
         ui.hyperlink_to("JSON", format!("/api/v1/campaigns/{id}/results"));
         ui.hyperlink_to("every trial (CSV)", format!("/api/v1/campaigns/{id}/tables/trials.csv"));
     });
-    beside_ui(ui, cx, campaign);
+    beside_ui(ui, cx, state, campaign);
     for published in &results.published {
         ui.label(
             RichText::new(format!("{}: {}.", published.label, published.source))

@@ -6,7 +6,7 @@ use palpate_wire::api::{
 };
 
 use super::{
-    hand::hand_ui,
+    hand::{HandState, hand_ui},
     place::{place_ui, words},
     state_label,
 };
@@ -15,14 +15,19 @@ use crate::{api_client::CampaignAct, screens::ScreenContext};
 /// With less room than this, points, what is to be done stands below the picture.
 const BESIDE: f32 = 460.0;
 
-pub(super) fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, campaign: &Campaign) {
+pub(super) fn run_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    state: &mut HandState,
+    campaign: &Campaign,
+) {
     let next = campaign.next.and_then(|number| trial(campaign, number));
     if campaign.summary.paused.is_some() {
         ui.label("The campaign is paused: no trial begins, neither here nor from a rollout, until somebody goes on.");
         ui.add_space(4.0);
     }
     if runs(cx) && cx.store.people.lacks(Role::Operator, Scope::Jobs).is_none() {
-        hand_ui(ui, cx, campaign);
+        hand_ui(ui, cx, state, campaign);
     }
     match next {
         Some(trial) if campaign.summary.paused.is_some() && trial.state != TrialState::Running => {
