@@ -307,7 +307,17 @@ def test_a_slow_reader_gets_new_frames(p: Palpate) -> None:
 
 def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
     kinds = {kind.kind: kind for kind in p.jobs.kinds()}
-    trainings = ["tune", "expert", "evaluation", "demonstrations", "pretraining", "gathering", "imitation", "pipeline"]
+    trainings = [
+        "tune",
+        "expert",
+        "evaluation",
+        "demonstrations",
+        "pretraining",
+        "gathering",
+        "imitation",
+        "pipeline",
+        "comparison",
+    ]
     assert set(kinds) >= {"calibrate", "diagnose", *trainings}
     # Where palpate-train is missing, that is said of all of them.
     assert len({kinds[kind].problem for kind in trainings}) == 1
@@ -321,6 +331,7 @@ def test_trainings_are_asked_for_by_name(p: Palpate) -> None:
         lambda: p.jobs.imitation(["no such job"]),
         lambda: p.jobs.pipeline(preset="no such preset"),
         lambda: p.jobs.rollouts("no such campaign"),
+        lambda: p.jobs.comparison("no such campaign"),
     ]
     for ask in asks:
         with pytest.raises(PalpateError) as caught:

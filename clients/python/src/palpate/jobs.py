@@ -362,7 +362,15 @@ class Jobs:
         """
         return self._train("pipeline", 0, key, preset=preset, config=config, model=model)
 
-    def rollouts(self, campaign: str, *, repeat_void: bool = False, key: str | None = None) -> Job:
+    def rollouts(
+        self,
+        campaign: str,
+        *,
+        repeat_void: bool = False,
+        session: str | None = None,
+        without_recording: bool = False,
+        key: str | None = None,
+    ) -> Job:
         """Makes the trials of a campaign on the hand. Somebody places each object and begins its trial at the page.
 
         The token needs the scope `control`: the job takes control of the robot.
@@ -370,10 +378,31 @@ class Jobs:
         Args:
             campaign: Id of the campaign.
             repeat_void: Make trials that were scored void once more, after all others.
+            session: Session that each trial becomes a take of; the campaign's id with `-takes` after it without one.
+            without_recording: Record no takes.
             key: The same text again gives the same job again.
 
         """
-        return self._train("rollouts", 0, key, campaign=campaign, repeat_void=repeat_void)
+        return self._train(
+            "rollouts",
+            0,
+            key,
+            campaign=campaign,
+            repeat_void=repeat_void,
+            session=session,
+            without_recording=without_recording,
+        )
+
+    def comparison(self, campaign: str, *, models: Iterable[str | Model] = (), key: str | None = None) -> Job:
+        """Makes the trials of a campaign once more in simulation, from the same starts, with each sensor model.
+
+        Args:
+            campaign: Id of the campaign; the records of its trials are those that jobs of kind `rollouts` left.
+            models: Saved models; `nominal` is the station's own, which is compared alone without any.
+            key: The same text again gives the same job again.
+
+        """
+        return self._train("comparison", 0, key, campaign=campaign, models=models)
 
     def tune(
         self,

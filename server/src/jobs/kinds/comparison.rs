@@ -90,7 +90,7 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     };
     let mut groups: BTreeMap<(&str, &str), Vec<Recorded<'_>>> = BTreeMap::new();
     for trial in recorded {
-        groups.entry((trial.policy, &trial.trial.object)).or_default().push(trial);
+        groups.entry((trial.policy, trial.trial.object.as_str())).or_default().push(trial);
     }
     let num_groups = groups.len();
     let mut problem = None;
@@ -274,7 +274,8 @@ fn add(report: &mut ComparisonReport, found: Found, trials: &[Recorded<'_>]) -> 
         };
         let simulated =
             found.models.iter().map(|model| of_trial(&model.same_start.each).map(|(verdict, _)| verdict));
-        let (Some(on_hand), Some(simulated)) = (of_trial(&found.hand.each), simulated.collect()) else {
+        let simulated: Option<Vec<TrialVerdict>> = simulated.collect();
+        let (Some(on_hand), Some(simulated)) = (of_trial(&found.hand.each), simulated) else {
             let why = "the simulation says nothing of it".to_owned();
             report.left_out.push(LeftOutTrial { trial: number, why });
             continue;
