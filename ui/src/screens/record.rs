@@ -165,10 +165,12 @@ impl View for RecordState {
                 self.start_pose = StartPose::Unknown;
                 egui::CentralPanel::default().show(ui, |ui| {
                     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                        // What comes first may widen it; the bar that scrolls lies over the right edge.
+                        let width = (ui.available_width() - 24.0).min(520.0);
                         start::start_ui(ui, cx, &mut self.start, &document);
                         ui.add_space(16.0);
                         ui.vertical_centered(|ui| {
-                            ui.set_max_width(ui.available_width().min(520.0));
+                            ui.set_max_width(width);
                             ui.with_layout(egui::Layout::top_down(egui::Align::Min), |ui| {
                                 free::free_ui(ui, cx, &mut self.free, &document, &station);
                             });

@@ -601,12 +601,21 @@ fn where_outcomes_differ_is_shown_beside_the_trials_and_leads_to_a_diagnosis() {
         }
         let doubt = harness.get_by_label_contains("In 1 take nobody followed the object").rect();
         assert!(doubt.right() <= size[0], "{doubt:?}");
+        harness.get_by_role_and_label(Role::CheckBox, "Show trials that agree too").scroll_to_me();
+        harness.run_steps(5);
         harness.get_by_role_and_label(Role::CheckBox, "Show trials that agree too").click();
         harness.run_steps(3);
         assert_eq!(harness.query_all_by_label("success (the robot's own)").count(), 2);
         let diagnose = harness.get_by_role_and_label(Role::Button, "Diagnose these takes");
         assert!(diagnose.rect().right() <= size[0], "{:?}", diagnose.rect());
-        diagnose.click();
+        diagnose.scroll_to_me();
+        harness.run_steps(5);
+        if let Some(folder) = std::env::var_os("PALPATE_ARTIFACTS") {
+            let picture = harness.render().expect("it is painted on the CPU");
+            let name = format!("compared_{}_below.png", size[0]);
+            picture.save(std::path::PathBuf::from(folder).join(name)).expect("the folder can be written");
+        }
+        harness.get_by_role_and_label(Role::Button, "Diagnose these takes").click();
         harness.run_steps(3);
         assert_eq!(window.current(), "#/diagnose/first-trials-takes");
     }

@@ -153,6 +153,10 @@ fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut FreeState,
         ui.add(egui::DragValue::new(&mut state.yaw_deg).speed(1.0).range(-180.0..=180.0).suffix("\u{b0}"))
             .labelled_by(label.id);
     });
+    if state.at_mm == [0.0; 3] {
+        let text = "0, 0, 0 is the robot's base itself. Without the real place the take is good for looking at alone.";
+        ui.label(RichText::new(text).color(cx.palette.text_weak));
+    }
     ui.checkbox(&mut state.is_fixed, "A fixture holds it there")
         .on_hover_text("Without, a calibration or a diagnosis cannot rely on where the object was");
     let sessions = cx.store.sessions();

@@ -66,13 +66,13 @@ fn pairings_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &ComparisonRep
                 "Won on the hand",
                 "Won in simulation",
                 "Same outcome",
-                "Only hand",
-                "Only simulation",
-                "p",
                 "Touch: F1",
                 "Gap",
                 "Contacts, hand",
                 "simulation",
+                "Won by hand alone",
+                "by simulation alone",
+                "p",
             ] {
                 ui.label(RichText::new(name).color(cx.palette.text_weak));
             }
@@ -91,13 +91,13 @@ fn pairings_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &ComparisonRep
                     rate_text(&pairing.hand),
                     rate_text(&pairing.simulated),
                     format!("{} of {}", pairing.same_verdict, pairing.hand.trials),
-                    pairing.only_hand.to_string(),
-                    pairing.only_simulated.to_string(),
-                    format!("{:.2}", pairing.p_mcnemar),
                     number(touch.and_then(|touch| touch.f1), 2),
                     number(touch.and_then(|touch| touch.gap), 4),
                     contacts(touch.map(|touch| touch.hand_contacts)),
                     contacts(touch.map(|touch| touch.simulated_contacts)),
+                    pairing.only_hand.to_string(),
+                    pairing.only_simulated.to_string(),
+                    format!("{:.2}", pairing.p_mcnemar),
                 ] {
                     ui.label(text);
                 }
