@@ -178,7 +178,7 @@ fn origin_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
                 *cx.go_to = Some(Route { campaign: Some(key.id.clone()), ..Route::to(Screen::Trials) });
             }
             if !policies.is_empty() {
-                ui.label(format!("of {}.", policies.join(", ")));
+                ui.label(format!("which tries {}.", policies.join(", ")));
             }
         });
     }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use palpate_wire::{
     api::{
-        LiveModel, RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording, StartTake,
-        TakeAction, WantedTake,
+        FreeTakeState, LiveModel, RecordingAction, RecordingDocument, RecordingPhase, Source, StartRecording,
+        StartTake, TakeAction, WantedTake,
     },
     proto::{ControlState, control_state::Phase},
 };
@@ -15,6 +15,13 @@ use crate::api_client::Request;
 
 /// A live frame counts as live for so long: stations send many a second.
 const LIVE_FOR_S: f64 = 2.0;
+
+/// Session and id of the newest take outside guided sessions, once it is in the session's folder.
+fn settled(document: &RecordingDocument) -> Option<(String, Option<String>)> {
+    let free = document.free.as_ref()?;
+    let is_settled = matches!(free.state, FreeTakeState::Accepted | FreeTakeState::SetAside);
+    is_settled.then(|| (free.session.clone(), free.take.clone()))
+}
 
 impl Store {
     /// The checklist of the session that is being recorded.
@@ -173,6 +180,16 @@ impl Store {
             && newest.is_some_and(|newest| newest >= known.revision)
         {
             return;
+        }
+        let before = self.recording.ready().map(|document| settled(document));
+        if let (Some(before), Some(now)) = (before, recording.ready().and_then(settled))
+            && before.as_ref() != Some(&now)
+        {
+            // A take outside guided sessions has come to its session, whoever recorded it.
+            let (session, _) = now;
+            self.details.remove(&session);
+            self.checks.remove(&session);
+            self.outbox.push(Request::Sessions);
         }
         self.recording = shared(recording);
     }

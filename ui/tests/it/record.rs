@@ -221,6 +221,18 @@ fn a_take_of_what_one_does_now_begins_and_ends_by_whoever_has_control() {
     bench.click("Stop and set aside");
     let ended = Request::ActOnTake(TakeAction::End { set_aside: true });
     assert!(bench.api.0.borrow().sent.contains(&ended));
+    // Once it is over, every page looks for it in its session.
+    bench.api.0.borrow_mut().sent.clear();
+    let over = RecordingDocument { revision: 2, ..free(Some(FreeTakeState::SetAside)) };
+    bench
+        .api
+        .0
+        .borrow_mut()
+        .answer(&Request::Recording, serde_json::to_vec(&over).expect("it is plain data"));
+    bench.state.recording = Some(RecordingStatus { revision: 2, ..Default::default() });
+    bench.tell();
+    bench.harness.get_by_label_contains("take-02 of by-hand-1 was set aside.");
+    assert!(bench.api.0.borrow().sent.contains(&Request::Sessions));
     let bench = Bench::new("#/record", &free(Some(FreeTakeState::Accepted)));
     bench.harness.get_by_label_contains("take-02 is part of session by-hand-1.");
     bench.harness.get_by_role_and_label(Role::Button, "Look at take-02");

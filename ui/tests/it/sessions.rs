@@ -48,6 +48,22 @@ fn check_results_and_coverage_are_in_words_too() {
 }
 
 #[test]
+fn takes_of_trials_lead_back_to_their_campaign() {
+    let api = full_api();
+    let lineage = serde_json::json!({ "artifacts": [
+        { "sort": "session", "id": "bench-1", "name": "bench-1", "made_from": [{ "sort": "campaign", "id": "night" }] },
+        { "sort": "campaign", "id": "night", "name": "Night", "made_from": [{ "sort": "policy", "id": "cube" }] },
+    ] });
+    api.0.borrow_mut().answer(&Request::Lineage, lineage.to_string().into_bytes());
+    let window = FakeWindow::at("#/sessions/bench-1");
+    let mut harness = page(&api, &window);
+    harness.get_by_label("which tries cube.");
+    harness.get_by_role_and_label(Role::Button, "Night").click();
+    harness.run_steps(3);
+    assert_eq!(window.current(), "#/trials?campaign=night");
+}
+
+#[test]
 fn deleted_session_can_be_brought_back() {
     let api = full_api();
     api.0.borrow_mut().answer(&Request::DeleteSession("bench-1".into()), Vec::new());

@@ -249,10 +249,16 @@ pub(super) async fn outcome(
     who: Who,
     Body(end): Body<TrialEnd>,
 ) -> Answer<Json<Campaign>> {
-    change(&state, id, move |campaigns, id| {
+    let take = end.outcome.take.clone();
+    let ended = change(&state, id, move |campaigns, id| {
         campaigns.end(id, (trial, end.attempt), &end.outcome, &who.operator())
     })
-    .await
+    .await?;
+    // Its take was recorded meanwhile, which pages that show the session's list have not heard of.
+    if let Some((session, _)) = take.as_deref().and_then(|take| take.split_once('/')) {
+        state.hub().publish_changed(List::Sessions, session);
+    }
+    Ok(ended)
 }
 
 /// Gives a trial a verdict.
