@@ -4,11 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{
-    SensorModel, Theta,
+    SensorModel, StreamTheta, Theta,
     job::{Cancel, Progress},
     tactile,
 };
-use palpate_wire::api::{CalibrationReport, HeldOut, MetricsPair, TakeMetrics, ThetaReport};
+use palpate_wire::api::{
+    CalibrationReport, HeldOut, MetricsPair, Objective, StreamFit, StreamThetaReport, TakeMetrics,
+    ThetaReport,
+};
 use rayon::prelude::*;
 
 use crate::{
@@ -16,7 +19,7 @@ use crate::{
     bootstrap::intervals_95,
     hold_out::held_out,
     metrics::{MetricsSum, compare_take},
-    sweep::{FitData, Fitted, Watch, fit},
+    sweep::{FitData, FittedStreams, Watch, fit_streams},
 };
 
 /// What to do.
@@ -30,6 +33,9 @@ pub struct CalibrationConfig {
     pub num_alphas: usize,
     /// Values of each lambda on the grid. At least 2.
     pub num_lambdas: usize,
+    /// Whether streams of a kind share one theta. Else each stream of a layout in which several have the same kind has its
+    /// own, because skins of different make do not soften or switch alike.
+    pub shared_theta: bool,
     /// Bootstrap resamples of takes for the 95 % intervals; 0 leaves them out.
     pub bootstrap_resamples: usize,
     /// Seed of the bootstrap.
@@ -43,6 +49,7 @@ impl Default for CalibrationConfig {
             hold_out: HoldOut::Auto,
             num_alphas: 20,
             num_lambdas: 20,
+            shared_theta: false,
             bootstrap_resamples: 2000,
             seed: 0,
         }
@@ -100,7 +107,7 @@ pub enum CalibrationError {
     Cancelled,
 }
 
-/// Fits theta on the takes that are not held out and judges it on all of them.
+/// Fits theta, one for each stream where streams are several of a kind, on the takes that are not held out and judges it on all of them.
 ///
 /// Refuses a `nominal` model with effects: the searches know theta alone, and thresholds that are fitted as if an
 /// effect were absent absorb a part of it.
@@ -121,8 +128,8 @@ pub fn calibrate(
     let held_out = held_out(&config.hold_out, takes)?;
     let fitted_takes: Vec<&PairedTake> =
         takes.iter().zip(&held_out).filter(|&(_, &held_out)| !held_out).map(|(take, _)| take).collect();
-    let touched = |kind| fitted_takes.iter().any(|take| take.has_real_contact(layout, kind));
-    if ![SensorKind::Proximity, SensorKind::Pressure].into_iter().any(touched) {
+    let data = FitData::new(layout, fitted_takes.iter().copied());
+    if ![SensorKind::Proximity, SensorKind::Pressure].into_iter().any(|kind| data.has_real_contact(kind)) {
         let ids: Vec<&str> = fitted_takes.iter().map(|take| take.id.as_str()).collect();
         return Err(CalibrationError::Input(format!(
             "no real contact in the takes to fit ({}), so there is nothing to match; check the stream thresholds of the \
@@ -132,12 +139,13 @@ pub fn calibrate(
     }
 
     let watch = Watch { progress, cancel, span: [0.0, 0.8] };
-    let data = FitData::new(layout, fitted_takes.iter().copied());
     let start_s = clock_s();
-    let Fitted { theta, evaluations, objective, mut notes } = fit(config, &data, nominal.theta, watch)?;
+    let fitted = fit_streams(config, &data, nominal, watch)?;
     let seconds = clock_s() - start_s;
 
+    let theta = fitted.shared.as_ref().map_or(nominal.theta, |(theta, _)| *theta);
     let model = SensorModel {
+        streams: fitted.streams.iter().map(|(id, (own, _))| (id.clone(), *own)).collect(),
         provenance: provenance(config, takes, &held_out),
         ..SensorModel::plain(format!("{}, calibrated", nominal.name), theta)
     };
@@ -153,14 +161,7 @@ pub fn calibrate(
         })
         .collect::<Result<_, _>>()?;
     watch.within([0.95, 1.0]).step(0, 1, "resampling takes")?;
-    let report = Judgement { layout, judged: &judged }.report(
-        config,
-        [nominal.theta, theta],
-        objective,
-        evaluations,
-        seconds,
-        &mut notes,
-    );
+    let report = Judgement { layout, judged: &judged }.report(config, nominal, theta, fitted, seconds);
     progress.report(1.0, "done");
     let timelines = judged.into_iter().map(|take| take.timeline).collect();
     Ok(CalibrationOutcome { report, model, timelines })
@@ -178,6 +179,16 @@ fn check_inputs(
         return fail(format!(
             "model {:?} has effects ({}), beside which theta cannot be calibrated alone; diagnose the session from this \
              model, or calibrate a model without effects",
+            nominal.name,
+            ids.join(", ")
+        ));
+    }
+    nominal.check_streams(layout).map_err(|err| CalibrationError::Input(err.to_string()))?;
+    if config.shared_theta && !nominal.streams.is_empty() {
+        let ids: Vec<&str> = nominal.streams.keys().map(String::as_str).collect();
+        return fail(format!(
+            "model {:?} has parameters of their own for streams ({}), which a shared theta would drop; calibrate a theta \
+             for each stream, or start from a model without them",
             nominal.name,
             ids.join(", ")
         ));
@@ -279,15 +290,35 @@ impl Judgement<'_> {
             .fold([MetricsSum::default(); 2], |[n, c], [nominal, calibrated]| [n + nominal, c + calibrated])
     }
 
+    fn stream_fits(
+        &self,
+        nominal: &SensorModel,
+        fitted: BTreeMap<String, (StreamTheta, Objective)>,
+    ) -> BTreeMap<String, StreamFit> {
+        let kinds = self.layout.streams.iter().map(|stream| (stream.id.as_str(), stream.kind));
+        let kinds: BTreeMap<&str, SensorKind> = kinds.collect();
+        let of_stream = |(id, (theta, objective)): (String, (StreamTheta, Objective))| {
+            let before = nominal.thetas().of(&id);
+            let before = kinds.get(id.as_str()).map(|kind| StreamTheta::of_kind(*kind, &before));
+            let fit = StreamFit {
+                theta: stream_theta_report(&theta),
+                nominal_theta: stream_theta_report(&before.unwrap_or_default()),
+                objective,
+            };
+            (id, fit)
+        };
+        fitted.into_iter().map(of_stream).collect()
+    }
+
     fn report(
         &self,
         config: &CalibrationConfig,
-        [nominal_theta, theta]: [Theta; 2],
-        objective: palpate_wire::api::Objective,
-        evaluations: u64,
+        nominal: &SensorModel,
+        theta: Theta,
+        fitted: FittedStreams,
         seconds: f64,
-        notes: &mut Vec<String>,
     ) -> CalibrationReport {
+        let FittedStreams { shared, streams: of_streams, evaluations, mut notes } = fitted;
         let all_channels = 0..self.layout.num_channels();
         let pair = |[nominal, calibrated]: [MetricsSum; 2]| MetricsPair {
             nominal: nominal.metrics(),
@@ -322,7 +353,8 @@ impl Judgement<'_> {
             calibrated: everything.calibrated,
             held_out: HeldOut { nominal: unseen[0].metrics(), calibrated: unseen[1].metrics() },
             theta: theta_report(theta),
-            nominal_theta: theta_report(nominal_theta),
+            nominal_theta: theta_report(nominal.theta),
+            streams: self.stream_fits(nominal, of_streams),
             frames: self.judged.iter().map(|take| take.num_frames).sum(),
             channels: self.layout.num_channels(),
             evaluations,
@@ -337,10 +369,19 @@ impl Judgement<'_> {
                 config.bootstrap_resamples,
                 config.seed,
             ),
-            objective,
+            objective: shared.map(|(_, objective)| objective).unwrap_or_default(),
             held_out_takes: held_out_takes.map(|take| take.timeline.take.clone()).collect(),
-            notes: std::mem::take(notes),
+            notes,
         }
+    }
+}
+
+/// What a stream has of its own, as reports have it.
+pub fn stream_theta_report(theta: &StreamTheta) -> StreamThetaReport {
+    StreamThetaReport {
+        lambda_con_m: theta.lambda_con_m,
+        alpha_per_m: theta.alpha_per_m,
+        lambda_pre_pa: theta.lambda_pre_pa,
     }
 }
 

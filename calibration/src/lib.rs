@@ -16,6 +16,8 @@ pub mod sweep;
 mod timelines;
 
 pub use hold_out::held_out;
-pub use job::{CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, calibrate};
+pub use job::{
+    CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, calibrate, stream_theta_report,
+};
 pub use paired::PairedTake;
 pub use timelines::{StreamEvents, TakeTimeline};

@@ -66,14 +66,6 @@ impl PairedTake {
         self.frame_times_s.len()
     }
 
-    /// Real contact on a channel of `kind`?
-    pub(crate) fn has_real_contact(&self, layout: &TactileLayout, kind: SensorKind) -> bool {
-        let streams = || layout.streams.iter().filter(|stream| stream.kind == kind);
-        self.real_active
-            .chunks_exact(layout.num_channels().max(1))
-            .any(|real| streams().any(|stream| real[stream.channels.clone()].contains(&true)))
-    }
-
     /// Everything has the shape of `layout`, times increase, signals are numbers.
     pub(crate) fn check(&self, layout: &TactileLayout) -> Result<(), CalibrationError> {
         let fail = |problem: String| Err(CalibrationError::Input(format!("take {:?}: {problem}", self.id)));

@@ -6,6 +6,10 @@
 //! a step function of it that changes at the scores alone: [`Ranked`] sorts them once and knows it for every real
 //! threshold. [`exact()`] therefore searches alpha only; [`grid()`] is the paper's method, and counts every point afresh.
 //!
+//! Each part is a sum over channels, and a channel's signal depends on geometry and on the theta of its own stream alone. So
+//! where streams have one theta each, a search of each stream on its own channels finds the same as a search of all of them
+//! at once would.
+//!
 //! Admissible thresholds are those of a sensor model file: `lambda_con` up to [`palpate_sim::replay::NEAR_M`] and
 //! `lambda_pre` from zero (a negative one would make every taxel active without any touch).
 
@@ -19,7 +23,7 @@ mod signals;
 pub use axes::{GridAxes, alpha_axis};
 pub(crate) use exact::REFINEMENT_ROUNDS;
 pub use exact::{ExactResult, TriedAlpha, exact};
-pub(crate) use fit::{Fitted, fit};
+pub(crate) use fit::{FittedStreams, fit_streams};
 pub use grid::{GridResult, grid, l1_of_readings};
 pub use ranked::{BestThreshold, Ranked};
 pub use signals::FitData;

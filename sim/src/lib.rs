@@ -16,4 +16,6 @@ pub mod replay;
 mod sensor_model;
 pub mod tactile;
 
-pub use sensor_model::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, Theta};
+pub use sensor_model::{
+    MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, StreamTheta, Theta, Thetas,
+};

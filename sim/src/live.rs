@@ -77,8 +77,9 @@ impl LiveScene {
         let layout =
             moved(&station.layout, &kinematics.patch_offsets).unwrap_or_else(|| station.layout.clone());
         let sensing = if model.is_plain() {
-            let propagation = tactile::propagation(&layout, model.theta.alpha_per_m);
-            Sensing::Plain(propagation, tactile::thresholds(&layout, &model.theta))
+            let thetas = model.thetas();
+            let propagation = tactile::propagation(&layout, &thetas.alphas_per_m(&layout));
+            Sensing::Plain(propagation, tactile::thresholds(&layout, &thetas))
         } else {
             Sensing::Chain(Box::new(FrameChain::new(&model.chain(), &station, object, &layout)))
         };

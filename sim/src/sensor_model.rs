@@ -1,6 +1,7 @@
 //! The sensor model file: theta, the effects beyond it, and where its numbers came from.
 
 mod read;
+mod theta;
 
 use std::collections::BTreeMap;
 
@@ -10,6 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::effects::{self, Chain, Effect, Sensed, TakeScene};
 use crate::replay::{ContactTrace, NEAR_M, ReplayError};
 use crate::tactile::{self, Readings};
+use theta::misfit;
+pub use theta::{StreamTheta, Theta, Thetas};
 
 /// A sensor model as stored in TOML. Replay, live twin and training load this same file.
 ///
@@ -35,13 +38,16 @@ use crate::tactile::{self, Readings};
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SensorModel {
-    /// Version of the format that it was read from: 1, or 2 which adds `response` and `effect`. A model is written in
-    /// the lowest that holds it, so that what has no effects still opens with software that knows none.
+    /// Version of the format that it was read from: 1, or 2 which adds `response` and `effect`, or 3 which adds `stream`. A
+    /// model is written in the lowest that holds it, so that what has no effects still opens with software that knows none.
     pub format: u32,
     /// Name for people.
     pub name: String,
     /// The three parameters of the paper.
     pub theta: Theta,
+    /// By stream id, what streams have of theta for themselves.
+    #[serde(rename = "stream", skip_serializing_if = "BTreeMap::is_empty")]
+    pub streams: BTreeMap<String, StreamTheta>,
     /// Where the numbers came from: free text lines such as session, held-out takes, software version.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub provenance: Vec<String>,
@@ -51,21 +57,6 @@ pub struct SensorModel {
     /// Effects of the sensing chain.
     #[serde(rename = "effect", skip_serializing_if = "Vec::is_empty")]
     pub effects: Vec<Effect>,
-}
-
-/// theta = (lambda_con, alpha, lambda_pre) of the paper, section "Real-to-Sim Tactile Sensor Calibration".
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Theta {
-    /// A proximity patch is active if any node's signed distance is below this, m. Below [`NEAR_M`]; negative values
-    /// ask for penetration.
-    pub lambda_con_m: f64,
-    /// Spatial decay rate of pressure along the elastomer, 1/m; not negative. At zero every taxel of a patch reads
-    /// the same; beyond a few thousand only nodes right at a taxel count.
-    pub alpha_per_m: f64,
-    /// A taxel is active if its propagated pressure is above this, Pa; not negative, so that a taxel that nothing
-    /// touches is inactive.
-    pub lambda_pre_pa: f64,
 }
 
 /// [`Response::pad_softness_m`] of the softest pad that a model may have, m.
@@ -110,6 +101,15 @@ impl Response {
         (theta.lambda_con_m + self.proximity_band_m).min(NEAR_M)
     }
 
+    /// The load at which channels of `kind` switch on: Pa, or m into the reach.
+    pub fn on_load(&self, kind: SensorKind, theta: &Theta) -> f64 {
+        match kind {
+            // As far as the reach is from the threshold, and not the band itself, so that rounding is the same.
+            SensorKind::Proximity => self.reach_m(theta) - theta.lambda_con_m,
+            SensorKind::Pressure => theta.lambda_pre_pa,
+        }
+    }
+
     /// Of the stream called `stream`.
     pub fn off_fraction(&self, stream: &str) -> f64 {
         self.off_fractions.get(stream).copied().unwrap_or(1.0)
@@ -138,10 +138,16 @@ impl SensorModel {
             format: 1,
             name: name.into(),
             theta,
+            streams: BTreeMap::new(),
             provenance: Vec::new(),
             response: Response::default(),
             effects: Vec::new(),
         }
+    }
+
+    /// theta of every stream.
+    pub fn thetas(&self) -> Thetas<'_> {
+        Thetas::new(self.theta, &self.streams)
     }
 
     /// Whether theta alone decides what it reads: no effects, no hysteresis, no soft pads.
@@ -153,15 +159,22 @@ impl SensorModel {
 
     /// The file's text.
     pub fn to_toml(&self) -> String {
-        let format = if self.effects.is_empty() && self.response.is_default() { 1 } else { 2 };
-        toml::to_string_pretty(&Self { format, ..self.clone() })
-            .expect("numbers, texts and lists of them have a TOML form")
+        let mut model = self.clone();
+        model.streams.retain(|_, theta| !theta.is_empty());
+        model.format = match (model.streams.is_empty(), self.effects.is_empty() && self.response.is_default())
+        {
+            (false, _) => 3,
+            (true, false) => 2,
+            (true, true) => 1,
+        };
+        toml::to_string_pretty(&model).expect("numbers, texts and lists of them have a TOML form")
     }
 
     /// Whether `station` has what the model speaks of: streams, places of effects, and exactly the parameters of each
     /// effect there, within their bounds. Problems name the effect and its place.
     pub fn check_for(&self, station: &Station) -> Result<(), SensorModelError> {
         let problem = |problem| SensorModelError { file: format!("sensor model {:?}", self.name), problem };
+        self.check_streams(&station.layout)?;
         for stream in self.response.off_fractions.keys() {
             if station.layout.stream_index(stream).is_none() {
                 let known = station.layout.streams.iter().map(|stream| stream.id.as_str());
@@ -180,6 +193,14 @@ impl SensorModel {
         Ok(())
     }
 
+    /// Whether `layout` has the streams that have parameters of their own, each of a kind that uses them.
+    pub fn check_streams(&self, layout: &TactileLayout) -> Result<(), SensorModelError> {
+        match misfit(&self.streams, layout) {
+            Some(problem) => Err(SensorModelError { file: format!("sensor model {:?}", self.name), problem }),
+            None => Ok(()),
+        }
+    }
+
     /// What the hardware would have read in `scene` if the model were right. A model that does not fit the station is
     /// refused.
     pub fn sense(&self, scene: &TakeScene<'_>) -> Result<Sensed, ReplayError> {
@@ -194,6 +215,7 @@ impl SensorModel {
     pub fn readings(&self, scene: &TakeScene<'_>, contact: &ContactTrace) -> Result<Readings, ReplayError> {
         let layout = &scene.station.layout;
         if self.is_plain() {
+            self.check_streams(layout).map_err(|err| ReplayError::Model(err.to_string()))?;
             return Ok(tactile::readings(layout, contact, self));
         }
         let sensed = self.sense(scene)?;
@@ -216,11 +238,12 @@ impl SensorModel {
 
     /// Turns loads (frame-major) into raw readings.
     pub(crate) fn loads_as_readings(&self, layout: &TactileLayout, values: &mut [f64]) {
-        let reach_m = self.response.reach_m(&self.theta);
+        let thetas = self.thetas().by_stream(layout);
+        let reaches_m: Vec<f64> = thetas.iter().map(|theta| self.response.reach_m(theta)).collect();
         for frame in values.chunks_exact_mut(layout.num_channels().max(1)) {
             for (channel, value) in layout.channels.iter().zip(frame) {
                 if layout.streams[channel.stream].kind == SensorKind::Proximity {
-                    *value = reach_m - *value;
+                    *value = reaches_m[channel.stream] - *value;
                 }
             }
         }
@@ -228,7 +251,7 @@ impl SensorModel {
 
     /// Its sensing chain, switching hard.
     pub(crate) fn chain(&self) -> Chain<'_> {
-        Chain::new(self.theta, &self.response, &self.effects, &[])
+        Chain::new(self.thetas(), &self.response, &self.effects, &[])
     }
 }
 

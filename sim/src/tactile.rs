@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Patch, SensorKind, TactileLayout};
 
+use crate::SensorModel;
 use crate::parallel::for_each_chunk;
 use crate::replay::{ContactTrace, PatchTrace};
-use crate::{SensorModel, Theta};
+use crate::sensor_model::Thetas;
 
 /// Simulated readings of every channel over a take, frame-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,9 +31,10 @@ pub struct Propagation {
     pub weights: Vec<f64>,
 }
 
-/// The weights of every patch of `layout` for one `alpha` (1/m); empty for proximity patches.
-pub fn propagation(layout: &TactileLayout, alpha_per_m: f64) -> Vec<Propagation> {
-    layout.patches.iter().map(|patch| patch_propagation(layout, patch, alpha_per_m)).collect()
+/// The weights of every patch of `layout`, each with its alpha (1/m); empty for proximity patches.
+pub fn propagation(layout: &TactileLayout, alphas_per_m: &[f64]) -> Vec<Propagation> {
+    let patches = layout.patches.iter().zip(alphas_per_m);
+    patches.map(|(patch, &alpha_per_m)| patch_propagation(layout, patch, alpha_per_m)).collect()
 }
 
 /// [`propagation`] of one patch.
@@ -61,13 +63,18 @@ pub(crate) fn patch_propagation(layout: &TactileLayout, patch: &Patch, alpha_per
 /// # Panics
 /// If `trace` was made with another layout: a caller's bug.
 pub fn raw_signals(layout: &TactileLayout, trace: &ContactTrace, alpha_per_m: f64) -> Vec<f64> {
+    propagated(layout, trace, &vec![alpha_per_m; layout.patches.len()])
+}
+
+/// [`raw_signals`] with a decay for each patch, 1/m.
+fn propagated(layout: &TactileLayout, trace: &ContactTrace, alphas_per_m: &[f64]) -> Vec<f64> {
     let num_channels = layout.num_channels();
     assert_eq!(trace.patches.len(), layout.patches.len(), "one trace per patch of the layout");
     let mut raw = vec![0.0; trace.num_frames * num_channels];
     if raw.is_empty() {
         return raw;
     }
-    let propagation = propagation(layout, alpha_per_m);
+    let propagation = propagation(layout, alphas_per_m);
     for_each_chunk(&mut raw, CHUNK_FRAMES * num_channels, |chunk, raw| {
         for (i, frame_raw) in raw.chunks_exact_mut(num_channels).enumerate() {
             let frame = chunk * CHUNK_FRAMES + i;
@@ -147,10 +154,11 @@ pub fn propagate(weights: &[f64], touched: &[(u32, f64)], taxels: &mut [f64]) {
 
 /// The value that each channel's raw signal is compared with: `lambda_con` (m) for proximity channels, `lambda_pre`
 /// (Pa) for pressure channels.
-pub fn thresholds(layout: &TactileLayout, theta: &Theta) -> Vec<f64> {
+pub fn thresholds(layout: &TactileLayout, thetas: &Thetas<'_>) -> Vec<f64> {
+    let of_streams = thetas.by_stream(layout);
     let threshold = |channel: &palpate_robot_model::Channel| match layout.streams[channel.stream].kind {
-        SensorKind::Proximity => theta.lambda_con_m,
-        SensorKind::Pressure => theta.lambda_pre_pa,
+        SensorKind::Proximity => of_streams[channel.stream].lambda_con_m,
+        SensorKind::Pressure => of_streams[channel.stream].lambda_pre_pa,
     };
     layout.channels.iter().map(threshold).collect()
 }
@@ -168,8 +176,9 @@ pub fn is_active(kind: SensorKind, raw: f64, threshold: f64) -> bool {
 /// `lambda_con` must not be beyond [`crate::replay::NEAR_M`], which [`SensorModel::from_toml`] makes sure of.
 pub fn readings(layout: &TactileLayout, trace: &ContactTrace, model: &SensorModel) -> Readings {
     let num_channels = layout.num_channels();
-    let raw = raw_signals(layout, trace, model.theta.alpha_per_m);
-    let thresholds = thresholds(layout, &model.theta);
+    let thetas = model.thetas();
+    let raw = propagated(layout, trace, &thetas.alphas_per_m(layout));
+    let thresholds = thresholds(layout, &thetas);
     let mut active = Vec::with_capacity(raw.len());
     for frame_raw in raw.chunks_exact(num_channels.max(1)) {
         let channels = layout.channels.iter().zip(frame_raw).zip(&thresholds);

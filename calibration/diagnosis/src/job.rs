@@ -205,6 +205,7 @@ pub(crate) fn prepare<'a>(
     let paired: Vec<PairedTake> = takes.par_iter().map(PairedTake::from_take).collect::<Result<_, _>>()?;
     let is_confirm = held_out(&config.hold_out, &paired)?;
     let fitted: Vec<usize> = (0..takes.len()).filter(|&idx| !is_confirm[idx]).collect();
+    nominal.check_streams(&station.layout).map_err(|err| DiagnosisError::Input(err.to_string()))?;
     if !nominal.effects.is_empty() {
         // Thresholds that were calibrated without the effects would have absorbed a part of them.
         let (domain, start) = TactileDomain::new(station, takes, &fitted, nominal)?;
@@ -343,10 +344,16 @@ fn deployed(
     fitted: &[usize],
 ) -> Result<SensorModel, DiagnosisError> {
     let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
-    let (theta, response) = domain.theta_and_response(model);
+    let (theta, streams, response) = domain.theta_and_response(model);
     let name = calibrated.name.trim_end_matches(DIAGNOSED);
-    let mut model =
-        SensorModel { name: format!("{name}{DIAGNOSED}"), theta, response, effects, ..calibrated.clone() };
+    let mut model = SensorModel {
+        name: format!("{name}{DIAGNOSED}"),
+        theta,
+        streams,
+        response,
+        effects,
+        ..calibrated.clone()
+    };
     set_thresholds(station, &observed, &mut model)?;
     Ok(model)
 }

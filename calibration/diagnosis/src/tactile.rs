@@ -21,6 +21,7 @@ pub(crate) mod next;
 mod observe;
 pub(crate) mod posture;
 mod switched;
+mod theta;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -30,7 +31,7 @@ use nalgebra::Isometry3;
 use palpate_recording::Take;
 use palpate_robot_model::{Place, SensorKind, Station};
 use palpate_sim::effects::{self, Effect, Parameter};
-use palpate_sim::{MOST_SOFTNESS_M, Response, SensorModel, Theta};
+use palpate_sim::{MOST_SOFTNESS_M, SensorModel, StreamTheta, Theta};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -39,15 +40,16 @@ use crate::DiagnosisError;
 use crate::engine::{BaseParameter, Domain, Model, Series};
 use forward::Memory;
 pub(crate) use observe::Observed;
+use theta::{Of, holders, shared};
 
 /// Which number of a model's base is what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Base {
-    LambdaCon,
-    Alpha,
+    LambdaCon(Of),
+    Alpha(Of),
     /// Logarithm of the pressure threshold in Pa: it is fitted over orders of magnitude, as calibration of takes that lack
     /// something may leave it far from where it belongs.
-    LambdaPre,
+    LambdaPre(Of),
     Band,
     Softness,
     Width(usize),
@@ -63,6 +65,10 @@ pub struct TactileDomain<'a> {
     station: &'a Station,
     takes: Vec<Observed<'a>>,
     kinds: Vec<Base>,
+    /// theta where no number of the base says it: all streams that would use it have their own.
+    shared: Theta,
+    /// By stream id, which parameters streams have of their own.
+    own: BTreeMap<String, StreamTheta>,
     base: Vec<BaseParameter>,
     candidates: Vec<Effect>,
     /// Sets of patches of the same make. How pressure spreads to a taxel at the rim of a patch is only roughly what the
@@ -131,7 +137,6 @@ impl<'a> TactileDomain<'a> {
         ignore_uncertain_switching(station, &mut takes, fitted);
         let has = |kind: SensorKind| station.layout.streams.iter().any(|stream| stream.kind == kind);
         let raw = takes.iter().any(|take| take.has_raw);
-        let theta = start.theta;
         let mut kinds = Vec::new();
         let mut base = Vec::new();
         let mut values = Vec::new();
@@ -141,7 +146,12 @@ impl<'a> TactileDomain<'a> {
             values.push(value.clamp(lower, upper));
         };
         if has(SensorKind::Proximity) {
-            add(Base::LambdaCon, "lambda_con_m".into(), theta.lambda_con_m, [-0.02, 0.02], 1e-4);
+            for (of, theta, name) in
+                holders(station, start, SensorKind::Proximity, |own| own.lambda_con_m.is_some())
+            {
+                let name = format!("lambda_con_m{name}");
+                add(Base::LambdaCon(of), name, theta.lambda_con_m, [-0.02, 0.02], 1e-4);
+            }
             let softness_m = start.response.pad_softness_m.max(SOFTNESS_M);
             add(Base::Softness, "pad_softness_m".into(), softness_m, [2e-5, MOST_SOFTNESS_M], 5e-5);
             if raw {
@@ -150,9 +160,18 @@ impl<'a> TactileDomain<'a> {
             }
         }
         if has(SensorKind::Pressure) {
-            let (alpha, pre) = (theta.alpha_per_m.max(1.0), theta.lambda_pre_pa.max(1.0));
-            add(Base::Alpha, "alpha_per_m".into(), alpha, [1.0, 10.0 * alpha + 1000.0], 0.05 * alpha);
-            add(Base::LambdaPre, "ln_lambda_pre".into(), pre.ln(), PRESSURES_PA.map(f64::ln), 0.05);
+            for (of, theta, name) in
+                holders(station, start, SensorKind::Pressure, |own| own.alpha_per_m.is_some())
+            {
+                let (name, alpha) = (format!("alpha_per_m{name}"), theta.alpha_per_m.max(1.0));
+                add(Base::Alpha(of), name, alpha, [1.0, 10.0 * alpha + 1000.0], 0.05 * alpha);
+            }
+            for (of, theta, name) in
+                holders(station, start, SensorKind::Pressure, |own| own.lambda_pre_pa.is_some())
+            {
+                let (name, pre) = (format!("ln_lambda_pre{name}"), theta.lambda_pre_pa.max(1.0));
+                add(Base::LambdaPre(of), name, pre.ln(), PRESSURES_PA.map(f64::ln), 0.05);
+            }
         }
         for (idx, stream) in station.layout.streams.iter().enumerate() {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
@@ -197,6 +216,8 @@ impl<'a> TactileDomain<'a> {
             station,
             takes,
             kinds,
+            shared: shared(station, start),
+            own: start.streams.clone(),
             base,
             candidates,
             alike,
@@ -207,24 +228,6 @@ impl<'a> TactileDomain<'a> {
             memories,
         };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
-    }
-
-    /// The sensor model that `model` stands for, besides its effects.
-    pub fn theta_and_response(&self, model: &Model) -> (Theta, Response) {
-        let mut theta = Theta { lambda_con_m: 0.0, alpha_per_m: 0.0, lambda_pre_pa: 0.0 };
-        let mut response =
-            Response { off_fractions: known_off_fractions(self.station), ..Response::default() };
-        for (kind, &value) in self.kinds.iter().zip(&model.base) {
-            match kind {
-                Base::LambdaCon => theta.lambda_con_m = value,
-                Base::Alpha => theta.alpha_per_m = value,
-                Base::LambdaPre => theta.lambda_pre_pa = value.exp(),
-                Base::Band => response.proximity_band_m = value,
-                Base::Softness => response.pad_softness_m = value,
-                Base::Width(_) | Base::Exponent(_) | Base::Lag(_) | Base::Pattern(..) => {}
-            }
-        }
-        (theta, response)
     }
 
     /// What the model has of its own and effects can say: the lags of streams, and the patterns of patches that are
@@ -296,6 +299,8 @@ impl<'a> TactileDomain<'a> {
             memories: memories(self.station, takes.len()),
             takes,
             kinds: self.kinds.clone(),
+            shared: self.shared,
+            own: self.own.clone(),
             base: self.base.clone(),
             candidates: self.candidates.clone(),
             alike: self.alike.clone(),
@@ -464,8 +469,10 @@ impl Domain for TactileDomain<'_> {
         };
         let senses = |kind: SensorKind| of(&|channel| layout.streams[channel.stream].kind == kind);
         match self.kinds[idx] {
-            Base::LambdaCon | Base::Band | Base::Softness => senses(SensorKind::Proximity),
-            Base::Alpha | Base::LambdaPre => senses(SensorKind::Pressure),
+            Base::Band | Base::Softness => senses(SensorKind::Proximity),
+            Base::LambdaCon(_) | Base::Alpha(_) | Base::LambdaPre(_) => {
+                of(&|channel| self.has_number(idx, channel.stream))
+            }
             Base::Width(stream) | Base::Exponent(stream) | Base::Lag(stream) => {
                 of(&|channel| channel.stream == stream)
             }

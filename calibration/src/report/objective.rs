@@ -2,9 +2,9 @@
 
 use std::fmt::{self, Write as _};
 
-use palpate_wire::api::{CalibrationReport, Objective};
+use palpate_wire::api::{CalibrationReport, Objective, StreamFit, StreamThetaReport, ThetaReport};
 
-use super::tables::significant;
+use super::{Escaped, tables::significant};
 
 const LEFT: f64 = 64.0;
 const TOP: f64 = 8.0;
@@ -13,19 +13,48 @@ const HEIGHT: f64 = 260.0;
 
 pub(super) fn write(page: &mut String, report: &CalibrationReport) -> fmt::Result {
     page.push_str("<div class=\"pictures\">\n");
-    let objective = &report.objective;
-    if !objective.pressure_l1.is_empty() && !objective.lambda_pres_pa.is_empty() {
-        write_heat_map(page, report)?;
-    }
-    if !objective.lambda_cons_m.is_empty() {
-        write_curve(page, report)?;
+    for picture in pictures(report) {
+        let objective = picture.objective;
+        if !objective.pressure_l1.is_empty() && !objective.lambda_pres_pa.is_empty() {
+            write_heat_map(page, &picture)?;
+        }
+        if !objective.lambda_cons_m.is_empty() {
+            write_curve(page, &picture)?;
+        }
     }
     page.push_str("</div>\n");
     Ok(())
 }
 
-fn write_heat_map(page: &mut String, report: &CalibrationReport) -> fmt::Result {
-    let Objective { alphas_per_m, lambda_pres_pa, pressure_l1, .. } = &report.objective;
+/// One search, to be drawn.
+struct Picture<'a> {
+    /// Whose channels.
+    of: String,
+    objective: &'a Objective,
+    /// What is marked: the nominal parameters, then the calibrated ones.
+    marks: [(&'static str, StreamThetaReport); 2],
+}
+
+fn pictures(report: &CalibrationReport) -> Vec<Picture<'_>> {
+    if report.streams.is_empty() {
+        let whole = |theta: &ThetaReport| StreamThetaReport {
+            lambda_con_m: Some(theta.lambda_con_m),
+            alpha_per_m: Some(theta.alpha_per_m),
+            lambda_pre_pa: Some(theta.lambda_pre_pa),
+        };
+        let marks = [("nominal", whole(&report.nominal_theta)), ("calibrated", whole(&report.theta))];
+        return vec![Picture { of: String::new(), objective: &report.objective, marks }];
+    }
+    let of_stream = |(id, fit)| {
+        let StreamFit { theta, nominal_theta, objective }: &StreamFit = fit;
+        let marks = [("nominal", *nominal_theta), ("calibrated", *theta)];
+        Picture { of: format!(" of stream {id}"), objective, marks }
+    };
+    report.streams.iter().map(of_stream).collect()
+}
+
+fn write_heat_map(page: &mut String, picture: &Picture<'_>) -> fmt::Result {
+    let Objective { alphas_per_m, lambda_pres_pa, pressure_l1, .. } = picture.objective;
     let values = || pressure_l1.iter().flatten().copied();
     let (least, most) = (values().min().unwrap_or(0), values().max().unwrap_or(0));
     let shade = |l1: u64| {
@@ -35,7 +64,8 @@ fn write_heat_map(page: &mut String, report: &CalibrationReport) -> fmt::Result 
     };
     let cell_width = WIDTH / lambda_pres_pa.len() as f64;
     let cell_height = HEIGHT / alphas_per_m.len() as f64;
-    open_picture(page, "L1 of the pressure channels over alpha and lambda_pre")?;
+    let of = Escaped(&picture.of);
+    open_picture(page, &format!("L1 of the pressure channels{of} over alpha and lambda_pre"))?;
     for (row_idx, row) in pressure_l1.iter().enumerate() {
         // Small alphas at the bottom. Cells of one colour are one rectangle.
         let y = TOP + HEIGHT - (row_idx + 1) as f64 * cell_height;
@@ -53,10 +83,9 @@ fn write_heat_map(page: &mut String, report: &CalibrationReport) -> fmt::Result 
             column += run.len();
         }
     }
-    let marks = [("nominal", &report.nominal_theta), ("calibrated", &report.theta)];
-    for (class, theta) in marks {
-        let column = position_on(lambda_pres_pa, theta.lambda_pre_pa);
-        let row = position_on(alphas_per_m, theta.alpha_per_m);
+    for (class, theta) in &picture.marks {
+        let column = theta.lambda_pre_pa.and_then(|lambda_pre_pa| position_on(lambda_pres_pa, lambda_pre_pa));
+        let row = theta.alpha_per_m.and_then(|alpha_per_m| position_on(alphas_per_m, alpha_per_m));
         if let (Some(column), Some(row)) = (column, row) {
             let x = LEFT + (column + 0.5) * cell_width;
             let y = TOP + HEIGHT - (row + 0.5) * cell_height;
@@ -70,24 +99,25 @@ fn write_heat_map(page: &mut String, report: &CalibrationReport) -> fmt::Result 
     write_ends(page, lambda_pres_pa, "λ_pre, Pa", alphas_per_m, "α, 1/m")?;
     writeln!(
         page,
-        "<figcaption>L1 of the pressure channels on the fitted takes: {least} (dark) to {most} (bright). Rings: nominal \
+        "<figcaption>L1 of the pressure channels{of} on the fitted takes: {least} (dark) to {most} (bright). Rings: nominal \
          (orange, if in view) and calibrated (blue).</figcaption>\n</figure>"
     )
 }
 
-fn write_curve(page: &mut String, report: &CalibrationReport) -> fmt::Result {
-    let Objective { lambda_cons_m, proximity_l1, .. } = &report.objective;
+fn write_curve(page: &mut String, picture: &Picture<'_>) -> fmt::Result {
+    let Objective { lambda_cons_m, proximity_l1, .. } = picture.objective;
     let (low_m, high_m) = (lambda_cons_m[0], lambda_cons_m[lambda_cons_m.len() - 1]);
     let (least, most) =
         (proximity_l1.iter().min().copied().unwrap_or(0), proximity_l1.iter().max().copied().unwrap_or(0));
     let x_of = |lambda_m: f64| LEFT + WIDTH * (lambda_m - low_m) / (high_m - low_m).max(f64::MIN_POSITIVE);
     let y_of = |l1: u64| TOP + HEIGHT * (1.0 - l1 as f64 / most.max(1) as f64);
-    open_picture(page, "L1 of the proximity channels over lambda_con")?;
+    let of = Escaped(&picture.of);
+    open_picture(page, &format!("L1 of the proximity channels{of} over lambda_con"))?;
     let (bottom, right) = (TOP + HEIGHT, LEFT + WIDTH);
     writeln!(page, "<path class=\"axis\" d=\"M{LEFT} {TOP}V{bottom}H{right}\"/>")?;
-    for (class, theta) in [("nominal", &report.nominal_theta), ("calibrated", &report.theta)] {
-        if (low_m..=high_m).contains(&theta.lambda_con_m) {
-            let x = x_of(theta.lambda_con_m);
+    for (class, theta) in &picture.marks {
+        if let Some(lambda_con_m) = theta.lambda_con_m.filter(|at_m| (low_m..=high_m).contains(at_m)) {
+            let x = x_of(lambda_con_m);
             writeln!(
                 page,
                 "<path class=\"{class}\" stroke-width=\"2\" stroke-dasharray=\"4 3\" d=\"M{x:.1} {TOP}V{bottom}\"/>"
@@ -104,7 +134,7 @@ fn write_curve(page: &mut String, report: &CalibrationReport) -> fmt::Result {
     write_ends(page, &[low_mm, high_mm], "λ_con, mm", &[0.0, most as f64], "L1")?;
     writeln!(
         page,
-        "<figcaption>L1 of the proximity channels on the fitted takes; the lowest point shown is {least}. Dashed: nominal \
+        "<figcaption>L1 of the proximity channels{of} on the fitted takes; the lowest point shown is {least}. Dashed: nominal \
          (orange) and calibrated (blue).</figcaption>\n</figure>"
     )
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use palpate_wire::api::{CalibrationReport, Metrics};
+use palpate_wire::api::{CalibrationReport, Metrics, StreamFit};
 
 use super::{Escaped, metric_texts};
 
@@ -103,8 +103,11 @@ pub(super) fn write_pairs<'a>(
     Ok(())
 }
 
-/// theta before and after.
+/// theta before and after; of every stream where each has its own.
 pub(super) fn write_parameters(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+    if !report.streams.is_empty() {
+        return write_streams(page, report);
+    }
     let (before, after) = (&report.nominal_theta, &report.theta);
     let rows = [
         (
@@ -131,6 +134,34 @@ pub(super) fn write_parameters(page: &mut String, report: &CalibrationReport) ->
             significant(before),
             significant(after)
         )?;
+    }
+    page.push_str("</tbody>\n</table></div>\n");
+    Ok(())
+}
+
+fn write_streams(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+    page.push_str(
+        "<div class=\"scroll\"><table>\n<thead><tr><th>Stream</th><th>λ_con, mm</th><th>α, 1/m</th><th>λ_pre, Pa</th></tr></thead>\n<tbody>\n",
+    );
+    for (id, StreamFit { theta, nominal_theta, .. }) in &report.streams {
+        write!(page, "<tr><td>{}</td>", Escaped(id))?;
+        let pairs = [
+            (nominal_theta.lambda_con_m.map(|m| 1e3 * m), theta.lambda_con_m.map(|m| 1e3 * m)),
+            (nominal_theta.alpha_per_m, theta.alpha_per_m),
+            (nominal_theta.lambda_pre_pa, theta.lambda_pre_pa),
+        ];
+        for pair in pairs {
+            let (Some(before), Some(after)) = pair else {
+                write!(page, "<td>{NOTHING}</td>")?;
+                continue;
+            };
+            let (before, after) = (significant(before), significant(after));
+            write!(
+                page,
+                "<td><span class=\"was\">{before}</span> → <span class=\"now\">{after}</span></td>"
+            )?;
+        }
+        page.push_str("</tr>\n");
     }
     page.push_str("</tbody>\n</table></div>\n");
     Ok(())

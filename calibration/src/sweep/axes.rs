@@ -1,6 +1,6 @@
 //! Bounds and axes of the search, taken from the layout and the data.
 
-use palpate_robot_model::{SensorKind, TactileLayout};
+use palpate_robot_model::{Patch, SensorKind, TactileLayout};
 use palpate_sim::replay::NEAR_M;
 
 use super::signals::FitData;
@@ -26,11 +26,16 @@ pub struct GridAxes {
 ///
 /// Just zero where the layout has no pressure patch with an extent: alpha has no effect then.
 pub fn alpha_axis(layout: &TactileLayout, num_alphas: usize) -> Vec<f64> {
+    alpha_axis_of(layout, &vec![true; layout.streams.len()], num_alphas)
+}
+
+/// [`alpha_axis`] for the patches of the streams in `wanted`.
+pub(super) fn alpha_axis_of(layout: &TactileLayout, wanted: &[bool], num_alphas: usize) -> Vec<f64> {
     let mut farthest_m = 0.0_f64;
     let mut nearest_taxels_m = f64::INFINITY;
-    for patch in
-        layout.patches.iter().filter(|patch| layout.streams[patch.stream].kind == SensorKind::Pressure)
-    {
+    let is_wanted =
+        |patch: &&Patch| layout.streams[patch.stream].kind == SensorKind::Pressure && wanted[patch.stream];
+    for patch in layout.patches.iter().filter(is_wanted) {
         for (taxel_idx, taxel) in patch.taxels_in_link.iter().enumerate() {
             for node in &patch.nodes {
                 farthest_m = farthest_m.max((node.pos_in_link - taxel).norm());

@@ -1,12 +1,14 @@
 //! From either search to theta and the picture of the objective.
 
-use palpate_robot_model::SensorKind;
-use palpate_sim::{Theta, replay::NEAR_M};
+use std::collections::BTreeMap;
+
+use palpate_robot_model::{SensorKind, TactileLayout};
+use palpate_sim::{SensorModel, StreamTheta, Theta, replay::NEAR_M};
 use palpate_wire::api::Objective;
 
 use super::{
-    ExactResult, FitData, GridAxes, GridResult, Watch, alpha_axis,
-    axes::{linear_spaced, log_spaced},
+    ExactResult, FitData, GridAxes, GridResult, Watch,
+    axes::{alpha_axis_of, linear_spaced, log_spaced},
     exact::{REFINEMENT_ROUNDS, exact},
     grid::grid,
 };
@@ -19,21 +21,85 @@ const CURVE_POINTS: usize = 121;
 
 /// What a search came to.
 #[derive(Clone, Debug)]
-pub(crate) struct Fitted {
-    pub(crate) theta: Theta,
+struct Fitted {
+    theta: Theta,
+    evaluations: u64,
+    objective: Objective,
+    notes: Vec<String>,
+}
+
+/// What the searches of all streams came to.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct FittedStreams {
+    /// What streams share; `None` where each has its own, in `streams`.
+    pub(crate) shared: Option<(Theta, Objective)>,
+    /// By stream id.
+    pub(crate) streams: BTreeMap<String, (StreamTheta, Objective)>,
     pub(crate) evaluations: u64,
-    pub(crate) objective: Objective,
     pub(crate) notes: Vec<String>,
 }
 
+/// Searches theta on `data`: one for all streams where `config` wants it or no two streams have the same kind of sensor, else
+/// one for each stream. Parts that the data say nothing about stay as in `nominal`.
+pub(crate) fn fit_streams(
+    config: &CalibrationConfig,
+    data: &FitData<'_>,
+    nominal: &SensorModel,
+    watch: Watch<'_>,
+) -> Result<FittedStreams, CalibrationError> {
+    let layout = data.layout();
+    let is_alone = |kind| data.streams(kind).count() <= 1;
+    if config.shared_theta || (is_alone(SensorKind::Proximity) && is_alone(SensorKind::Pressure)) {
+        let Fitted { theta, evaluations, objective, notes } =
+            fit(config, data, nominal_shared(nominal, layout), watch)?;
+        return Ok(FittedStreams {
+            shared: Some((theta, objective)),
+            evaluations,
+            notes,
+            ..FittedStreams::default()
+        });
+    }
+    let mut all = FittedStreams::default();
+    let num_streams = layout.streams.len();
+    let [start, end] = watch.span;
+    for (idx, stream) in layout.streams.iter().enumerate() {
+        let at = |idx: usize| start + (end - start) * idx as f64 / num_streams as f64;
+        let wanted = (0..num_streams).map(|other| other == idx).collect();
+        let of_stream = FitData::of_streams(layout, wanted, data.takes().iter().copied());
+        let nominal = nominal.thetas().of(&stream.id);
+        let fitted = fit(config, &of_stream, nominal, watch.within([at(idx), at(idx + 1)]))?;
+        let own = StreamTheta::of_kind(stream.kind, &fitted.theta);
+        all.streams.insert(stream.id.clone(), (own, fitted.objective));
+        all.evaluations += fitted.evaluations;
+        all.notes.extend(fitted.notes.into_iter().map(|note| format!("stream {:?}: {note}", stream.id)));
+    }
+    Ok(all)
+}
+
+/// theta of `nominal` for a layout whose streams share one: that of a stream that has its own, where it is the only one of
+/// its kind.
+fn nominal_shared(nominal: &SensorModel, layout: &TactileLayout) -> Theta {
+    let mut theta = nominal.theta;
+    for stream in &layout.streams {
+        let own = nominal.thetas().of(&stream.id);
+        match stream.kind {
+            SensorKind::Proximity => theta.lambda_con_m = own.lambda_con_m,
+            SensorKind::Pressure => {
+                (theta.alpha_per_m, theta.lambda_pre_pa) = (own.alpha_per_m, own.lambda_pre_pa);
+            }
+        }
+    }
+    theta
+}
+
 /// Searches theta on `data`. Parts that the data say nothing about stay as in `nominal`.
-pub(crate) fn fit(
+fn fit(
     config: &CalibrationConfig,
     data: &FitData<'_>,
     nominal: Theta,
     watch: Watch<'_>,
 ) -> Result<Fitted, CalibrationError> {
-    let axis = alpha_axis(data.layout(), config.num_alphas);
+    let axis = alpha_axis_of(data.layout(), data.wanted(), config.num_alphas);
     let mut fitted = match config.method {
         Method::Exact => {
             // With the nominal alpha among those tried, the fit cannot be worse than the nominal model.
@@ -62,11 +128,9 @@ pub(crate) fn fit(
 
 /// A modality without any real contact would be silenced by the fit; it stays as it was instead.
 fn keep_nominal_where_untouched(data: &FitData<'_>, nominal: Theta, fitted: &mut Fitted) {
-    let untouched = |kind| !data.takes().iter().any(|take| take.has_real_contact(data.layout(), kind));
-    let streams = |kind| {
-        let streams = data.layout().streams.iter().filter(|stream| stream.kind == kind);
-        streams.map(|stream| stream.label.as_str()).collect::<Vec<_>>().join(", ")
-    };
+    let untouched = |kind| !data.has_real_contact(kind);
+    let streams =
+        |kind| data.streams(kind).map(|stream| stream.label.as_str()).collect::<Vec<_>>().join(", ");
     let mut keep = |kind, names: &str| {
         let labels = streams(kind);
         if !labels.is_empty() && untouched(kind) {

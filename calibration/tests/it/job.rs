@@ -4,9 +4,11 @@ use std::sync::Mutex;
 
 use palpate_calibration::{
     CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, PairedTake, calibrate,
+    report::ReportSource,
 };
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
+use palpate_sim::{SensorModel, StreamTheta, Theta};
 
 use crate::synthetic::{self, Size};
 
@@ -174,6 +176,116 @@ fn modality_without_contact_keeps_its_nominal_parameters_and_says_so() {
     assert_eq!(report.theta.lambda_con_m, report.nominal_theta.lambda_con_m);
     assert_ne!(report.theta.lambda_pre_pa, report.nominal_theta.lambda_pre_pa);
     assert!(report.notes.iter().any(|note| note.contains("lambda_con stays nominal")), "{:?}", report.notes);
+}
+
+/// Two skins of each kind, and takes of which every activation is that of a model with a theta for each.
+fn two_skins() -> (TactileLayout, Vec<PairedTake>, SensorModel) {
+    let layout = synthetic::of_two_skins(crate::SMALL);
+    let mut truth = crate::nominal();
+    for (stream, (lambda_con_m, alpha_per_m, lambda_pre_pa)) in layout.streams.iter().zip([
+        (0.0, 60.0, 300.0),
+        (0.0, 400.0, 1500.0),
+        (4e-3, 0.0, 0.0),
+        (-2e-4, 0.0, 0.0),
+    ]) {
+        let theta = StreamTheta::of_kind(stream.kind, &Theta { lambda_con_m, alpha_per_m, lambda_pre_pa });
+        truth.streams.insert(stream.id.clone(), theta);
+    }
+    let mut takes = synthetic::takes(crate::SMALL, &layout, 3);
+    for take in &mut takes {
+        take.real_active = palpate_sim::tactile::readings(&layout, &take.contact, &truth).active;
+    }
+    (layout, takes, truth)
+}
+
+#[test]
+fn each_of_two_skins_gets_the_theta_that_made_its_takes() {
+    let (layout, takes, truth) = two_skins();
+    let outcome = run(&CalibrationConfig::default(), &layout, &takes).expect("a sound session");
+    let (report, model) = (&outcome.report, &outcome.model);
+    // Every activation is explained, also on takes that the fit has not seen.
+    assert!(report.held_out.calibrated.f1 > Some(0.97), "{:?}", report.held_out.calibrated);
+    assert_eq!(model.theta, crate::nominal().theta);
+    assert_eq!(model.streams.keys().collect::<Vec<_>>(), truth.streams.keys().collect::<Vec<_>>());
+    for (id, found) in &model.streams {
+        let truth = truth.streams[id];
+        let near = |found: Option<f64>, truth: Option<f64>, slack: f64| match (found, truth) {
+            (Some(found), Some(truth)) => (found - truth).abs() <= slack,
+            (found, truth) => found == truth,
+        };
+        assert!(near(found.lambda_con_m, truth.lambda_con_m, 1e-3), "{id}: {found:?} of {truth:?}");
+        assert!(
+            near(found.alpha_per_m, truth.alpha_per_m, 0.25 * truth.alpha_per_m.unwrap_or(0.0)),
+            "{id}: {found:?} of {truth:?}"
+        );
+        assert!(
+            near(found.lambda_pre_pa, truth.lambda_pre_pa, 0.35 * truth.lambda_pre_pa.unwrap_or(0.0)),
+            "{id}: {found:?} of {truth:?}"
+        );
+        assert_eq!(report.streams[id].theta.alpha_per_m, found.alpha_per_m);
+        assert!(
+            !report.streams[id].objective.pressure_l1.is_empty()
+                || !report.streams[id].objective.proximity_l1.is_empty()
+        );
+    }
+    let source = ReportSource { session: "s", station: "t", created: "" };
+    let page = palpate_calibration::report::html(source, &outcome);
+    assert!(page.contains("L1 of the pressure channels of stream pad_b"), "{}", page.len());
+    assert!(
+        page.contains("<tr><td>patch_a</td><td><span class=\"was\">8.000</span>"),
+        "a row for each stream"
+    );
+
+    // One theta for all explains less.
+    let config = CalibrationConfig { shared_theta: true, ..CalibrationConfig::default() };
+    let shared = run(&config, &layout, &takes).expect("a sound session");
+    assert!(shared.model.streams.is_empty() && shared.report.streams.is_empty());
+    assert!(shared.report.calibrated.l1 > 2 * report.calibrated.l1, "{:?}", shared.report.calibrated);
+}
+
+#[test]
+fn a_shared_theta_and_a_layout_without_rivals_have_the_bits_of_one_search() {
+    let (_, mut takes, _) = two_skins();
+    let (together, parted) = (synthetic::layout(crate::SMALL), synthetic::of_two_skins(crate::SMALL));
+    let shared_theta = |shared_theta| CalibrationConfig { shared_theta, ..CalibrationConfig::default() };
+    let one = run(&shared_theta(false), &together, &takes).expect("a sound session");
+    let shared = run(&shared_theta(true), &parted, &takes).expect("a sound session");
+    assert_eq!(one.model, shared.model);
+    assert_eq!(one.report.objective, shared.report.objective);
+    assert_eq!(one.report.by_channel, shared.report.by_channel);
+
+    // What the file says of the only stream of its kind is where the search starts, as if it were the shared one.
+    let mut nominal = crate::nominal();
+    let alone = crate::nominal().theta;
+    nominal.theta.lambda_con_m = 0.01;
+    nominal.streams.insert("patch".to_owned(), StreamTheta::of_kind(SensorKind::Proximity, &alone));
+    takes
+        .iter_mut()
+        .for_each(|take| take.real_active.chunks_exact_mut(9).for_each(|real| real[6..].fill(false)));
+    let config = CalibrationConfig::default();
+    let kept = calibrate(&config, &together, &nominal, &takes, &NoProgress, &Cancel::default(), &|| 0.0);
+    assert_eq!(kept.expect("a sound session").model.theta.lambda_con_m, alone.lambda_con_m);
+}
+
+#[test]
+fn parameters_of_streams_that_cannot_be_kept_are_refused() {
+    let (layout, takes, truth) = two_skins();
+    let refused = |config: &CalibrationConfig, nominal: &SensorModel| {
+        let refused = calibrate(config, &layout, nominal, &takes, &NoProgress, &Cancel::default(), &|| 0.0);
+        refused.expect_err("cannot be calibrated").to_string()
+    };
+    let shared = CalibrationConfig { shared_theta: true, ..CalibrationConfig::default() };
+    let message = refused(&shared, &truth);
+    assert!(
+        message.contains("has parameters of their own for streams (pad_a, pad_b, patch_a, patch_b)"),
+        "{message}"
+    );
+    let mut strange = truth;
+    strange
+        .streams
+        .insert("tongue".to_owned(), StreamTheta { alpha_per_m: Some(1.0), ..StreamTheta::default() });
+    let message = refused(&CalibrationConfig::default(), &strange);
+    assert!(message.contains("stream.tongue: layout \"made up\" has no such stream"), "{message}");
 }
 
 #[test]

@@ -17,10 +17,17 @@ from palpate.touch_jax import COVERED, TouchModel
 
 WITHIN = 1e-5
 
+# Streams have their own of what theta says, so that nothing takes the shared one.
 THETA = """
 [theta]
-lambda_con_m = 0.0005
+lambda_con_m = 0.004
 alpha_per_m = 400.0
+lambda_pre_pa = 30000.0
+
+[stream.fsr]
+lambda_con_m = 0.0005
+
+[stream.twintac]
 lambda_pre_pa = 9000.0
 
 [response]
@@ -81,7 +88,7 @@ def double_precision() -> Iterator[None]:
 def model_file(folder: Path, effects: dict[str, list[str]]) -> Path:
     entries = [f"[[effect]]\nid = '{effect}'\n{entry}\n" for effect, of in effects.items() for entry in of]
     path = folder / "model.toml"
-    path.write_text("format = 2\nname = 'test'\n" + THETA + "\n".join(entries))
+    path.write_text("format = 3\nname = 'test'\n" + THETA + "\n".join(entries))
     return path
 
 

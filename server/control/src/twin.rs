@@ -16,7 +16,7 @@ use std::{
 };
 
 use nalgebra::Isometry3;
-use palpate_robot_model::{ObjectPath, SensorKind, Station};
+use palpate_robot_model::{ObjectPath, Station};
 use palpate_sim::{
     SensorModel,
     effects::{Sensed, TakeScene},
@@ -294,10 +294,9 @@ impl Observer {
         let active: Vec<bool> =
             sensed.activation[from..].iter().map(|&activation| activation > 0.5).collect();
         let layout = &self.station.layout;
-        let theta = &self.used.theta;
-        let on_loads = layout.channels.iter().map(|channel| match layout.streams[channel.stream].kind {
-            SensorKind::Proximity => self.used.response.reach_m(theta) - theta.lambda_con_m,
-            SensorKind::Pressure => theta.lambda_pre_pa,
+        let thetas = self.used.thetas().by_stream(layout);
+        let on_loads = layout.channels.iter().map(|channel| {
+            self.used.response.on_load(layout.streams[channel.stream].kind, &thetas[channel.stream])
         });
         let loads = sensed.load[from..].iter().zip(on_loads);
         // A model may have channels on without any load.

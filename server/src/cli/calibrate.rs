@@ -11,7 +11,7 @@ use palpate_server::{
     jobs::{CalibrationArtifacts, calibrate_session},
 };
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::{CalibrationReport, Metrics};
+use palpate_wire::api::{CalibrationReport, Metrics, StreamFit};
 
 use super::{Outcome, output};
 
@@ -26,6 +26,9 @@ pub(crate) struct CalibrateArgs {
     /// Takes that the fit must not see, by id; `auto` keeps about a third of them
     #[arg(long, value_name = "TAKE,...|auto", default_value = "auto")]
     hold_out: String,
+    /// Fit one theta to all streams of a kind; else each stream has its own
+    #[arg(long)]
+    shared_theta: bool,
     /// Write the fitted model here
     #[arg(long, value_name = "MODEL.toml")]
     out: Option<PathBuf>,
@@ -59,6 +62,7 @@ pub(super) fn run(args: &CalibrateArgs) -> Outcome {
             MethodArg::Grid => Method::Grid,
         },
         hold_out: hold_out(&args.hold_out, &session)?,
+        shared_theta: args.shared_theta,
         seed: args.seed,
         ..CalibrationConfig::default()
     };
@@ -133,12 +137,27 @@ fn text(report: &CalibrationReport) -> String {
     row("all takes, nominal", &report.nominal);
     row("all takes, calibrated", &report.calibrated);
     let theta = &report.theta;
-    lines.push(format!(
-        "\nlambda_con {:.3} mm, alpha {:.1} 1/m, lambda_pre {:.1} Pa",
-        theta.lambda_con_m * 1000.0,
-        theta.alpha_per_m,
-        theta.lambda_pre_pa
-    ));
+    if report.streams.is_empty() {
+        lines.push(format!(
+            "\nlambda_con {:.3} mm, alpha {:.1} 1/m, lambda_pre {:.1} Pa",
+            theta.lambda_con_m * 1000.0,
+            theta.alpha_per_m,
+            theta.lambda_pre_pa
+        ));
+    } else {
+        lines.push(format!(
+            "\n{:<24} {:>15} {:>13} {:>15}",
+            "stream", "lambda_con (mm)", "alpha (1/m)", "lambda_pre (Pa)"
+        ));
+        for (stream, StreamFit { theta, .. }) in &report.streams {
+            lines.push(format!(
+                "{stream:<24} {:>15} {:>13} {:>15}",
+                number(theta.lambda_con_m.map(|lambda_con_m| lambda_con_m * 1000.0), 3),
+                number(theta.alpha_per_m, 1),
+                number(theta.lambda_pre_pa, 1),
+            ));
+        }
+    }
     let takes =
         if report.held_out_takes.is_empty() { "none".to_owned() } else { report.held_out_takes.join(", ") };
     lines.push(format!("held out: {takes}"));

@@ -9,7 +9,7 @@ use std::{
 use clap::{Args, Subcommand, ValueEnum};
 use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
 use palpate_robot_model::{
-    SensorKind,
+    AxesReading, SensorKind,
     new_station::{
         BuiltStation, JointReport, NewPatch, NewStation, NewStream, PatchReport, RobotReport, STATION_FILE,
         SkinConfig, build,
@@ -72,6 +72,16 @@ pub(crate) struct NewArgs {
     /// Unit of its readings [default: counts]
     #[arg(long)]
     unit: Option<String>,
+    /// How many numbers each taxel measures, 1 to 3, as magnetic skins have it [default: 1]
+    #[arg(long, value_name = "COUNT")]
+    axes: Option<usize>,
+    /// How several axes become the one reading: how far they are from rest, or the axis along the outward normal [default: norm,
+    /// or normal with --normal-axis]
+    #[arg(long)]
+    reading: Option<Reading>,
+    /// The axis along the outward normal, with a minus where pressing makes it fall: x, y, z, -x, -y or -z [default: z of three]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    normal_axis: Option<String>,
     /// Lowest reading that the device can give [default: 0]
     #[arg(long, allow_hyphen_values = true)]
     raw_min: Option<f64>,
@@ -108,6 +118,12 @@ enum Kind {
     Proximity,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum Reading {
+    Norm,
+    Normal,
+}
+
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Document<'a> {
@@ -128,9 +144,17 @@ pub(super) fn run(command: &StationCommand) -> Outcome {
         new_station::check_target(out)?;
     }
     let robot = new_station::read_robot(&args.urdf)?;
-    let (streams, mut patches) = skin(args)?;
+    let (mut streams, mut patches) = skin(args)?;
     if patches.is_empty() && !args.explain {
         patches = asked(&robot)?;
+        if let [stream] = &mut streams[..]
+            && args.patches_file.is_none()
+            && [args.axes.is_some(), args.reading.is_some(), args.normal_axis.is_some()] == [false; 3]
+        {
+            let failed = Error::io("ask", "the terminal");
+            (stream.axes, stream.normal_axis) =
+                new_station::ask_axes(&mut io::stdin().lock(), &mut io::stderr()).map_err(failed)?;
+        }
     }
     let built = if patches.is_empty() {
         None
@@ -182,6 +206,9 @@ fn skin(args: &NewArgs) -> Result<(Vec<NewStream>, Vec<NewPatch>), Error> {
         ("--kind", args.kind.is_some()),
         ("--rate-hz", args.rate_hz.is_some()),
         ("--unit", args.unit.is_some()),
+        ("--axes", args.axes.is_some()),
+        ("--reading", args.reading.is_some()),
+        ("--normal-axis", args.normal_axis.is_some()),
         ("--raw-min", args.raw_min.is_some()),
         ("--raw-max", args.raw_max.is_some()),
         ("--on-threshold", args.on_threshold.is_some()),
@@ -199,6 +226,12 @@ fn skin(args: &NewArgs) -> Result<(Vec<NewStream>, Vec<NewPatch>), Error> {
         }
         stream.rate_hz = args.rate_hz.unwrap_or(stream.rate_hz);
         stream.unit = args.unit.clone().unwrap_or(stream.unit);
+        stream.axes = args.axes;
+        stream.reading = args.reading.map(|reading| match reading {
+            Reading::Norm => AxesReading::Norm,
+            Reading::Normal => AxesReading::Normal,
+        });
+        stream.normal_axis.clone_from(&args.normal_axis);
         stream.raw_min = args.raw_min.unwrap_or(stream.raw_min);
         stream.raw_max = args.raw_max.unwrap_or(stream.raw_max);
         (stream.on_threshold, stream.off_threshold) = (args.on_threshold, args.off_threshold);

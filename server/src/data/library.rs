@@ -260,15 +260,12 @@ pub fn model_readings(take: &Take, paired: &PairedTake, model: &SensorModel) -> 
 pub fn replay_trace(take: &Take, paired: &PairedTake, model: &SensorModel) -> Result<ReplayTrace, Error> {
     let layout = &take.station.layout;
     let readings = model_readings(take, paired, model)?;
-    let thresholds = layout.channels.iter().map(|channel| match layout.streams[channel.stream].kind {
-        palpate_robot_model::SensorKind::Proximity => model.theta.lambda_con_m as f32,
-        palpate_robot_model::SensorKind::Pressure => model.theta.lambda_pre_pa as f32,
-    });
+    let thresholds = palpate_sim::tactile::thresholds(layout, &model.thetas());
     Ok(ReplayTrace {
         model: model.name.clone(),
         active: bits::pack(readings.active.iter().copied()),
         raw: readings.raw.iter().map(|&raw| raw as f32).collect(),
-        thresholds: thresholds.collect(),
+        thresholds: thresholds.into_iter().map(|threshold| threshold as f32).collect(),
     })
 }
 

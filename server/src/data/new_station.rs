@@ -22,7 +22,7 @@ use palpate_sim::SensorModel;
 
 use super::objects;
 use crate::{Error, chain};
-pub use ask::ask;
+pub use ask::{ask, ask_axes};
 
 /// Folder of the objects in that of the station.
 const OBJECTS_FOLDER: &str = "objects";

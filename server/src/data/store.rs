@@ -7,12 +7,13 @@ use std::{
     sync::Mutex,
 };
 
+use palpate_calibration::stream_theta_report;
 use palpate_jobs::rfc3339;
 use palpate_recording::{
     GrowingSession, RecordingError, Session, SessionHold,
     files::{MAX_TEXT_BYTES, open_file, read_file, read_text, resolve_in},
 };
-use palpate_sim::SensorModel;
+use palpate_sim::{SensorModel, StreamTheta};
 use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport, TrashEntry, TrashSort};
 
 use super::{cache::lock, files, upload};
@@ -259,6 +260,8 @@ impl Store {
     /// The entry of model `id` in the list of models.
     pub(crate) fn model_summary(&self, id: &str) -> Result<ModelSummary, Error> {
         let (model, _) = self.model(id)?;
+        let own = |(id, theta): (&String, &StreamTheta)| (id.clone(), stream_theta_report(theta));
+        let streams = model.streams.iter().map(own).collect();
         let effects = model.effects.into_iter().map(|effect| ModelEffect {
             id: effect.id,
             place: effect.place,
@@ -272,6 +275,7 @@ impl Store {
                 alpha_per_m: model.theta.alpha_per_m,
                 lambda_pre_pa: model.theta.lambda_pre_pa,
             },
+            streams,
             provenance: model.provenance,
             effects: effects.collect(),
             earlier_versions: self.earlier_versions(id)?.len(),

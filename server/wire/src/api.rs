@@ -227,10 +227,13 @@ pub struct CalibrationReport {
     pub calibrated: Metrics,
     /// Both, on the held-out takes only.
     pub held_out: HeldOut,
-    /// The calibrated parameters.
+    /// The calibrated parameters. Of streams that have their own, see `streams`.
     pub theta: ThetaReport,
     /// The nominal parameters.
     pub nominal_theta: ThetaReport,
+    /// By stream id, what was fitted to each stream for itself; empty where streams share theta.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub streams: BTreeMap<String, StreamFit>,
     /// Joint frames in all takes.
     pub frames: usize,
     /// Channels.
@@ -249,7 +252,7 @@ pub struct CalibrationReport {
     pub by_channel: BTreeMap<String, MetricsPair>,
     /// 95 % intervals from resampling takes, on the held-out takes where there are at least two, else on all.
     pub intervals_95: Option<Intervals>,
-    /// The objective as a picture.
+    /// The objective as a picture; empty where each stream has its own, in `streams`.
     pub objective: Objective,
     /// Ids of held-out takes.
     pub held_out_takes: Vec<String>,
@@ -324,6 +327,33 @@ pub struct ThetaReport {
     pub lambda_pre_pa: f64,
 }
 
+/// The parameters that a stream has of its own: those that sensors of its kind use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct StreamThetaReport {
+    /// m; of proximity streams.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lambda_con_m: Option<f64>,
+    /// 1/m; of pressure streams.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alpha_per_m: Option<f64>,
+    /// Pa; of pressure streams.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lambda_pre_pa: Option<f64>,
+}
+
+/// The search for the parameters of one stream.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct StreamFit {
+    /// The calibrated parameters.
+    pub theta: StreamThetaReport,
+    /// The nominal parameters.
+    pub nominal_theta: StreamThetaReport,
+    /// The objective over the channels of this stream.
+    pub objective: Objective,
+}
+
 /// 95 % intervals of the metrics and of their change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -383,6 +413,9 @@ pub struct CalibrationRequest {
     /// Take ids to hold out; absent means chosen automatically.
     #[serde(default)]
     pub hold_out: Option<Vec<String>>,
+    /// Whether all streams of a kind share one theta; else each has its own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub shared_theta: bool,
 }
 
 /// State of a calibration: `GET /api/v1/calibrations/{job}`.
@@ -476,6 +509,9 @@ pub struct ModelSummary {
     pub name: String,
     /// Its parameters.
     pub theta: ThetaReport,
+    /// By stream id, what streams have of these for themselves.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub streams: BTreeMap<String, StreamThetaReport>,
     /// Where the numbers came from.
     pub provenance: Vec<String>,
     /// Effects beyond the three parameters, in the order in which they were added.

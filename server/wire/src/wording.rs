@@ -2,7 +2,7 @@
 
 use palpate_robot_model::Place;
 
-use crate::api::{Cell, DiagnosisReport, EffectInDoubt, ModelEffect, NamedEffect};
+use crate::api::{Cell, DiagnosisReport, EffectInDoubt, ModelEffect, NamedEffect, StreamThetaReport};
 
 /// An id in the words it is made of: `joint_backlash` gives `joint backlash`.
 pub fn words(id: &str) -> String {
@@ -46,6 +46,16 @@ fn unit_of(name: &str) -> (&'static str, f64) {
 pub fn quantity(name: &str, value: f64) -> String {
     let (unit, scale) = unit_of(name);
     format!("{} {unit}", number(value * scale)).trim_end().to_owned()
+}
+
+/// What a stream has of theta for itself, in one line.
+pub fn stream_theta(own: &StreamThetaReport) -> String {
+    let named = [
+        own.lambda_con_m.map(|value| format!("\u{3bb}con {}", quantity("lambda_con_m", value))),
+        own.alpha_per_m.map(|value| format!("\u{3b1} {} /m", number(value))),
+        own.lambda_pre_pa.map(|value| format!("\u{3bb}pre {} Pa", number(value))),
+    ];
+    named.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// An interval of the parameter called `name`, with its unit: `52.0 to 70.1 ms`.

@@ -6,6 +6,9 @@ mod surface;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
+pub use read::AxesReading;
+pub(crate) use read::taxel_axes;
+
 use crate::{ModelError, Robot};
 
 /// Every tactile channel of a hand (or of any other probe), in channel order.

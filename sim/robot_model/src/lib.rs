@@ -24,7 +24,7 @@ pub use hardware::{
     ArmConfig, BoardConfig, DeviceConfig, DeviceKind, JointSafety, MAX_CURRENT_LIMIT_A, SafetyConfig,
     ServoBusConfig, ServoConfig, WorkspaceBox,
 };
-pub use layout::{Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes};
+pub use layout::{AxesReading, Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes};
 pub use object::{ConvexPart, ConvexShape, ObjectGroup, ObjectModel, ObjectShape};
 pub use object_path::{FixedBox, ObjectPath};
 pub use place::Place;

@@ -11,15 +11,14 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use palpate_robot_model::{
-    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, SensorKind, Station, Stream, TactileLayout,
-    Tare,
+    FixedBox, KnownPoses, LinkPoses, ObjectModel, ObjectPath, Station, Stream, TactileLayout, Tare,
 };
 
 use super::{Effect, EffectKind, FingerTouches, TACTILE, places};
 use crate::geometry::SignedDistance;
 use crate::parallel::map_chunks;
 use crate::replay::{Bodies, ContactTrace, Gaps, PatchTrace, ReplayError, trace_of};
-use crate::{Response, Theta};
+use crate::{Response, Thetas};
 pub(crate) use by_frame::{FrameChain, FrameMemory, FrameScene};
 pub use load::Load;
 use made::Made;
@@ -138,8 +137,8 @@ pub struct Sensed {
 /// A sensor model with effects, ready to run takes through.
 #[derive(Clone, Debug)]
 pub struct Chain<'a> {
-    /// The paper's parameters.
-    theta: Theta,
+    /// The paper's parameters, of every stream.
+    thetas: Thetas<'a>,
     /// What the model knows of sensors beyond theta.
     response: &'a Response,
     /// Effects in the order in which they act, each with its index in [`TACTILE`].
@@ -153,7 +152,7 @@ impl<'a> Chain<'a> {
     ///
     /// `soft_widths`: per stream, width of the switching curve in units of the load at which it switches; empty switches hard.
     pub fn new(
-        theta: Theta,
+        thetas: impl Into<Thetas<'a>>,
         response: &'a Response,
         effects: impl IntoIterator<Item = &'a Effect>,
         soft_widths: &'a [f64],
@@ -162,7 +161,7 @@ impl<'a> Chain<'a> {
         let mut effects: Vec<(usize, &Effect)> =
             effects.into_iter().filter_map(|effect| Some((index(effect)?, effect))).collect();
         effects.sort_by_key(|(kind, _)| *kind);
-        Self { theta, response, effects, soft_widths }
+        Self { thetas: thetas.into(), response, effects, soft_widths }
     }
 
     /// Runs `scene` through the whole chain.
@@ -220,7 +219,8 @@ impl<'a> Chain<'a> {
             return f64::NEG_INFINITY;
         }
         let nodes = layout.patches.iter().map(|patch| patch.nodes.len()).max().unwrap_or(1);
-        let felt_below_m = self.response.reach_m(&self.theta) + softness_m * (nodes as f64).ln();
+        let farthest_m = self.reaches_m(layout).into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let felt_below_m = farthest_m + softness_m * (nodes as f64).ln();
         GAPS_STEP_M * ((felt_below_m / GAPS_STEP_M).floor() + 2.0)
     }
 
@@ -297,7 +297,7 @@ impl<'a> Chain<'a> {
             trace: self.softened(geometry, &needed_patches),
             needed: &needed_patches,
             layout: geometry.moved.as_ref().unwrap_or(nominal),
-            alpha_per_m: vec![self.theta.alpha_per_m; nominal.patches.len()],
+            alpha_per_m: self.thetas.alphas_per_m(nominal),
             positions: geometry.joints.as_deref().unwrap_or(scene.positions),
             touches: geometry.made.as_ref().map(|made| &made.touches),
         };
@@ -307,7 +307,7 @@ impl<'a> Chain<'a> {
         let mut load = Load::new(
             &contact,
             geometry,
-            self.response.reach_m(&self.theta),
+            &self.reaches_m(nominal),
             needed.clone(),
             self.on_loads(nominal),
             scene.frame_times_s.len(),
@@ -406,14 +406,18 @@ impl<'a> Chain<'a> {
 
     /// Per channel, the load at which it switches on without effects.
     fn on_loads(&self, layout: &TactileLayout) -> Vec<f64> {
-        let channels = layout.channels.iter();
-        channels
-            .map(|channel| match layout.streams[channel.stream].kind {
-                // As far as the reach is from the threshold, and not the band itself, so that rounding is the same.
-                SensorKind::Proximity => self.response.reach_m(&self.theta) - self.theta.lambda_con_m,
-                SensorKind::Pressure => self.theta.lambda_pre_pa,
-            })
-            .collect()
+        let on_load = |stream: &Stream| {
+            let theta = self.thetas.of(&stream.id);
+            self.response.on_load(stream.kind, &theta)
+        };
+        let of_streams: Vec<f64> = layout.streams.iter().map(on_load).collect();
+        layout.channels.iter().map(|channel| of_streams[channel.stream]).collect()
+    }
+
+    /// Per patch, signed distance at which its sensors begin to read, m ([`Response::reach_m`]).
+    fn reaches_m(&self, layout: &TactileLayout) -> Vec<f64> {
+        let thetas = self.thetas.by_stream(layout);
+        layout.patches.iter().map(|patch| self.response.reach_m(&thetas[patch.stream])).collect()
     }
 
     fn each(&self, visit: impl FnMut(&dyn EffectKind, &Effect)) {

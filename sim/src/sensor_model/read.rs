@@ -7,19 +7,19 @@ use palpate_robot_model::Place;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, Theta, unknown_effect};
+use super::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, StreamTheta, Theta, unknown_effect};
 use crate::effects::{self, Effect};
 use crate::replay::NEAR_M;
 
 /// The newest format.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 impl SensorModel {
     /// Reads and checks a model file. Problems name their line.
     ///
     /// Refused: another format, unknown or missing keys, numbers that are not finite, a negative alpha or lambda_pre,
-    /// a lambda_con that is not below [`NEAR_M`], effects that the library does not have, and effects or a response in
-    /// a file of format 1. Whether effects fit a station is for [`SensorModel::check_for`] to say.
+    /// a lambda_con that is not below [`NEAR_M`], effects that the library does not have, effects or a response in
+    /// a file of format 1, and parameters of streams in one of a format before 3. Whether effects fit a station is for [`SensorModel::check_for`] to say.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, SensorModelError> {
         let source = Source { file, text };
         // The format first: other versions may have other keys.
@@ -28,7 +28,7 @@ impl SensorModel {
         if !(1..=FORMAT).contains(&format) {
             return Err(source.at(
                 span,
-                format!("format is {format}, expected 1 or {FORMAT}; this version reads no other"),
+                format!("format is {format}, expected 1 to {FORMAT}; this version reads no other"),
             ));
         }
         let model: SensorModelText = source.parse()?;
@@ -37,31 +37,19 @@ impl SensorModel {
                 source.at(span, "format is 1, expected 2 in a file with `response` or `effect`".to_owned())
             );
         }
+        if format < 3 && !model.stream.is_empty() {
+            return Err(source.at(span, format!("format is {format}, expected 3 in a file with `stream`")));
+        }
         let theta = &model.theta;
-        let not_negative = |value: f64| value >= 0.0;
         Ok(Self {
             format,
             name: model.name,
             theta: Theta {
-                lambda_con_m: source.number(
-                    "theta.lambda_con_m",
-                    &theta.lambda_con_m,
-                    |value| value < NEAR_M,
-                    &format!("a finite number below {NEAR_M} m, up to where replays know distances"),
-                )?,
-                alpha_per_m: source.number(
-                    "theta.alpha_per_m",
-                    &theta.alpha_per_m,
-                    not_negative,
-                    "a finite number of 1/m, not negative: pressure decays with distance",
-                )?,
-                lambda_pre_pa: source.number(
-                    "theta.lambda_pre_pa",
-                    &theta.lambda_pre_pa,
-                    not_negative,
-                    "a finite number of Pa, not negative: a taxel that nothing touches is inactive",
-                )?,
+                lambda_con_m: source.lambda_con_m("theta", &theta.lambda_con_m)?,
+                alpha_per_m: source.alpha_per_m("theta", &theta.alpha_per_m)?,
+                lambda_pre_pa: source.lambda_pre_pa("theta", &theta.lambda_pre_pa)?,
             },
+            streams: source.streams(&model.stream)?,
             provenance: model.provenance,
             response: source.response(model.response.unwrap_or_default())?,
             effects: model
@@ -109,6 +97,51 @@ impl Source<'_> {
         } else {
             Err(self.at(value.span(), format!("{key} is {number}, expected {expected}")))
         }
+    }
+
+    fn lambda_con_m(&self, table: &str, value: &Spanned<f64>) -> Result<f64, SensorModelError> {
+        let expected = format!("a finite number below {NEAR_M} m, up to where replays know distances");
+        self.number(&format!("{table}.lambda_con_m"), value, |value| value < NEAR_M, &expected)
+    }
+
+    fn alpha_per_m(&self, table: &str, value: &Spanned<f64>) -> Result<f64, SensorModelError> {
+        let expected = "a finite number of 1/m, not negative: pressure decays with distance";
+        self.number(&format!("{table}.alpha_per_m"), value, |value| value >= 0.0, expected)
+    }
+
+    fn lambda_pre_pa(&self, table: &str, value: &Spanned<f64>) -> Result<f64, SensorModelError> {
+        let expected = "a finite number of Pa, not negative: a taxel that nothing touches is inactive";
+        self.number(&format!("{table}.lambda_pre_pa"), value, |value| value >= 0.0, expected)
+    }
+
+    fn streams(
+        &self,
+        texts: &BTreeMap<String, Spanned<StreamThetaText>>,
+    ) -> Result<BTreeMap<String, StreamTheta>, SensorModelError> {
+        let of_stream = |(id, text): (&String, &Spanned<StreamThetaText>)| {
+            let table = format!("stream.{id}");
+            let StreamThetaText { lambda_con_m, alpha_per_m, lambda_pre_pa } = text.get_ref();
+            let theta = StreamTheta {
+                lambda_con_m: lambda_con_m
+                    .as_ref()
+                    .map(|value| self.lambda_con_m(&table, value))
+                    .transpose()?,
+                alpha_per_m: alpha_per_m.as_ref().map(|value| self.alpha_per_m(&table, value)).transpose()?,
+                lambda_pre_pa: lambda_pre_pa
+                    .as_ref()
+                    .map(|value| self.lambda_pre_pa(&table, value))
+                    .transpose()?,
+            };
+            if theta.is_empty() {
+                let problem = format!(
+                    "{table} has no parameter, expected some of lambda_con_m, alpha_per_m, lambda_pre_pa; leave it out \
+                     where the stream shares theta"
+                );
+                return Err(self.at(text.span(), problem));
+            }
+            Ok((id.clone(), theta))
+        };
+        texts.iter().map(of_stream).collect()
     }
 
     fn response(&self, text: ResponseText) -> Result<Response, SensorModelError> {
@@ -185,6 +218,8 @@ struct SensorModelText {
     name: String,
     theta: ThetaText,
     #[serde(default)]
+    stream: BTreeMap<String, Spanned<StreamThetaText>>,
+    #[serde(default)]
     provenance: Vec<String>,
     response: Option<ResponseText>,
     #[serde(default)]
@@ -197,6 +232,14 @@ struct ThetaText {
     lambda_con_m: Spanned<f64>,
     alpha_per_m: Spanned<f64>,
     lambda_pre_pa: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StreamThetaText {
+    lambda_con_m: Option<Spanned<f64>>,
+    alpha_per_m: Option<Spanned<f64>>,
+    lambda_pre_pa: Option<Spanned<f64>>,
 }
 
 #[derive(Default, Deserialize)]

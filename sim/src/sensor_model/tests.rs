@@ -23,7 +23,7 @@ fn a_model_is_read() {
 #[test]
 fn bad_files_name_the_line_and_what_was_expected() {
     let cases = [
-        ("format = 1", "format = 3\nnew_key = 3", "model.toml: line 1: format is 3, expected 1 or 2"),
+        ("format = 1", "format = 4\nnew_key = 3", "model.toml: line 1: format is 4, expected 1 to 3"),
         ("format = 1\n", "", "missing field `format`"),
         (
             "alpha_per_m = 250",
@@ -45,6 +45,98 @@ fn bad_files_name_the_line_and_what_was_expected() {
     ];
     for (from, to, expected) in cases {
         let message = refusal(from, to);
+        assert!(message.contains(expected), "{to:?}: {message}");
+    }
+}
+
+const OF_STREAMS: &str = "format = 3
+name = \"two skins\"
+theta = { lambda_con_m = 0.002, alpha_per_m = 250, lambda_pre_pa = 1200.0 }
+
+[stream.twintac]
+alpha_per_m = 80.0
+lambda_pre_pa = 400.0
+
+[stream.fsr]
+lambda_con_m = -0.001
+";
+
+#[test]
+fn streams_have_parameters_of_their_own() {
+    let model = SensorModel::from_toml("model.toml", OF_STREAMS).expect("valid");
+    let theta = Theta { lambda_con_m: 0.002, alpha_per_m: 80.0, lambda_pre_pa: 400.0 };
+    assert_eq!(model.thetas().of("twintac"), theta);
+    assert_eq!(model.thetas().of("fsr"), Theta { lambda_con_m: -0.001, ..model.theta });
+    assert_eq!(model.thetas().of("another"), model.theta);
+    model.check_for(&leap()).expect("the station has both");
+    assert_eq!(SensorModel::from_toml("again.toml", &model.to_toml()).expect("own text"), model);
+    assert_eq!(
+        model.to_toml(),
+        "format = 3\nname = \"two skins\"\n\n[theta]\nlambda_con_m = 0.002\nalpha_per_m = 250.0\nlambda_pre_pa = 1200.0\n\n\
+         [stream.fsr]\nlambda_con_m = -0.001\n\n[stream.twintac]\nalpha_per_m = 80.0\nlambda_pre_pa = 400.0\n"
+    );
+    let shared = SensorModel { streams: BTreeMap::new(), format: 1, ..model };
+    assert!(shared.to_toml().starts_with("format = 1\n"), "{}", shared.to_toml());
+    assert!(!shared.to_toml().contains("stream"), "{}", shared.to_toml());
+}
+
+#[test]
+fn the_manual_shows_a_model_that_is_read() {
+    let manual = include_str!("../../../docs/calibration.md");
+    let (_, rest) = manual.split_once("```toml\n").expect("an example");
+    let (example, _) = rest.split_once("```").expect("its end");
+    let model = SensorModel::from_toml("calibration.md", example).expect("valid");
+    model.check_for(&leap()).expect("of the shipped station");
+    assert_eq!((model.streams.len(), model.effects.len(), model.format), (2, 1, 3));
+    // Whatever a file may hold is in the example.
+    let mut everything = model.clone();
+    everything.response.pad_softness_m = 1e-4;
+    everything.response.proximity_band_m = 2e-3;
+    for line in everything.to_toml().lines().filter(|line| !line.contains("takes")) {
+        let key = line.split('=').next().unwrap_or_default().trim().trim_matches(['[', ']']);
+        let last = key.rsplit('.').next().unwrap_or_default();
+        assert!(example.contains(last), "{line:?} is not in the manual");
+    }
+}
+
+#[test]
+fn bad_parameters_of_streams_name_the_line_or_the_stream() {
+    let read = |from: &str, to: &str| {
+        assert!(OF_STREAMS.contains(from), "{from:?} is not in the fixture");
+        SensorModel::from_toml("model.toml", &OF_STREAMS.replacen(from, to, 1))
+    };
+    for (from, to, expected) in [
+        ("format = 3", "format = 2", "line 1: format is 2, expected 3 in a file with `stream`"),
+        (
+            "alpha_per_m = 80.0",
+            "alpha_per_m = -1",
+            "line 6: stream.twintac.alpha_per_m is -1, expected a finite",
+        ),
+        ("-0.001", "0.06", "line 10: stream.fsr.lambda_con_m is 0.06, expected a finite number below 0.05"),
+        ("lambda_con_m = -0.001\n", "", "line 9: stream.fsr has no parameter, expected some of lambda_con_m"),
+        ("alpha_per_m = 80.0", "beta = 1", "line 6: unknown field `beta`"),
+    ] {
+        let message = read(from, to).expect_err("must be refused").to_string();
+        assert!(message.contains(expected), "{to:?}: {message}");
+    }
+    for (from, to, expected) in [
+        ("stream.fsr", "stream.skin", "stream.skin: layout \"LEAP Hand, right: 4 TwinTac"),
+        (
+            "stream.fsr]\nlambda_con_m = -0.001",
+            "stream.fsr]\nalpha_per_m = 1.0",
+            "stream.fsr has alpha_per_m, which a proximity",
+        ),
+        (
+            "alpha_per_m = 80.0",
+            "lambda_con_m = 0.0",
+            "stream.twintac has lambda_con_m, which a pressure stream does not use",
+        ),
+    ] {
+        let message = read(from, to)
+            .expect("a valid file")
+            .check_for(&leap())
+            .expect_err("must be refused")
+            .to_string();
         assert!(message.contains(expected), "{to:?}: {message}");
     }
 }

@@ -10,7 +10,7 @@ use palpate_sim::geometry::SignedDistance;
 use palpate_sim::live::{LiveScene, LiveTouch};
 use palpate_sim::replay::{ReplayError, contact_trace};
 use palpate_sim::tactile::{self, Readings};
-use palpate_sim::{Response, SensorModel, Theta};
+use palpate_sim::{Response, SensorModel, StreamTheta, Theta};
 use proptest::prelude::*;
 
 use crate::effects::scene::{INDEX, PALM, THETA, Take, station, take};
@@ -128,6 +128,79 @@ proptest! {
         for (frame, live) in live_readings(&station, &take, &model).iter().enumerate() {
             assert_same(live, &all, frame, &model.to_toml());
         }
+    }
+}
+
+/// The hand with two skins of each kind: the fingertips and the patches are two streams each, parted at channels 8 and 33.
+fn with_two_skins_of_each_kind() -> Station {
+    let mut station = station("xarm6_leap.toml");
+    let layout = &mut station.layout;
+    let parts = [(0, 0..8), (0, 8..32), (1, 32..33), (1, 33..44)];
+    let old = layout.streams.clone();
+    layout.streams = parts
+        .iter()
+        .enumerate()
+        .map(|(idx, (of, channels))| palpate_robot_model::Stream {
+            id: format!("s{idx}"),
+            channels: channels.clone(),
+            ..old[*of].clone()
+        })
+        .collect();
+    let stream_of =
+        |channel: usize| parts.iter().position(|(_, channels)| channels.contains(&channel)).expect("one");
+    for (idx, channel) in layout.channels.iter_mut().enumerate() {
+        channel.stream = stream_of(idx);
+    }
+    for patch in &mut layout.patches {
+        patch.stream = stream_of(patch.channels.start);
+    }
+    station
+}
+
+#[test]
+fn a_stream_with_its_own_theta_reads_what_it_reads_where_all_share_it() {
+    let station = with_two_skins_of_each_kind();
+    let thetas = [
+        Theta { lambda_con_m: 0.0, alpha_per_m: 80.0, lambda_pre_pa: 9_000.0 },
+        Theta { lambda_con_m: 0.0, alpha_per_m: 600.0, lambda_pre_pa: 40_000.0 },
+        Theta { lambda_con_m: 0.006, ..THETA },
+        Theta { lambda_con_m: 0.001, ..THETA },
+    ];
+    let streams = station.layout.streams.iter().zip(&thetas);
+    let own: BTreeMap<String, StreamTheta> = streams
+        .map(|(stream, theta)| (stream.id.clone(), StreamTheta::of_kind(stream.kind, theta)))
+        .collect();
+    let off_fractions = own.keys().map(|id| (id.clone(), 0.7)).collect();
+    let soft = Response { off_fractions, pad_softness_m: 3e-4, ..Response::default() };
+    for (response, plan) in
+        [Response::default(), soft].into_iter().flat_map(|of| [(of.clone(), &INDEX), (of, &PALM)])
+    {
+        let take = take(&station, plan, 1, 7);
+        let shared =
+            |theta| SensorModel { response: response.clone(), ..SensorModel::plain("shared", theta) };
+        let mixed = SensorModel { streams: own.clone(), ..shared(THETA) };
+        let all = replayed(&station, &take, &mixed, take.times_s.len());
+        for (frame, live) in live_readings(&station, &take, &mixed).iter().enumerate() {
+            assert_same(live, &all, frame, plan.patch);
+        }
+        let mut differs = 0;
+        for (stream, theta) in station.layout.streams.iter().zip(&thetas) {
+            let alone = replayed(&station, &take, &shared(*theta), take.times_s.len());
+            let nominal = replayed(&station, &take, &shared(THETA), take.times_s.len());
+            for frame in 0..take.times_s.len() {
+                let of = |readings: &Readings| {
+                    let raw: Vec<u64> =
+                        readings.raw_frame(frame).iter().map(|value| value.to_bits()).collect();
+                    (
+                        raw[stream.channels.clone()].to_vec(),
+                        readings.active_frame(frame)[stream.channels.clone()].to_vec(),
+                    )
+                };
+                assert_eq!(of(&all), of(&alone), "{} at frame {frame} of {}", stream.id, plan.patch);
+                differs += usize::from(of(&all).1 != of(&nominal).1);
+            }
+        }
+        assert!(differs > 0, "own parameters change what {} reads", plan.patch);
     }
 }
 

@@ -139,7 +139,7 @@ fn readings_compare_raw_signals_with_thresholds() {
     let model = model(0.003, 150.0, 2000.0);
     let readings = readings(&layout, &replay(&ball(), &base_from_object(), &path(101)), &model);
     assert_eq!((readings.num_frames, readings.num_channels), (101, layout.num_channels()));
-    let thresholds = thresholds(&layout, &model.theta);
+    let thresholds = thresholds(&layout, &model.thetas());
     assert_eq!(thresholds[..12], [2000.0; 12]);
     assert_eq!(thresholds[12..], [0.003; 2]);
     for frame in 0..readings.num_frames {
@@ -155,7 +155,7 @@ fn readings_compare_raw_signals_with_thresholds() {
 #[test]
 fn weights_are_one_at_the_taxel_and_empty_for_proximity() {
     let layout = layout(&robot());
-    let propagation = propagation(&layout, 250.0);
+    let propagation = propagation(&layout, &[250.0; 4]);
     assert_eq!(propagation[0].weights.len(), 15 * 4);
     assert_eq!(propagation[0].weights[4 * 4 + 1], 1.0, "taxel 1 of the pad sits on node 4");
     let apart = propagation[0].weights[4];

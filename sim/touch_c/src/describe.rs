@@ -49,8 +49,8 @@ struct Numbers<'a> {
     /// In the order in which they act.
     effects: Vec<EffectNumbers<'a>>,
     is_plain: bool,
-    lambda_con_m: f64,
-    reach_m: f64,
+    /// Per channel, the distance at which a proximity sensor begins to read.
+    reaches_m: Vec<f64>,
     pad_softness_m: f64,
     near_m: f64,
     switching: SwitchingNumbers,
@@ -158,7 +158,7 @@ impl TouchScene {
                     channels: stream(of),
                 })
                 .collect(),
-            thresholds: thresholds(layout, &model.theta),
+            thresholds: thresholds(layout, &model.thetas()),
             effects: ids().collect(),
             looks_ahead: ids().filter(looks_ahead).collect(),
         }
@@ -188,6 +188,8 @@ impl TouchScene {
             parent_from_joint: pose(&joint.parent_from_joint),
             axis: joint.axis_in_joint.into_inner().into(),
         });
+        let thetas = model.thetas().by_stream(layout);
+        let reaches = layout.channels.iter().map(|of| model.response.reach_m(&thetas[of.stream]));
         let patches = layout.patches.iter().zip(live.patch_balls()).zip(live.propagation());
         let object = BodyNumbers { shape: shape(live.object_shape()), base_from_body: None };
         let fixed = self.fixed().iter().map(|(base_from_body, body)| BodyNumbers {
@@ -216,8 +218,7 @@ impl TouchScene {
             bodies: std::iter::once(object).chain(fixed).collect(),
             effects: effects.into_iter().map(|effect| self.effect(effect)).collect(),
             is_plain: model.is_plain(),
-            lambda_con_m: model.theta.lambda_con_m,
-            reach_m: model.response.reach_m(&model.theta),
+            reaches_m: reaches.collect(),
             pad_softness_m: model.response.pad_softness_m,
             near_m: palpate_sim::replay::NEAR_M,
             switching: self.switching(),

@@ -151,6 +151,7 @@ fn choose_ui(
         session,
         method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
         hold_out: state.hold_out.takes(),
+        shared_theta: false,
     };
     let fill = cx.palette.calibrated;
     let starts = start_ui(ui, cx, ready, "Start calibration", fill);

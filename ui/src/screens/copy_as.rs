@@ -51,6 +51,10 @@ pub fn calibration(request: &CalibrationRequest, data: &str) -> Forms {
         python.push(format!("hold_out={}", json(takes)));
         command += &format!(" --hold-out {}", quoted(&takes.join(",")));
     }
+    if request.shared_theta {
+        python.push("shared_theta=True".to_owned());
+        command += " --shared-theta";
+    }
     Forms {
         curl: curl("/calibrations", &json(request)),
         python: script(&format!("p.calibrate({})", python.join(", "))),
@@ -237,6 +241,7 @@ mod tests {
             session: "Ada's".into(),
             method: Some("grid".into()),
             hold_out: Some(vec!["take-01".into(), "take-02".into()]),
+            shared_theta: false,
         };
         let forms = calibration(&request, "/srv/data");
         assert!(

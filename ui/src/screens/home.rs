@@ -179,8 +179,9 @@ fn do_step(cx: &mut ScreenContext<'_>, state: &mut HomeState, step: &Step) {
     match step {
         Step::Calibrate { session } => {
             state.waits_for = Some(Screen::Calibrate);
-            let (method, hold_out) = (None, None);
-            cx.store.start_run(CalibrationRequest { session: session.clone(), method, hold_out });
+            let (method, hold_out, shared_theta) = (None, None, false);
+            let session = session.clone();
+            cx.store.start_run(CalibrationRequest { session, method, hold_out, shared_theta });
         }
         Step::Diagnose { session, model } => {
             state.waits_for = Some(Screen::Diagnose);

@@ -4,6 +4,7 @@ use std::{collections::BTreeSet, sync::Arc};
 
 use egui::RichText;
 use palpate_wire::api::{Artifact, ArtifactKey, ArtifactSort, Lineage, ModelEffect};
+use palpate_wire::wording;
 
 use super::{
     About, Part, ScreenContext, Subject, View, controls::name_button, empty_ui, failed_ui, heading_ui,
@@ -178,6 +179,7 @@ fn facts_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, artifact: &Artifact) 
             ("\u{3b1}".to_owned(), format!("{:.0} /m", theta.alpha_per_m)),
             ("\u{3bb}_pre".to_owned(), format!("{:.0} Pa", theta.lambda_pre_pa)),
         ]);
+        facts.extend(model.streams.iter().map(|(id, own)| (format!("of {id}"), wording::stream_theta(own))));
         let effects: Vec<String> = model.effects.iter().map(effect_text).collect();
         if !effects.is_empty() {
             facts.push(("effects".to_owned(), effects.join("\n")));

@@ -11,7 +11,7 @@ use palpate_ui::{
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, Intervals, JobState, MetricIntervals,
-        Metrics, MetricsPair, Objective, TakeMetrics, ThetaReport,
+        Metrics, MetricsPair, Objective, StreamFit, StreamThetaReport, TakeMetrics, ThetaReport,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
@@ -34,6 +34,7 @@ pub(crate) fn run(state: JobState) -> CalibrationRun {
         held_out: HeldOut { nominal, calibrated },
         theta: theta(0.001),
         nominal_theta: theta(0.004),
+        streams: BTreeMap::new(),
         frames: 400,
         channels: 15,
         evaluations: 1234,
@@ -59,6 +60,7 @@ pub(crate) fn run(state: JobState) -> CalibrationRun {
             session: "bench-1".into(),
             method: Some("exact".into()),
             hold_out: None,
+            shared_theta: false,
         },
         state,
         fraction: if state == JobState::Done { 1.0 } else { 0.25 },
@@ -80,6 +82,7 @@ fn start_request() -> Request {
         session: "bench-1".into(),
         method: Some("exact".into()),
         hold_out: None,
+        shared_theta: false,
     })
 }
 
@@ -115,6 +118,41 @@ fn button_starts_a_run_and_the_result_leads_with_a_sentence() {
         sent.iter().any(|request| matches!(request, Request::SaveModel { run, .. } if run == "run-7")),
         "{sent:?}"
     );
+}
+
+#[test]
+fn a_result_with_a_theta_for_each_stream_has_a_row_and_a_picture_for_each() {
+    let api = full_api();
+    let mut done = run(JobState::Done);
+    let report = done.report.as_mut().expect("it is done");
+    let whole = std::mem::take(&mut report.objective);
+    let pressure = |alpha_per_m| StreamThetaReport {
+        alpha_per_m: Some(alpha_per_m),
+        lambda_pre_pa: Some(300.0),
+        ..StreamThetaReport::default()
+    };
+    let near =
+        |lambda_con_m| StreamThetaReport { lambda_con_m: Some(lambda_con_m), ..StreamThetaReport::default() };
+    let of_pressure = Objective { lambda_cons_m: Vec::new(), proximity_l1: Vec::new(), ..whole.clone() };
+    let fits = [
+        ("gel", pressure(77.0), pressure(50.0), of_pressure.clone()),
+        ("skin", pressure(120.0), pressure(50.0), of_pressure),
+        ("fsr", near(0.001), near(0.004), whole),
+    ];
+    report.streams = fits
+        .map(|(id, theta, nominal_theta, objective)| {
+            (id.to_owned(), StreamFit { theta, nominal_theta, objective })
+        })
+        .into();
+    answer(&api, &start_request(), &done);
+    answer(&api, &Request::Run("run-7".into()), &done);
+    let mut harness = page(&api, &FakeWindow::at("#/calibrate/bench-1?run=run-7"));
+    harness.run_steps(6);
+    harness.get_by_label_contains("Each stream has its own parameters");
+    harness.get_by_label("50.0 \u{2192} 77.0");
+    harness.get_by_label_contains("lambda_pre, gel; optimum at alpha 77 per m");
+    harness.get_by_label_contains("lambda_pre, skin; optimum at alpha 120 per m");
+    harness.get_by_label_contains("lambda_con, fsr; optimum at 1.00 mm");
 }
 
 #[test]

@@ -273,6 +273,7 @@ fn ticked_effects_are_added_and_undone() {
         id: "bench-fit".into(),
         name: "Bench fit".into(),
         theta: ThetaReport { lambda_con_m: 0.001, alpha_per_m: 100.0, lambda_pre_pa: 10.0 },
+        streams: Default::default(),
         provenance: Vec::new(),
         effects: vec![ModelEffect {
             id: "latency".into(),

@@ -298,6 +298,7 @@ pub(crate) fn full_api() -> SharedApi {
         id: "bench-fit".into(),
         name: "Bench fit".into(),
         theta: ThetaReport { lambda_con_m: 0.001, alpha_per_m: 100.0, lambda_pre_pa: 10.0 },
+        streams: Default::default(),
         provenance: vec!["calibrated on bench-1".into()],
         effects: Vec::new(),
         earlier_versions: 0,

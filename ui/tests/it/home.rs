@@ -47,7 +47,8 @@ fn the_page_opens_on_home_and_its_button_calibrates_a_new_session() {
     let mut harness = page(&api, &window);
     assert_eq!(app(&harness).screen(), Screen::Home);
     harness.get_by_label_contains("No sensor model was fitted to session bench-1 yet.");
-    let request = CalibrationRequest { session: "bench-1".into(), method: None, hold_out: None };
+    let request =
+        CalibrationRequest { session: "bench-1".into(), method: None, hold_out: None, shared_theta: false };
     let run = CalibrationRun {
         id: "run-1".into(),
         request: request.clone(),

@@ -3,6 +3,7 @@
 //! A channel's readings depend on some of the model's numbers only. Those make its key; a channel whose key was seen lately
 //! has its series from then. Whatever is remembered has the bits that computing it again would give.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use palpate_robot_model::{Place, SensorKind};
@@ -10,7 +11,7 @@ use palpate_sim::effects::{
     self, Arrived, Chain, Effect, EffectKind, FingerTouches, Geometry, PatchGeometry, Stage, Switching,
     TakeScene,
 };
-use palpate_sim::{Response, Theta};
+use palpate_sim::{Response, StreamTheta, Theta, Thetas};
 
 use super::{Base, Signal, TactileDomain, WIDTH};
 use crate::DiagnosisError;
@@ -215,6 +216,8 @@ impl Reaching<'_> {
 pub(super) struct Prepared<'m> {
     model: &'m Model,
     theta: Theta,
+    /// By stream id, what streams have of theta for themselves.
+    streams: BTreeMap<String, StreamTheta>,
     response: Response,
     /// Width of the switching curve of each stream.
     widths: Vec<f64>,
@@ -241,11 +244,11 @@ impl TactileDomain<'_> {
         take: usize,
         prepared: &Prepared<'_>,
     ) -> Result<Vec<Series>, DiagnosisError> {
-        let Prepared { theta, response, widths, own, reaching, .. } = prepared;
+        let Prepared { theta, streams, response, widths, own, reaching, .. } = prepared;
         let reaching: Vec<&Reaching<'_>> =
             reaching.iter().filter(|one| self.reaches_take(one.effect, take)).collect();
         let effects = own.iter().chain(reaching.iter().map(|one| one.effect));
-        let chain = Chain::new(*theta, response, effects, widths);
+        let chain = Chain::new(Thetas::new(*theta, streams), response, effects, widths);
         let concerning = Concerning { prepared, chain, reaching };
         let mut signals: Vec<Option<Series>> = vec![None; self.num_signals()];
         for limb in 0..self.memories[take].len() {
@@ -271,15 +274,16 @@ impl TactileDomain<'_> {
                 _ => {}
             }
         }
-        let (theta, response) = self.theta_and_response(model);
+        let (theta, streams, response) = self.theta_and_response(model);
+        let thetas = Thetas::new(theta, &streams).by_stream(layout);
         let on_load = |stream: usize| match layout.streams[stream].kind {
             SensorKind::Proximity => response.proximity_band_m,
-            SensorKind::Pressure => theta.lambda_pre_pa,
+            SensorKind::Pressure => thetas[stream].lambda_pre_pa,
         };
         let channels = layout.channels.iter();
         let read_by = channels.map(|channel| [on_load(channel.stream), exponents[channel.stream]]).collect();
         let (own, reaching) = (self.own_effects(model), self.reaching(model));
-        Prepared { model, theta, response, widths, read_by, own, reaching }
+        Prepared { model, theta, streams, response, widths, read_by, own, reaching }
     }
 
     /// The signals of each channel of `limb`.
@@ -407,11 +411,15 @@ impl TactileDomain<'_> {
         let mixed = reaching.iter().any(|one| one.channels[channel] && one.kind.mixes_channels());
         let sized = reaching.iter().any(|one| one.channels[channel] && one.kind.uses_on_loads());
         let mut load = Key::with_capacity(16);
-        for (kind, value) in self.kinds.iter().zip(&model.base) {
+        for (idx, (kind, value)) in self.kinds.iter().zip(&model.base).enumerate() {
             let concerns = match (*kind, layout.streams[stream].kind) {
-                (Base::LambdaCon | Base::Band | Base::Softness, SensorKind::Proximity)
-                | (Base::Alpha, SensorKind::Pressure) => true,
-                (Base::LambdaPre, SensorKind::Pressure) => mixed || sized,
+                (Base::Band | Base::Softness, SensorKind::Proximity) => true,
+                (Base::LambdaCon(_), SensorKind::Proximity) | (Base::Alpha(_), SensorKind::Pressure) => {
+                    mixed || self.has_number(idx, stream)
+                }
+                (Base::LambdaPre(_), SensorKind::Pressure) => {
+                    mixed || (sized && self.has_number(idx, stream))
+                }
                 (Base::Pattern(set, taxel), _) => {
                     mixed || (taxel == own_taxel && self.alike[set].contains(&patch))
                 }

@@ -37,7 +37,7 @@ pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
 }
 
 fn chain(model: &SensorModel) -> Chain<'_> {
-    Chain::new(model.theta, &model.response, &model.effects, &[])
+    Chain::new(model.thetas(), &model.response, &model.effects, &[])
 }
 
 /// Where everything is in `takes` under `model`.
@@ -268,7 +268,7 @@ pub(crate) fn set_thresholds(
     // Thresholds move nothing.
     let geometries = geometries(station, takes, model)?;
     let mut best = gap(&judge_at(station, takes, &geometries, model));
-    let start = model.theta;
+    let (start, own) = (model.theta, model.streams.clone());
     let mut attempt = |tried: SensorModel, model: &mut SensorModel| {
         let gap = gap(&judge_at(station, takes, &geometries, &tried));
         if gap < best {
@@ -280,11 +280,25 @@ pub(crate) fn set_thresholds(
         let mut tried = model.clone();
         tried.theta.lambda_pre_pa = start.lambda_pre_pa * factor;
         attempt(tried, model);
+        for (id, lambda_pre_pa) in own.iter().filter_map(|(id, own)| Some((id, own.lambda_pre_pa?))) {
+            let mut tried = model.clone();
+            if let Some(own) = tried.streams.get_mut(id) {
+                own.lambda_pre_pa = Some(lambda_pre_pa * factor);
+            }
+            attempt(tried, model);
+        }
     }
     for shift_m in [-4e-4, -2.5e-4, -1.5e-4, -0.7e-4, 0.7e-4, 1.5e-4, 2.5e-4, 4e-4] {
         let mut tried = model.clone();
         tried.theta.lambda_con_m = start.lambda_con_m + shift_m;
         attempt(tried, model);
+        for (id, lambda_con_m) in own.iter().filter_map(|(id, own)| Some((id, own.lambda_con_m?))) {
+            let mut tried = model.clone();
+            if let Some(own) = tried.streams.get_mut(id) {
+                own.lambda_con_m = Some(lambda_con_m + shift_m);
+            }
+            attempt(tried, model);
+        }
     }
     Ok(())
 }

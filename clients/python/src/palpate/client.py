@@ -190,13 +190,21 @@ class Palpate:
     # Calibrations and diagnoses
 
     def calibrate(
-        self, session: str, *, method: str | None = None, hold_out: list[str] | None = None
+        self,
+        session: str,
+        *,
+        method: str | None = None,
+        hold_out: list[str] | None = None,
+        shared_theta: bool = False,
     ) -> CalibrationRun:
         """Starts a calibration.
 
-        `method` is `exact` (default) or `grid`; `hold_out` names takes that the fit never sees.
+        `method` is `exact` (default) or `grid`; `hold_out` names takes that the fit never sees;
+        `shared_theta` fits one theta to all streams of a kind, which else have one each.
         """
-        body = {"session": session, "method": method, "hold_out": hold_out}
+        body: dict[str, Any] = {"session": session, "method": method, "hold_out": hold_out}
+        if shared_theta:
+            body["shared_theta"] = True
         return CalibrationRun(self, self.connection.json("POST", "/calibrations", body=body))
 
     def calibrations(self) -> list[CalibrationRun]:

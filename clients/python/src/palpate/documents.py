@@ -160,6 +160,15 @@ class ThetaReport:
 
 
 @dataclass(frozen=True)
+class StreamThetaReport:
+    """The parameters that a stream has of its own: m for proximity streams, 1/m and Pa for pressure streams."""
+
+    lambda_con_m: float | None = None
+    alpha_per_m: float | None = None
+    lambda_pre_pa: float | None = None
+
+
+@dataclass(frozen=True)
 class ModelEffect:
     """An effect of a model. `where` has one key that says what it is: `{"stream": "fsr"}`."""
 
@@ -176,6 +185,7 @@ class ModelSummary:
     name: str
     theta: ThetaReport
     provenance: list[str]
+    streams: dict[str, StreamThetaReport] = field(default_factory=dict)
     effects: list[ModelEffect] = field(default_factory=list)
     earlier_versions: int = 0
 
@@ -273,6 +283,15 @@ class Objective:
 
 
 @dataclass(frozen=True)
+class StreamFit:
+    """The search for the parameters of one stream."""
+
+    theta: StreamThetaReport
+    nominal_theta: StreamThetaReport
+    objective: Objective
+
+
+@dataclass(frozen=True)
 class CalibrationReport:
     """The result of a calibration."""
 
@@ -292,6 +311,7 @@ class CalibrationReport:
     intervals_95: Intervals | None
     objective: Objective
     held_out_takes: list[str]
+    streams: dict[str, StreamFit] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
 

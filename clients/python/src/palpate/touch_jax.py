@@ -111,7 +111,7 @@ class TouchModel:
         self._effects = [_Effect(effect) for effect in numbers["effects"]]
         self._plain: bool = numbers["is_plain"]
         self._thresholds: Floats = np.array(names["thresholds"])
-        self._reach_m: float = numbers["reach_m"]
+        self._reaches_m: Floats = np.array(numbers["reaches_m"])
         self._near_m: float = numbers["near_m"]
         self._proximity = np.zeros(len(self.channels), dtype=np.bool_)
         for patch in self._patches:
@@ -177,12 +177,12 @@ class TouchModel:
         if self._plain:
             near, strong = signals < self._thresholds, signals > self._thresholds
             return state, Readings(signals, jnp.where(self._proximity, near, strong))
-        loads = jnp.where(self._proximity, jnp.maximum(self._reach_m - signals, 0.0), signals)
+        loads = jnp.where(self._proximity, jnp.maximum(self._reaches_m - signals, 0.0), signals)
         loads, lags = self._develop(first, state.lags, loads, time_s - start_s, time_s - before_s)
         loads, past_times_s, past_loads = self._carry(first, state, loads, time_s)
         on = (loads > self._on_loads) | (state.on & (loads > self._off_loads))
         active = jnp.asarray(self._passed * jnp.maximum(on, self._idle) > 0.5)
-        raw = jnp.where(self._proximity, self._reach_m - loads, loads)
+        raw = jnp.where(self._proximity, self._reaches_m - loads, loads)
         state = state._replace(lags=lags, past_times_s=past_times_s, past_loads=past_loads, on=on)
         return state, Readings(raw, active)
 

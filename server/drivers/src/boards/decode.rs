@@ -72,6 +72,8 @@ struct Lines {
     /// Whether there was a frame since the last pause, so that `rows` wait for the next.
     is_late: bool,
     dropped_rows: u64,
+    /// Rows before the first pause: up to a frame of them is the one that was under way when the port was opened.
+    early_rows: usize,
     last_row_ns: Option<u64>,
     row_interval: Interval,
 }
@@ -205,6 +207,7 @@ impl Lines {
             in_step: rows_per_sample == 1,
             is_late: false,
             dropped_rows: 0,
+            early_rows: 0,
             last_row_ns: None,
             row_interval: Interval::default(),
         }
@@ -267,9 +270,15 @@ impl Lines {
 
     fn take(&mut self, received_ns: u64, row: Vec<f64>) -> Option<Sample> {
         if !self.in_step {
-            self.dropped_rows += 1;
+            // A frame that began before the port was open is neither damaged nor missing.
+            if self.early_rows < self.rows_per_sample {
+                self.early_rows += 1;
+            } else {
+                self.dropped_rows += 1;
+            }
             return None;
         }
+        self.early_rows = self.rows_per_sample;
         self.rows.push((received_ns, row));
         if self.rows.len() > MOST_WAITING * self.rows_per_sample {
             self.lose_step();

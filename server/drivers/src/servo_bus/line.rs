@@ -122,6 +122,8 @@ pub(crate) struct Line {
     byte_ns: u64,
     patience: Patience,
     bad_frames: u64,
+    /// Whether the request before the newest one was given up, so that its answer may come now: late, not damaged.
+    is_owed: bool,
     /// When a servo last gave a whole answer.
     heard_ns: u64,
     buffer: Vec<u8>,
@@ -147,6 +149,7 @@ impl Line {
                 most: None,
             },
             bad_frames: 0,
+            is_owed: false,
             heard_ns: clock.now_ns(),
             buffer: Vec::with_capacity(1024),
             clock: clock.clone(),
@@ -252,7 +255,7 @@ impl Line {
         if blocks.len() < expected.len() {
             // The packet ended early or is damaged further on; what is in front of that is whole.
             blocks = longest_fast_answer(&self.buffer, &expected);
-            self.bad_frames += u64::from(self.buffer.len() >= num_bytes);
+            self.count_bad(u64::from(self.buffer.len() >= num_bytes));
         }
         if !blocks.is_empty() {
             self.heard_ns = reading.received_ns;
@@ -297,7 +300,7 @@ impl Line {
         let counters = decoder.counters();
         // An answer that was cut off by the time limit is late, not damaged.
         let leftover = counters.dropped_bytes > 0 || (num_fed >= num_bytes && !decoder.pending().is_empty());
-        self.bad_frames += (counters.crc_errors + counters.malformed).max(u64::from(leftover)) + num_strange;
+        self.count_bad((counters.crc_errors + counters.malformed).max(u64::from(leftover)) + num_strange);
         if !statuses.is_empty() {
             self.heard_ns = reading.received_ns;
         }
@@ -311,6 +314,7 @@ impl Line {
         num_bytes: usize,
         mut is_done: impl FnMut(&[u8]) -> bool,
     ) -> io::Result<Reading> {
+        self.is_owed = self.patience.gave_up;
         self.discard_late()?;
         self.buffer.clear();
         let sent_ns = self.clock.now_ns();
@@ -346,6 +350,12 @@ impl Line {
             }
         }
         Ok(Reading { sent_ns, received_ns: self.clock.now_ns(), answers: Vec::new() })
+    }
+
+    fn count_bad(&mut self, count: u64) {
+        if !self.is_owed {
+            self.bad_frames += count;
+        }
     }
 
     /// What comes after it was given up is no answer to the next request.

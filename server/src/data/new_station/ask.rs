@@ -2,7 +2,10 @@
 
 use std::io::{self, BufRead, Write};
 
-use palpate_robot_model::new_station::{NewPatch, RobotReport};
+use palpate_robot_model::{
+    TaxelAxes,
+    new_station::{NewPatch, RobotReport},
+};
 
 /// What a patch is if the person only presses Enter.
 const USUAL: [&str; 3] = ["4x4", "20x15", "+z"];
@@ -67,6 +70,38 @@ pub fn ask(
     Ok(patches)
 }
 
+/// Asks how many numbers a taxel measures and, of several, which is along the outward normal; nothing where the person only
+/// presses Enter. A wrong answer is asked for again.
+pub fn ask_axes(
+    input: &mut dyn BufRead,
+    output: &mut dyn Write,
+) -> io::Result<(Option<usize>, Option<String>)> {
+    let count = loop {
+        let text = "Numbers that each taxel measures, 3 for most magnetic skins [1]: ";
+        match question(input, output, text)?.as_deref() {
+            None | Some("" | "1") => return Ok((None, None)),
+            Some("2") => break 2,
+            Some("3") => break 3,
+            Some(other) => writeln!(output, "{other:?} is none of 1, 2 and 3.")?,
+        }
+    };
+    let names = &TaxelAxes::NAMES[..count];
+    loop {
+        let text = format!(
+            "Which of {} is along the outward normal, with a minus where pressing makes it fall? Enter if nobody knows; the \
+             reading is then how far all of them are from rest: ",
+            names.join(", ")
+        );
+        let Some(answer) = question(input, output, &text)?.filter(|answer| !answer.is_empty()) else {
+            return Ok((Some(count), None));
+        };
+        if names.contains(&answer.trim_start_matches('-')) {
+            return Ok((Some(count), Some(answer)));
+        }
+        writeln!(output, "There is no axis {answer:?}.")?;
+    }
+}
+
 /// An answer without blanks around it; `None` at the end of the input.
 fn question(input: &mut dyn BufRead, output: &mut dyn Write, text: &str) -> io::Result<Option<String>> {
     write!(output, "{text}")?;
@@ -108,6 +143,26 @@ mod tests {
             ["tip=tip:4x4@20x15:+z", "side=tip:2x3@10x8:-y"].map(|text| text.parse().unwrap())
         );
         assert!(output.contains("   1  tip (no shape, a tip)\n   2  palm (no shape)"), "{output}");
+    }
+
+    #[test]
+    fn axes_are_asked_for_until_they_make_sense() {
+        let axes = |answers: &str| {
+            let mut output = Vec::new();
+            let axes = ask_axes(&mut answers.as_bytes(), &mut output).unwrap();
+            (axes.0, axes.1, String::from_utf8(output).unwrap())
+        };
+        for (answers, count, normal) in [
+            ("\n", None, None),
+            ("1\n", None, None),
+            ("3\n\n", Some(3), None),
+            ("many\n2\nz\n-y\n", Some(2), Some("-y")),
+            ("3\n", Some(3), None),
+        ] {
+            let (found, axis, output) = axes(answers);
+            assert_eq!((found, axis.as_deref()), (count, normal), "{answers:?}: {output}");
+        }
+        assert!(axes("many\n2\nz\n").2.contains("There is no axis \"z\""));
     }
 
     #[test]

@@ -49,5 +49,6 @@ fn config_of(request: &CalibrationRequest, session: &Session, seed: u64) -> Resu
         }
     };
     let hold_out = hold_out(request.hold_out.as_deref(), session)?;
-    Ok(CalibrationConfig { method, hold_out, seed, ..CalibrationConfig::default() })
+    let shared_theta = request.shared_theta;
+    Ok(CalibrationConfig { method, hold_out, shared_theta, seed, ..CalibrationConfig::default() })
 }

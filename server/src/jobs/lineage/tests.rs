@@ -38,6 +38,7 @@ fn model(id: &str) -> ModelSummary {
         id: id.to_owned(),
         name: format!("Model {id}"),
         theta: ThetaReport { lambda_con_m: 0.001, alpha_per_m: 100.0, lambda_pre_pa: 1000.0 },
+        streams: Default::default(),
         provenance: Vec::new(),
         effects: Vec::new(),
         earlier_versions: 0,

@@ -36,15 +36,18 @@ struct LayoutStreamConfig {
     /// How many numbers each taxel measures: 1 if left out.
     axes: Option<usize>,
     /// How several become one.
-    reading: Option<ReadingConfig>,
+    reading: Option<AxesReading>,
     /// For `normal`: the axis along the outward normal, with a minus where pressing makes it fall.
     normal_axis: Option<String>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+/// How the axes of a taxel become its one reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum ReadingConfig {
+pub enum AxesReading {
+    /// How far they are from where they are without touch.
     Norm,
+    /// The one along the outward normal.
     Normal,
 }
 
@@ -174,20 +177,24 @@ fn stream(config: &LayoutStreamConfig, earlier: &[Stream]) -> Result<Stream, Str
         rate_hz: positive("rate_hz", config.rate_hz)?,
         channels: 0..0,
         raw_unit: config.raw_unit.clone(),
-        axes: axes(config)?,
+        axes: taxel_axes(config.axes, config.reading, config.normal_axis.as_deref())?,
     })
 }
 
-fn axes(config: &LayoutStreamConfig) -> Result<TaxelAxes, String> {
-    let count = config.axes.unwrap_or(1);
+/// The axes that a stream states: how many, how they become one reading, and which is along the outward normal.
+pub(crate) fn taxel_axes(
+    count: Option<usize>,
+    reading: Option<AxesReading>,
+    normal_axis: Option<&str>,
+) -> Result<TaxelAxes, String> {
+    let count = count.unwrap_or(1);
     if !(1..=TaxelAxes::NAMES.len()).contains(&count) {
         return Err(format!("axes is {count}, expected 1, 2 or 3 numbers for each taxel"));
     }
-    if let Some(named) = config.normal_axis.as_ref().filter(|_| config.reading != Some(ReadingConfig::Normal))
-    {
+    if let Some(named) = normal_axis.filter(|_| reading != Some(AxesReading::Normal)) {
         return Err(format!("normal_axis = {named:?} has no effect without reading = \"normal\"; remove it"));
     }
-    match (count, config.reading) {
+    match (count, reading) {
         (1, None) => Ok(TaxelAxes::One),
         (1, Some(_)) => {
             Err("reading says how several axes become one, but there is one; remove it, or add axes = 3"
@@ -197,10 +204,10 @@ fn axes(config: &LayoutStreamConfig) -> Result<TaxelAxes, String> {
             "axes = {count} without a rule for the one reading that calibration works with; add reading = \"norm\" (how far \
              they are from rest) or reading = \"normal\" (the one along the outward normal)"
         )),
-        (_, Some(ReadingConfig::Norm)) => Ok(TaxelAxes::Norm { count }),
-        (_, Some(ReadingConfig::Normal)) => {
+        (_, Some(AxesReading::Norm)) => Ok(TaxelAxes::Norm { count }),
+        (_, Some(AxesReading::Normal)) => {
             let names = &TaxelAxes::NAMES[..count];
-            let Some(stated) = config.normal_axis.as_deref().or((count == 3).then_some("z")) else {
+            let Some(stated) = normal_axis.or((count == 3).then_some("z")) else {
                 let problem =
                     "two axes and no normal_axis; say which one is along the outward normal: \"x\" or \"y\"";
                 return Err(problem.to_owned());

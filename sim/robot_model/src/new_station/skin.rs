@@ -7,8 +7,9 @@ use serde::Deserialize;
 
 use super::explain::bounds;
 use crate::{
-    ModelError, Robot, SensorKind,
+    AxesReading, ModelError, Robot, SensorKind, TaxelAxes,
     config::{Source, check_id, finite, list, positive},
+    layout::taxel_axes,
 };
 
 /// How far a patch may reach beyond the shape of its link before that is worth a warning, m.
@@ -58,6 +59,15 @@ pub struct NewStream {
     /// Unit of readings.
     #[serde(default = "default_unit")]
     pub unit: String,
+    /// How many numbers a taxel measures; 1.
+    #[serde(default)]
+    pub axes: Option<usize>,
+    /// How several become the one reading; `normal` where `normal_axis` is said, else `norm`.
+    #[serde(default)]
+    pub reading: Option<AxesReading>,
+    /// The axis along the outward normal, with a minus where pressing makes it fall.
+    #[serde(default)]
+    pub normal_axis: Option<String>,
     /// Lowest reading that the device can give.
     #[serde(default)]
     pub raw_min: f64,
@@ -110,11 +120,24 @@ impl NewStream {
             kind: SensorKind::Pressure,
             rate_hz: default_rate_hz(),
             unit: default_unit(),
+            axes: None,
+            reading: None,
+            normal_axis: None,
             raw_min: 0.0,
             raw_max: default_raw_max(),
             on_threshold: None,
             off_threshold: None,
         }
+    }
+
+    /// The axes of its taxels.
+    pub(super) fn taxel_axes(&self) -> Result<TaxelAxes, String> {
+        let usual = || match (self.axes, &self.normal_axis) {
+            (None | Some(0 | 1), None) => None,
+            (_, Some(_)) => Some(AxesReading::Normal),
+            (_, None) => Some(AxesReading::Norm),
+        };
+        taxel_axes(self.axes, self.reading.or_else(usual), self.normal_axis.as_deref())
     }
 
     /// Thresholds, on and off.
@@ -129,6 +152,7 @@ impl NewStream {
         if self.id == "joints" {
             return Err("is called as the joint log of a recording; take another name".to_owned());
         }
+        self.taxel_axes()?;
         positive("rate_hz", self.rate_hz)?;
         finite("raw_min", self.raw_min)?;
         finite("raw_max", self.raw_max)?;

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{SensorKind, simplify_urdf};
+use crate::{AxesReading, SensorKind, TaxelAxes, simplify_urdf};
 
 const SHIPPED: [(&str, &str); 2] = [
     ("xarm6_leap_right.urdf", include_str!("../../../../assets/robots/xarm6_leap_right.urdf")),
@@ -211,6 +211,34 @@ fn thresholds_follow_the_range() {
     assert_eq!(stream.thresholds(), [0.1, 0.075]);
     stream.on_threshold = Some(0.4);
     assert_eq!(stream.thresholds(), [0.4, 0.3]);
+}
+
+#[test]
+fn axes_of_taxels_are_in_the_layout_and_in_the_columns_of_recordings() {
+    let with = |axes: Option<usize>, reading: Option<AxesReading>, normal_axis: Option<&str>| {
+        let mut wanted = wanted(&["pad=finger_left:1x2@20x12:-y"]);
+        let stream = &mut wanted.streams[0];
+        (stream.axes, stream.reading, stream.normal_axis) = (axes, reading, normal_axis.map(str::to_owned));
+        build(&wanted, "gripper.urdf", &gripper())
+    };
+    let axes =
+        |axes, reading, normal_axis| with(axes, reading, normal_axis).unwrap().station.layout.streams[0].axes;
+    assert_eq!(axes(None, None, None), TaxelAxes::One);
+    assert_eq!(axes(Some(3), None, None), TaxelAxes::Norm { count: 3 });
+    let normal = |axis, falls| TaxelAxes::Normal { count: 3, axis, falls };
+    assert_eq!(axes(Some(3), Some(AxesReading::Normal), None), normal(2, false));
+    assert_eq!(axes(Some(3), None, Some("-x")), normal(0, true));
+    let built = with(Some(3), None, None).unwrap();
+    let station = String::from_utf8(built.files[STATION_FILE].clone()).unwrap();
+    assert!(station.contains("t,pad.0.x,pad.0.y,pad.0.z,pad.1.x,"), "{station}");
+    for (count, normal_axis, expected) in [
+        (Some(4), None, "axes is 4, expected 1, 2 or 3"),
+        (Some(2), Some("z"), "normal_axis is \"z\", expected one of x, y"),
+        (None, Some("z"), "reading says how several axes become one, but there is one"),
+    ] {
+        let problem = with(count, None, normal_axis).unwrap_err().to_string();
+        assert!(problem.contains("stream \"") && problem.contains(expected), "{problem}");
+    }
 }
 
 fn xml(name: &str) -> String {

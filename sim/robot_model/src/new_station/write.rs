@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use nalgebra::Isometry3;
 
 use super::{
-    LAYOUT_FILE, MODEL_FILE, NewStation, ROBOT_FILE,
+    LAYOUT_FILE, MODEL_FILE, NewStation, NewStream, ROBOT_FILE,
     skin::{group_of, label_of},
     stream_of,
 };
-use crate::{JointKind, Robot, SensorKind, SimplifiedUrdf};
+use crate::{JointKind, Robot, SensorKind, SimplifiedUrdf, TaxelAxes};
 
 /// Longest header of a recording that is shown, characters.
 const MAX_HEADER: usize = 100;
@@ -59,6 +59,7 @@ pub(super) fn layout(wanted: &NewStation, robot: &Robot, placed: &[Isometry3<f64
             id = stream.id,
             id_text = string(&stream.id),
         );
+        text.push_str(&axes_text(stream));
     }
     for (patch, link_from_patch) in wanted.patches.iter().zip(placed) {
         let stream = stream_of(wanted, patch);
@@ -106,6 +107,25 @@ pub(super) fn layout(wanted: &NewStation, robot: &Robot, placed: &[Isometry3<f64
         }
     }
     text
+}
+
+/// How a stream of several axes says so; nothing for one axis.
+fn axes_text(stream: &NewStream) -> String {
+    match stream.taxel_axes() {
+        Ok(TaxelAxes::Norm { count }) => format!(
+            "axes = {count} # numbers that each taxel measures\n\
+             reading = \"norm\" # how far they are from rest; \"normal\": the axis along the outward normal alone\n"
+        ),
+        Ok(TaxelAxes::Normal { count, axis, falls }) => format!(
+            "axes = {count} # numbers that each taxel measures\n\
+             reading = \"normal\" # the axis along the outward normal; \"norm\": how far all are from rest\n\
+             normal_axis = \"{}{}\" # a minus in front: pressing makes it fall\n",
+            if falls { "-" } else { "" },
+            TaxelAxes::NAMES[axis]
+        ),
+        // What makes no sense was refused before.
+        Ok(TaxelAxes::One) | Err(_) => String::new(),
+    }
 }
 
 /// `nominal.toml`.
@@ -174,6 +194,7 @@ pub(super) fn station(wanted: &NewStation, robot: &Robot, urdf_file: &str) -> St
         header(recorded)
     );
     for stream in &wanted.streams {
+        let axes = stream.taxel_axes().map_or(&[][..], TaxelAxes::names);
         let ids =
             wanted.patches.iter().filter(|patch| stream_of(wanted, patch) == stream.id).flat_map(|patch| {
                 let count = patch.taxels[0] * patch.taxels[1];
@@ -182,7 +203,11 @@ pub(super) fn station(wanted: &NewStation, robot: &Robot, urdf_file: &str) -> St
                     _ => format!("{}.{taxel}", patch.id),
                 })
             });
-        let ids: Vec<String> = ids.take(MAX_HEADER).collect();
+        let columns = ids.flat_map(|id| match axes {
+            [_, _, ..] => axes.iter().map(|axis| format!("{id}.{axis}")).collect(),
+            _ => vec![id],
+        });
+        let ids: Vec<String> = columns.take(MAX_HEADER).collect();
         let file = format!("{}.csv", stream.id);
         let _ = writeln!(text, "#   {file:<11} {}", header(ids.iter().map(String::as_str)));
     }

@@ -17,8 +17,8 @@ use crate::tactile::{self, Propagation};
 pub(crate) struct FrameChain {
     /// As [`crate::Response::pad_softness_m`].
     softness_m: f64,
-    /// As [`crate::Response::reach_m`].
-    reach_m: f64,
+    /// Per patch, as [`crate::Response::reach_m`].
+    reaches_m: Vec<f64>,
     joints: Vec<Box<dyn FrameEffect>>,
     /// Effects on what the skin feels, each with its index in [`TACTILE`].
     contact: Vec<(usize, Effect)>,
@@ -84,7 +84,7 @@ impl FrameChain {
             trace: Cow::Owned(ContactTrace::empty(layout, 0)),
             needed: &vec![true; layout.patches.len()],
             layout,
-            alpha_per_m: vec![chain.theta.alpha_per_m; layout.patches.len()],
+            alpha_per_m: chain.thetas.alphas_per_m(layout),
             positions: &[],
             touches: None,
         };
@@ -104,7 +104,7 @@ impl FrameChain {
         let effects = || chain.effects.iter().map(|(kind, effect)| (TACTILE[*kind], *effect));
         Self {
             softness_m: chain.response.pad_softness_m,
-            reach_m: chain.response.reach_m(&chain.theta),
+            reaches_m: chain.reaches_m(layout),
             joints: effects().filter_map(|(kind, effect)| kind.joints_by_frame(effect, station)).collect(),
             looks_back: contact.iter().any(|(kind, _)| TACTILE[*kind].looks_ahead()),
             contact,
@@ -161,13 +161,14 @@ impl FrameChain {
     ) {
         let felt = self.feel(scene, trace, positions, memory);
         let last = felt.num_frames - 1;
-        for ((patch, trace), propagation) in
-            scene.layout.patches.iter().zip(&felt.patches).zip(&self.propagation)
+        let of_patches = self.propagation.iter().zip(&self.reaches_m);
+        for ((patch, trace), (propagation, reach_m)) in
+            scene.layout.patches.iter().zip(&felt.patches).zip(of_patches)
         {
             let taxels = &mut loads[patch.channels.clone()];
             match &**trace {
                 PatchTrace::Proximity { min_distance_m, .. } => {
-                    taxels.fill((self.reach_m - min_distance_m[last]).max(0.0));
+                    taxels.fill((reach_m - min_distance_m[last]).max(0.0));
                 }
                 PatchTrace::Pressure { offsets, entries } => {
                     taxels.fill(0.0);

@@ -25,11 +25,11 @@ pub struct Load {
 
 impl Load {
     /// Of the channels that are `needed`, over `num_frames`. `geometry` remembers the pressures of patches that no effect has
-    /// changed.
+    /// changed; `reaches_m` has each patch's reach.
     pub(super) fn new(
         contact: &Contact<'_>,
         geometry: &Geometry,
-        reach_m: f64,
+        reaches_m: &[f64],
         needed: Vec<bool>,
         on_loads: Vec<f64>,
         num_frames: usize,
@@ -45,6 +45,7 @@ impl Load {
             }
             match &**trace {
                 PatchTrace::Proximity { min_distance_m, .. } => {
+                    let reach_m = reaches_m[idx];
                     let load = if min_distance_m.iter().any(|distance_m| *distance_m < reach_m) {
                         min_distance_m.iter().map(|distance_m| (reach_m - distance_m).max(0.0)).collect()
                     } else {

@@ -1,7 +1,7 @@
 //! The objective as pictures: a heat map over (alpha, lambda_pre) and a curve over lambda_con, optima marked.
 
 use egui::{Align2, Color32, FontId, Pos2, Rect, Sense, Stroke, Ui, pos2, vec2};
-use palpate_wire::api::CalibrationReport;
+use palpate_wire::api::{CalibrationReport, Objective, StreamThetaReport, ThetaReport};
 
 use crate::theme::{Palette, taxel_scale};
 
@@ -14,9 +14,47 @@ pub(super) fn objective_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationR
     let width = ((ui.available_width() - 24.0) / 2.0).clamp(260.0, 620.0);
     let size = vec2(width, 236.0);
     ui.horizontal_wrapped(|ui| {
-        heat_map_ui(ui, palette, report, size);
-        curve_ui(ui, palette, report, size);
+        if report.streams.is_empty() {
+            let of = Picture {
+                of: String::new(),
+                objective: &report.objective,
+                nominal: whole(&report.nominal_theta),
+                theta: whole(&report.theta),
+            };
+            heat_map_ui(ui, palette, &of, size);
+            curve_ui(ui, palette, &of, size);
+        }
+        for (id, fit) in &report.streams {
+            let of = Picture {
+                of: format!(", {id}"),
+                objective: &fit.objective,
+                nominal: fit.nominal_theta,
+                theta: fit.theta,
+            };
+            // A stream has one kind of sensor, and so one of the pictures.
+            match fit.theta.lambda_con_m {
+                Some(_) => curve_ui(ui, palette, &of, size),
+                None => heat_map_ui(ui, palette, &of, size),
+            }
+        }
     });
+}
+
+/// A search to draw: of all channels, or of a stream that has its own theta.
+struct Picture<'a> {
+    /// What follows the titles: whose channels.
+    of: String,
+    objective: &'a Objective,
+    nominal: StreamThetaReport,
+    theta: StreamThetaReport,
+}
+
+fn whole(theta: &ThetaReport) -> StreamThetaReport {
+    StreamThetaReport {
+        lambda_con_m: Some(theta.lambda_con_m),
+        alpha_per_m: Some(theta.alpha_per_m),
+        lambda_pre_pa: Some(theta.lambda_pre_pa),
+    }
 }
 
 fn frame(
@@ -43,14 +81,16 @@ fn empty(painter: &egui::Painter, palette: &Palette, inner: Rect, text: &str) {
     painter.text(inner.center(), Align2::CENTER_CENTER, text, FontId::proportional(13.5), palette.text_weak);
 }
 
-fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: egui::Vec2) {
-    let objective = &report.objective;
+fn heat_map_ui(ui: &mut Ui, palette: &Palette, picture: &Picture<'_>, size: egui::Vec2) {
+    let Picture { of, objective, nominal, theta } = picture;
+    let of_theta =
+        |theta: &StreamThetaReport| [theta.alpha_per_m, theta.lambda_pre_pa].map(Option::unwrap_or_default);
+    let ([nominal_alpha, nominal_lambda], [alpha, lambda]) = (of_theta(nominal), of_theta(theta));
     let (alphas, lambdas) = (&objective.alphas_per_m, &objective.lambda_pres_pa);
-    let title = "Pressure mismatch (bright is better)";
-    let (inner, response, painter) = frame(ui, palette, size, title);
+    let title = format!("Pressure mismatch{of} (bright is better)");
+    let (inner, response, painter) = frame(ui, palette, size, &title);
     let name = format!(
-        "Objective over alpha and lambda_pre; optimum at alpha {:.0} per m, lambda_pre {:.0} Pa",
-        report.theta.alpha_per_m, report.theta.lambda_pre_pa
+        "Objective over alpha and lambda_pre{of}; optimum at alpha {alpha:.0} per m, lambda_pre {lambda:.0} Pa"
     );
     response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, &name));
     let cells = objective.pressure_l1.iter().flatten();
@@ -78,10 +118,7 @@ fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size:
         let column = fractional_index(lambdas, lambda) as f32 + 0.5;
         pos2(inner.left() + column * cell_size.x, inner.bottom() - row * cell_size.y)
     };
-    let nominal = &report.nominal_theta;
-    let nominal_at = at(nominal.alpha_per_m, nominal.lambda_pre_pa);
-    let theta = &report.theta;
-    let optimum_at = at(theta.alpha_per_m, theta.lambda_pre_pa);
+    let (nominal_at, optimum_at) = (at(nominal_alpha, nominal_lambda), at(alpha, lambda));
     // Names stand away from each other, however near the marks are.
     let optimum_above = optimum_at.y <= nominal_at.y;
     mark(&painter, nominal_at, palette.nominal, "nominal", inner, !optimum_above);
@@ -107,12 +144,13 @@ fn heat_map_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size:
     }
 }
 
-fn curve_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: egui::Vec2) {
-    let objective = &report.objective;
+fn curve_ui(ui: &mut Ui, palette: &Palette, picture: &Picture<'_>, size: egui::Vec2) {
+    let Picture { of, objective, nominal, theta } = picture;
+    let [nominal_m, optimum_m] = [nominal, theta].map(|theta| theta.lambda_con_m.unwrap_or_default());
     let (lambdas, values) = (&objective.lambda_cons_m, &objective.proximity_l1);
-    let title = "Proximity mismatch";
-    let (inner, response, painter) = frame(ui, palette, size, title);
-    let name = format!("Objective over lambda_con; optimum at {:.2} mm", report.theta.lambda_con_m * 1e3);
+    let title = format!("Proximity mismatch{of}");
+    let (inner, response, painter) = frame(ui, palette, size, &title);
+    let name = format!("Objective over lambda_con{of}; optimum at {:.2} mm", optimum_m * 1e3);
     response.widget_info(|| egui::WidgetInfo::labeled(egui::accesskit::Role::Image, true, &name));
     let (Some(&high), Some(&first), Some(&last)) = (values.iter().max(), lambdas.first(), lambdas.last())
     else {
@@ -126,10 +164,9 @@ fn curve_ui(ui: &mut Ui, palette: &Palette, report: &CalibrationReport, size: eg
     let y_of = |l1: u64| inner.bottom() - inner.height() * (l1 as f32 / high.max(1) as f32) * 0.95;
     let points: Vec<Pos2> = lambdas.iter().zip(values).map(|(&x, &l1)| pos2(x_of(x), y_of(l1))).collect();
     painter.line(points, Stroke::new(1.8, palette.real));
-    for (lambda, colour, text) in [
-        (report.nominal_theta.lambda_con_m, palette.nominal, "nominal"),
-        (report.theta.lambda_con_m, palette.calibrated, "optimum"),
-    ] {
+    for (lambda, colour, text) in
+        [(nominal_m, palette.nominal, "nominal"), (optimum_m, palette.calibrated, "optimum")]
+    {
         let x = x_of(lambda);
         painter.vline(x, inner.y_range(), Stroke::new(1.5, colour));
         let align = if x > inner.center().x { Align2::RIGHT_TOP } else { Align2::LEFT_TOP };

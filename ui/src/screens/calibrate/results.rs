@@ -1,7 +1,7 @@
 //! What a finished run found: one sentence, the picture, the numbers, and what to do with it.
 
 use egui::RichText;
-use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metrics};
+use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metrics, StreamFit};
 
 use super::{CalibrateState, objective, tables};
 use crate::{
@@ -226,6 +226,34 @@ fn range(interval: Option<[f64; 2]>, factor: f64, digits: usize) -> String {
     format!("{:.digits$} to {:.digits$}", low * factor, high * factor)
 }
 
+/// The parameters of every stream, nominal and calibrated.
+fn streams_ui(ui: &mut egui::Ui, report: &CalibrationReport) {
+    egui::Grid::new("streams").num_columns(4).spacing([18.0, 4.0]).striped(true).show(ui, |ui| {
+        for head in ["Stream", "\u{3bb}con, mm", "\u{3b1}, 1/m", "\u{3bb}pre, kPa"] {
+            ui.label(head);
+        }
+        ui.end_row();
+        for (id, StreamFit { theta, nominal_theta, .. }) in &report.streams {
+            ui.label(id);
+            for (before, after, factor) in [
+                (nominal_theta.lambda_con_m, theta.lambda_con_m, 1e3),
+                (nominal_theta.alpha_per_m, theta.alpha_per_m, 1.0),
+                (nominal_theta.lambda_pre_pa, theta.lambda_pre_pa, 1e-3),
+            ] {
+                ui.label(match (before, after) {
+                    (Some(before), Some(after)) => format!(
+                        "{} \u{2192} {}",
+                        objective::number(before * factor),
+                        objective::number(after * factor)
+                    ),
+                    _ => String::new(),
+                });
+            }
+            ui.end_row();
+        }
+    });
+}
+
 fn keep_ui(
     ui: &mut egui::Ui,
     cx: &mut ScreenContext<'_>,
@@ -236,14 +264,21 @@ fn keep_ui(
     let theta = &report.theta;
     ui.horizontal_wrapped(|ui| {
         heading_ui(ui, "4  Keep");
-        ui.label(format!(
-            "\u{3bb}con {} mm, \u{3b1} {} /m, \u{3bb}pre {} kPa; searched in {:.0} ms",
-            objective::number(theta.lambda_con_m * 1e3),
-            objective::number(theta.alpha_per_m),
-            objective::number(theta.lambda_pre_pa / 1e3),
-            report.seconds * 1e3,
-        ));
+        let milliseconds = report.seconds * 1e3;
+        if report.streams.is_empty() {
+            ui.label(format!(
+                "\u{3bb}con {} mm, \u{3b1} {} /m, \u{3bb}pre {} kPa; searched in {milliseconds:.0} ms",
+                objective::number(theta.lambda_con_m * 1e3),
+                objective::number(theta.alpha_per_m),
+                objective::number(theta.lambda_pre_pa / 1e3),
+            ));
+        } else {
+            ui.label(format!("Each stream has its own parameters; searched in {milliseconds:.0} ms"));
+        }
     });
+    if !report.streams.is_empty() {
+        streams_ui(ui, report);
+    }
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Model name");
         let field = egui::TextEdit::singleline(&mut state.model_name).desired_width(200.0);

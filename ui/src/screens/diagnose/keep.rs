@@ -128,6 +128,9 @@ fn model_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, model: &ModelSummary) {
                 wording::number(model.theta.alpha_per_m),
                 wording::number(model.theta.lambda_pre_pa),
             )));
+            for (id, own) in &model.streams {
+                ui.label(weak(format!("{id}: {}", wording::stream_theta(own))));
+            }
             ui.hyperlink_to("Model file", format!("/api/v1/models/{}", model.id))
                 .on_hover_text("The TOML file that replay, live twin and training read");
             for effect in &model.effects {

@@ -431,6 +431,7 @@ mod tests {
             id: id.into(),
             name: id.into(),
             theta: palpate_wire::api::ThetaReport { lambda_con_m: 0.0, alpha_per_m: 1.0, lambda_pre_pa: 0.0 },
+            streams: Default::default(),
             provenance: vec![line.into()],
             effects: Vec::new(),
             earlier_versions: 0,

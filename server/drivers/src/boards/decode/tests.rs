@@ -69,7 +69,7 @@ fn rows_begin_after_a_pause_and_a_lost_row_costs_its_frame_alone() {
     assert!(are_whole(&samples), "{samples:?}");
     // The first begins before anybody knows; the twentieth lost a row.
     assert_eq!(samples.len(), 38);
-    assert_eq!(decoder.num_bad(), 2 + 2);
+    assert_eq!(decoder.num_bad(), 2, "the first is neither damaged nor missing");
 }
 
 #[test]
@@ -114,7 +114,7 @@ fn frames_that_come_all_at_once_are_believed_once_a_pause_shows_that_they_were_w
     let came: Vec<(f32, u64)> =
         samples.iter().map(|sample| (sample.raw[0], sample.received_ns / MS)).collect();
     assert_eq!(came, [(0.0, 25), (100.0, 100), (200.0, 100), (300.0, 100), (400.0, 125)]);
-    assert_eq!(decoder.num_bad(), 3);
+    assert_eq!(decoder.num_bad(), 0);
 }
 
 #[test]
@@ -124,7 +124,7 @@ fn frames_that_never_pause_are_not_kept_for_ever() {
     decoder.feed(0, format!("\n{}", matrix_rows(9).concat()).as_bytes());
     let rows: Vec<String> = (0..100).flat_map(matrix_rows).collect();
     assert_eq!(decoder.feed(25 * MS, rows.concat().as_bytes()).len(), 1);
-    assert_eq!(decoder.num_bad(), 3 + 99 * 3);
+    assert_eq!(decoder.num_bad(), 99 * 3);
 }
 
 #[test]
