@@ -197,7 +197,7 @@ def test_an_effect_that_is_not_covered_is_refused_by_name(
 
 def test_soft_pads_other_shapes_and_parts_are_refused_by_name(touch_library: Path, tmp_path: Path) -> None:
     soft = tmp_path / "soft.toml"
-    soft.write_text("format = 2\nname = 'soft'\n" + THETA.replace("[response]", "[response]\npad_softness_m = 0.0003"))
+    soft.write_text("format = 3\nname = 'soft'\n" + THETA.replace("[response]", "[response]\npad_softness_m = 0.0003"))
     with pytest.raises(PalpateError, match=r"response\.pad_softness_m of model 'soft'"):
         TouchModel(Touch(STATION, "sphere_50mm", soft, library=touch_library), 0.05)
     with pytest.raises(PalpateError, match=r"objects of shape mesh .* object 'wedge_80mm'"):

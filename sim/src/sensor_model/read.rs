@@ -19,7 +19,8 @@ impl SensorModel {
     ///
     /// Refused: another format, unknown or missing keys, numbers that are not finite, a negative alpha or lambda_pre,
     /// a lambda_con that is not below [`NEAR_M`], effects that the library does not have, effects or a response in
-    /// a file of format 1, and parameters of streams in one of a format before 3. Whether effects fit a station is for [`SensorModel::check_for`] to say.
+    /// a file of format 1, and parameters of streams in one of a format before 3. Whether effects fit a station is for
+    /// [`SensorModel::check_for`] to say.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, SensorModelError> {
         let source = Source { file, text };
         // The format first: other versions may have other keys.

@@ -149,7 +149,7 @@ fn a_result_with_a_theta_for_each_stream_has_a_row_and_a_picture_for_each() {
     let mut harness = page(&api, &FakeWindow::at("#/calibrate/bench-1?run=run-7"));
     harness.run_steps(6);
     harness.get_by_label_contains("Each stream has its own parameters");
-    harness.get_by_label("50.0 \u{2192} 77.0");
+    harness.get_by_label("77.0 (was 50.0)");
     harness.get_by_label_contains("lambda_pre, gel; optimum at alpha 77 per m");
     harness.get_by_label_contains("lambda_pre, skin; optimum at alpha 120 per m");
     harness.get_by_label_contains("lambda_con, fsr; optimum at 1.00 mm");

@@ -242,9 +242,9 @@ fn streams_ui(ui: &mut egui::Ui, report: &CalibrationReport) {
             ] {
                 ui.label(match (before, after) {
                     (Some(before), Some(after)) => format!(
-                        "{} \u{2192} {}",
-                        objective::number(before * factor),
-                        objective::number(after * factor)
+                        "{} (was {})",
+                        objective::number(after * factor),
+                        objective::number(before * factor)
                     ),
                     _ => String::new(),
                 });
