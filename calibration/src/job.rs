@@ -107,7 +107,8 @@ pub enum CalibrationError {
     Cancelled,
 }
 
-/// Fits theta, one for each stream where streams are several of a kind, on the takes that are not held out and judges it on all of them.
+/// Fits theta, one for each stream where streams are several of a kind, on the takes that are not held out, and judges it on
+/// all of them.
 ///
 /// Refuses a `nominal` model with effects: the searches know theta alone, and thresholds that are fitted as if an
 /// effect were absent absorb a part of it.
