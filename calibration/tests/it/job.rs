@@ -178,13 +178,14 @@ fn modality_without_contact_keeps_its_nominal_parameters_and_says_so() {
     assert!(report.notes.iter().any(|note| note.contains("lambda_con stays nominal")), "{:?}", report.notes);
 }
 
-/// Two skins of each kind, and takes of which every activation is that of a model with a theta for each.
+/// Two skins of each kind, and takes of which every activation is that of a model with a theta for each. Light touches that
+/// every node sees alike would tell nothing of alpha.
 fn two_skins() -> (TactileLayout, Vec<PairedTake>, SensorModel) {
     let layout = synthetic::of_two_skins(crate::SMALL);
     let mut truth = crate::nominal();
     for (stream, (lambda_con_m, alpha_per_m, lambda_pre_pa)) in layout.streams.iter().zip([
-        (0.0, 60.0, 300.0),
-        (0.0, 400.0, 1500.0),
+        (0.0, 120.0, 6000.0),
+        (0.0, 250.0, 2500.0),
         (4e-3, 0.0, 0.0),
         (-2e-4, 0.0, 0.0),
     ]) {
