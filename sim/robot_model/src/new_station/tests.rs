@@ -233,7 +233,7 @@ fn axes_of_taxels_are_in_the_layout_and_in_the_columns_of_recordings() {
     assert!(station.contains("t,pad.0.x,pad.0.y,pad.0.z,pad.1.x,"), "{station}");
     for (count, normal_axis, expected) in [
         (Some(4), None, "axes is 4, expected 1, 2 or 3"),
-        (Some(2), Some("z"), "normal_axis is \"z\", expected one of x, y"),
+        (Some(2), Some("z"), "normal_axis is \"z\", expected one of \"x\", \"y\""),
         (None, Some("z"), "reading says how several axes become one, but there is one"),
     ] {
         let problem = with(count, None, normal_axis).unwrap_err().to_string();
