@@ -163,13 +163,16 @@ impl Program {
             let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
             let (output, errors) = thread::scope(|scope| {
                 let errors = scope.spawn(|| stderr.map_or_else(String::new, |from| read(from, |_| ())));
-                let show = |line: &str| {
+                let show_live = |line: &str| {
                     if !gives_way {
-                        show(line)
+                        show(line);
                     }
                 };
-                show(&format!("\n== {}\n", self.name()));
-                (stdout.map_or_else(String::new, |from| read(from, show)), errors.join().unwrap_or_default())
+                show_live(&format!("\n== {}\n", self.name()));
+                (
+                    stdout.map_or_else(String::new, |from| read(from, show_live)),
+                    errors.join().unwrap_or_default(),
+                )
             });
             let status = child.wait().with_context(|| format!("failed to wait for {}", self.name()))?;
             // In one piece: the other lane prints too.

@@ -6,7 +6,7 @@ use palpate_calibration::{
     CalibrationConfig, CalibrationError, CalibrationOutcome, HoldOut, Method, PairedTake, calibrate,
     report::ReportSource,
 };
-use palpate_robot_model::{SensorKind, TactileLayout};
+use palpate_robot_model::{SensorKind, Stream, TactileLayout};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, StreamTheta, Theta};
 
@@ -178,10 +178,30 @@ fn modality_without_contact_keeps_its_nominal_parameters_and_says_so() {
     assert!(report.notes.iter().any(|note| note.contains("lambda_con stays nominal")), "{:?}", report.notes);
 }
 
+/// [`synthetic::layout`] with the second half of its pads, and of its patches, as streams of their own.
+fn of_two_skins(size: Size) -> TactileLayout {
+    let mut layout = synthetic::layout(size);
+    let [pads, patches] = [size.pads.div_ceil(2) * size.taxels_per_pad, size.patches.div_ceil(2)];
+    let num_pad_channels = size.pads * size.taxels_per_pad;
+    let bounds = [0, pads, num_pad_channels, num_pad_channels + patches, layout.channels.len()];
+    let old = layout.streams.clone();
+    layout.streams = (0..4)
+        .map(|idx| Stream {
+            id: format!("{}{}", old[idx / 2].id, ["_a", "_b"][idx % 2]),
+            channels: bounds[idx]..bounds[idx + 1],
+            ..old[idx / 2].clone()
+        })
+        .collect();
+    let of = |channel: usize| (0..4).rposition(|idx| bounds[idx] <= channel).expect("one");
+    layout.channels.iter_mut().enumerate().for_each(|(idx, channel)| channel.stream = of(idx));
+    layout.patches.iter_mut().for_each(|patch| patch.stream = of(patch.channels.start));
+    layout
+}
+
 /// Two skins of each kind, and takes of which every activation is that of a model with a theta for each. Light touches that
 /// every node sees alike would tell nothing of alpha.
 fn two_skins() -> (TactileLayout, Vec<PairedTake>, SensorModel) {
-    let layout = synthetic::of_two_skins(crate::SMALL);
+    let layout = of_two_skins(crate::SMALL);
     let mut truth = crate::nominal();
     for (stream, (lambda_con_m, alpha_per_m, lambda_pre_pa)) in layout.streams.iter().zip([
         (0.0, 120.0, 6000.0),
@@ -247,7 +267,7 @@ fn each_of_two_skins_gets_the_theta_that_made_its_takes() {
 #[test]
 fn a_shared_theta_and_a_layout_without_rivals_have_the_bits_of_one_search() {
     let (_, mut takes, _) = two_skins();
-    let (together, parted) = (synthetic::layout(crate::SMALL), synthetic::of_two_skins(crate::SMALL));
+    let (together, parted) = (synthetic::layout(crate::SMALL), of_two_skins(crate::SMALL));
     let shared_theta = |shared_theta| CalibrationConfig { shared_theta, ..CalibrationConfig::default() };
     let one = run(&shared_theta(false), &together, &takes).expect("a sound session");
     let shared = run(&shared_theta(true), &parted, &takes).expect("a sound session");

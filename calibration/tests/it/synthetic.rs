@@ -73,26 +73,6 @@ pub(crate) fn layout(size: Size) -> TactileLayout {
     layout
 }
 
-/// [`layout`] with the second half of its pads, and of its patches, as streams of their own.
-pub(crate) fn of_two_skins(size: Size) -> TactileLayout {
-    let mut layout = layout(size);
-    let [pads, patches] = [size.pads.div_ceil(2) * size.taxels_per_pad, size.patches.div_ceil(2)];
-    let num_pad_channels = size.pads * size.taxels_per_pad;
-    let bounds = [0, pads, num_pad_channels, num_pad_channels + patches, layout.channels.len()];
-    let old = layout.streams.clone();
-    layout.streams = (0..4)
-        .map(|idx| Stream {
-            id: format!("{}{}", old[idx / 2].id, ["_a", "_b"][idx % 2]),
-            channels: bounds[idx]..bounds[idx + 1],
-            ..old[idx / 2].clone()
-        })
-        .collect();
-    let of = |channel: usize| (0..4).rposition(|idx| bounds[idx] <= channel).expect("one");
-    layout.channels.iter_mut().enumerate().for_each(|(idx, channel)| channel.stream = of(idx));
-    layout.patches.iter_mut().for_each(|patch| patch.stream = of(patch.channels.start));
-    layout
-}
-
 fn push_patch(
     layout: &mut TactileLayout,
     stream: usize,

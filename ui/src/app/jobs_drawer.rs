@@ -44,7 +44,7 @@ impl JobsDrawer {
 
 /// What was pressed in the drawer.
 enum Pressed {
-    Open(Route),
+    Open(Box<Route>),
     Cancel(String),
 }
 
@@ -116,7 +116,7 @@ impl StudioApp {
             }
             ui.horizontal(|ui| {
                 if ui.button("All jobs").clicked() {
-                    pressed = Some(Pressed::Open(Route::to(Screen::Jobs)));
+                    pressed = Some(Pressed::Open(Box::new(Route::to(Screen::Jobs))));
                 }
                 if jobs.len() > MAX_JOBS {
                     ui.label(format!("and {} more", jobs.len() - MAX_JOBS));
@@ -133,7 +133,7 @@ impl StudioApp {
 
     fn carry_out(&mut self, pressed: Option<Pressed>) {
         match pressed {
-            Some(Pressed::Open(route)) => self.go(route),
+            Some(Pressed::Open(route)) => self.go(*route),
             Some(Pressed::Cancel(id)) => self.store.jobs.act(&id, JobAct::Cancel),
             None => {}
         }
@@ -148,7 +148,7 @@ fn entry_ui(ui: &mut egui::Ui, palette: &Palette, job: &Job, may: bool) -> Optio
         name_button(&open, &format!("Show job {}", job.id));
         if open.clicked() {
             let route = Route { job: Some(job.id.clone()), ..Route::to(Screen::Jobs) };
-            pressed = Some(Pressed::Open(route));
+            pressed = Some(Pressed::Open(Box::new(route)));
         }
         ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
             if job.is_unfinished() {
@@ -162,7 +162,7 @@ fn entry_ui(ui: &mut egui::Ui, palette: &Palette, job: &Job, may: bool) -> Optio
                 let open = ui.button(face);
                 name_button(&open, &format!("{face} of job {}", job.id));
                 if open.clicked() {
-                    pressed = Some(Pressed::Open(route));
+                    pressed = Some(Pressed::Open(Box::new(route)));
                 }
             }
         });

@@ -71,7 +71,7 @@ impl TactileDomain<'_> {
                     set(*of, value, |theta| &mut theta.lambda_con_m, |own| &mut own.lambda_con_m);
                 }
                 Base::Alpha(of) => {
-                    set(*of, value, |theta| &mut theta.alpha_per_m, |own| &mut own.alpha_per_m)
+                    set(*of, value, |theta| &mut theta.alpha_per_m, |own| &mut own.alpha_per_m);
                 }
                 Base::LambdaPre(of) => {
                     set(*of, value.exp(), |theta| &mut theta.lambda_pre_pa, |own| &mut own.lambda_pre_pa);
@@ -102,7 +102,7 @@ impl TactileDomain<'_> {
 mod tests {
     use std::path::Path;
 
-    use palpate_emulator::Stage;
+    use palpate_truth::Stage;
 
     use super::*;
     use crate::engine::Domain as _;
