@@ -4,7 +4,7 @@
 //! models are judged on the same draw. With few takes the intervals are coarse (three takes have ten distinct draws);
 //! they show how much hangs on single takes, no more.
 
-use palpate_wire::api::{Intervals, MetricIntervals};
+use palpate_reports::{Intervals, MetricIntervals};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -2,15 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use palpate_reports::{
+    CalibrationReport, HeldOut, MetricsPair, Objective, StreamFit, StreamThetaReport, TakeMetrics,
+    ThetaReport,
+};
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{
     SensorModel, StreamTheta, Theta,
     job::{Cancel, Progress},
     tactile,
-};
-use palpate_wire::api::{
-    CalibrationReport, HeldOut, MetricsPair, Objective, StreamFit, StreamThetaReport, TakeMetrics,
-    ThetaReport,
 };
 use rayon::prelude::*;
 

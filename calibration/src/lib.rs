@@ -1,6 +1,6 @@
 //! Fits the sensor model to recorded takes and says how well it fits.
 //!
-//! [`calibrate`] is the job: paired takes in, [`palpate_wire::api::CalibrationReport`] and a sensor model out.
+//! [`calibrate`] is the job: paired takes in, [`palpate_reports::CalibrationReport`] and a sensor model out.
 //! [`PairedTake::from_take`] replays a recorded take for it. [`metrics`] are the paper's, [`sweep`] holds its grid search
 //! and the exact search, [`report`] writes the self-contained HTML, [`mod@bench`] measures the searches. Pure: takes, clocks,
 //! random seeds and paths come from the caller.

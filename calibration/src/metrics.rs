@@ -25,7 +25,7 @@
 use std::iter::Sum;
 use std::ops::{Add, AddAssign};
 
-use palpate_wire::api::Metrics;
+use palpate_reports::Metrics;
 
 /// Longest gap within one contact, s: one missing frame at the 10 Hz of a joint log, not two.
 pub const CHATTER_GAP_S: f64 = 0.15;

@@ -1,7 +1,7 @@
 //! The self-contained HTML report.
 //!
 //! [`html`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
-//! reader's own setting. The JSON report is [`palpate_wire::api::CalibrationReport`] itself.
+//! reader's own setting. The JSON report is [`palpate_reports::CalibrationReport`] itself.
 
 mod events;
 mod objective;
@@ -9,7 +9,7 @@ mod tables;
 
 use std::fmt::{self, Display, Write as _};
 
-use palpate_wire::api::{CalibrationReport, Metrics};
+use palpate_reports::{CalibrationReport, Metrics};
 
 use crate::CalibrationOutcome;
 

@@ -58,7 +58,7 @@ fn file_of(mut bytes: &[u8]) -> Option<Vec<u8>> {
         let (data, after) = rest.split_at(usize::from(*length).min(rest.len()));
         bytes = after;
         let (topic, schema) = TOPICS[usize::from(*topic) % TOPICS.len()];
-        let descriptors = palpate_wire::descriptor_set(schema)?;
+        let descriptors = palpate_messages::descriptor_set(schema)?;
         let schema_id = writer.add_schema(schema, "protobuf", &descriptors).ok()?;
         let channel_id = writer.add_channel(schema_id, topic, "protobuf", &BTreeMap::new()).ok()?;
         log_time += u64::from(*step) * 1_000_000;

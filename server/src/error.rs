@@ -7,7 +7,6 @@ use palpate_calibration::CalibrationError;
 use palpate_control::ControlError;
 use palpate_diagnosis::DiagnosisError;
 use palpate_drivers::DriverError;
-use palpate_emulator::EmulationError;
 use palpate_export::ExportError;
 use palpate_jobs::JobsError;
 use palpate_people::PeopleError;
@@ -15,6 +14,7 @@ use palpate_recording::RecordingError;
 use palpate_robot_model::ModelError;
 use palpate_sim::SensorModelError;
 use palpate_trials::TrialsError;
+use palpate_truth::EmulationError;
 
 /// Anything that can go wrong with a command or a request.
 #[derive(Debug, thiserror::Error)]

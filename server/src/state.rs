@@ -8,7 +8,7 @@ use std::{
 };
 
 use palpate_control::{AuditFile, AuditRotation};
-use palpate_emulator::devices::StationControl;
+use palpate_emulator::StationControl;
 use palpate_people::{LoginLimits, People};
 use palpate_trials::Campaigns;
 use tokio::sync::watch;

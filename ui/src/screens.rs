@@ -22,8 +22,8 @@ pub mod trials;
 
 pub use about::{About, Subject, View};
 pub use help::{help_ui, said_ui, topic_heading_ui, topic_ui};
+pub use palpate_reports::wording::words;
 use palpate_robot_model::Station;
-pub use palpate_wire::wording::words;
 
 use crate::{
     playback::Playback,

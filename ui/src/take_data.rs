@@ -1,11 +1,9 @@
 //! A recorded take as the page uses it: the trace from the server, checked, with look-ups by time.
 
 use nalgebra::Isometry3;
+use palpate_messages::bits;
 use palpate_robot_model::{FixedBox, PoseConfig, Station};
-use palpate_wire::{
-    bits,
-    proto::{ReplayTrace, StreamTrace, TakeTrace},
-};
+use palpate_wire::proto::{ReplayTrace, StreamTrace, TakeTrace};
 
 /// A take, ready to draw.
 #[derive(Clone, Debug)]

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use palpate_emulator::{Expected, Hidden};
-use palpate_wire::api::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Verdict};
+use palpate_reports::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Verdict};
+use palpate_truth::{Expected, Hidden};
 use serde::{Deserialize, Serialize};
 
 use crate::BlindError;

@@ -12,12 +12,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
 use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, diagnose};
-use palpate_emulator::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
-use palpate_emulator::{Case, EmulationError, Expected, Hidden, Stage, Strength, cases};
 use palpate_recording::{AxesLog, RecordingError, Take};
+use palpate_reports::DiagnosisReport;
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, SensorModelError};
-use palpate_wire::api::DiagnosisReport;
+use palpate_truth::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
+use palpate_truth::{Case, EmulationError, Expected, Hidden, Stage, Strength, cases};
 use rayon::prelude::*;
 
 use answers::{Answer, Answers, Asked, Secret};

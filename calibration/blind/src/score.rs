@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use palpate_emulator::Expected;
-use palpate_wire::api::Verdict;
+use palpate_reports::Verdict;
+use palpate_truth::Expected;
 use serde::{Deserialize, Serialize};
 
 use crate::answers::{Answer, Asked};
@@ -198,8 +198,8 @@ fn median(values: &mut [f64]) -> Option<f64> {
 mod tests {
     use std::collections::BTreeMap;
 
+    use palpate_reports::{Doubt, EffectInDoubt, Gap, NamedEffect};
     use palpate_robot_model::Place;
-    use palpate_wire::api::{Doubt, EffectInDoubt, Gap, NamedEffect};
 
     use super::*;
     use crate::answers::Secret;

@@ -23,10 +23,10 @@ mod skin;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use palpate_emulator::{Case, Expected, Hidden, Stage, cases};
 use palpate_recording::Take;
 use palpate_robot_model::{JointKind, Place, Station};
 use palpate_sim::geometry::SignedDistance;
+use palpate_truth::{Case, Expected, Hidden, Stage, cases};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;

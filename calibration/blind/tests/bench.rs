@@ -7,13 +7,13 @@ use std::path::Path;
 
 use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
 use palpate_diagnosis::{DiagnosisConfig, diagnose};
-use palpate_emulator::{Stage, cases};
 use palpate_recording::{SpanKind, Take};
+use palpate_reports::Verdict;
 use palpate_sim::{
     SensorModel,
     job::{Cancel, NoProgress},
 };
-use palpate_wire::api::Verdict;
+use palpate_truth::{Stage, cases};
 
 const TUNE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml");
 

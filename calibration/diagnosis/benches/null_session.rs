@@ -6,9 +6,9 @@ use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use palpate_diagnosis::{DiagnosisConfig, null_bar};
-use palpate_emulator::Stage;
 use palpate_sim::SensorModel;
 use palpate_sim::job::{Cancel, NoProgress};
+use palpate_truth::Stage;
 
 fn null_session(c: &mut Criterion) {
     let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));

@@ -8,10 +8,10 @@ mod domain;
 mod report;
 
 use palpate_recording::ServoLog;
+use palpate_reports::DiagnosisReport;
 use palpate_sim::actuator::ACTUATOR;
 use palpate_sim::effects::Effect;
 use palpate_sim::job::{Cancel, Progress};
-use palpate_wire::api::DiagnosisReport;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use palpate_calibration::{CalibrationConfig, CalibrationError, HoldOut, PairedTake, calibrate, held_out};
 use palpate_recording::Take;
+use palpate_reports::{DiagnosisReport, Doubt, EffectInDoubt};
 use palpate_robot_model::{Place, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{self, Effect};
 use palpate_sim::job::{Cancel, NoProgress, Progress};
-use palpate_wire::api::{DiagnosisReport, Doubt, EffectInDoubt};
 use rayon::prelude::*;
 
 use crate::engine::{self, Domain, Model, Naming, NamingConfig, Tried};

@@ -1,7 +1,7 @@
 //! Finds where a simulator and measurements disagree, names the missing effect, adds it to the model and shows the gap
 //! shrink.
 //!
-//! [`diagnose`] is the job: takes in, [`palpate_wire::api::DiagnosisReport`] and a sensor model with effects out.
+//! [`diagnose`] is the job: takes in, [`palpate_reports::DiagnosisReport`] and a sensor model with effects out.
 //! [`engine`] does the statistics for any [`engine::Domain`]; [`tactile`] is the sense of touch.
 //! Pure: takes, clocks, random seeds and paths come from the caller.
 

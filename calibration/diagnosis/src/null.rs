@@ -1,9 +1,9 @@
 //! The bar that evidence must reach: what the whole pipeline finds in sessions that miss nothing.
 
 use palpate_recording::Take;
+use palpate_reports::Bar;
 use palpate_sim::SensorModel;
 use palpate_sim::job::{Cancel, Progress};
-use palpate_wire::api::Bar;
 use serde::{Deserialize, Serialize};
 
 use crate::DiagnosisError;

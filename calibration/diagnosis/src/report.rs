@@ -1,7 +1,7 @@
 //! The self-contained HTML report: find, name, add, show.
 //!
 //! [`html`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
-//! reader's own setting. The JSON report is [`palpate_wire::api::DiagnosisReport`] itself.
+//! reader's own setting. The JSON report is [`palpate_reports::DiagnosisReport`] itself.
 
 mod pictures;
 mod tables;
@@ -9,11 +9,8 @@ mod tables;
 use std::fmt::{self, Write as _};
 
 use palpate_calibration::report::{Escaped, ReportSource, STYLE};
+use palpate_reports::{DiagnosisReport, NamedEffect, Verdict, wording};
 use palpate_sim::SensorModel;
-use palpate_wire::{
-    api::{DiagnosisReport, NamedEffect, Verdict},
-    wording,
-};
 
 /// The report as one HTML page. `model` is the one with the named effects.
 pub fn html(source: ReportSource<'_>, report: &DiagnosisReport, model: &SensorModel) -> String {

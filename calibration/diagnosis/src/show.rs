@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use palpate_reports::{
+    Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
+};
 use palpate_robot_model::Station;
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{self, Effect};
-use palpate_wire::api::{
-    Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
-};
 
-use palpate_wire::wording::effect_at;
+use palpate_reports::wording::effect_at;
 use rayon::prelude::*;
 
 use crate::DiagnosisError;

@@ -603,7 +603,7 @@ fn reading(load: f64, exponent: f64) -> f64 {
 mod tests {
     use std::path::Path;
 
-    use palpate_emulator::Stage;
+    use palpate_truth::Stage;
 
     use super::*;
 

@@ -1,6 +1,6 @@
 //! What is wrong with the axes of taxels.
 
-use palpate_wire::api::Severity;
+use palpate_reports::Severity;
 
 use crate::{StreamLog, Take, format::axes_topic};
 

@@ -1,7 +1,7 @@
 //! Rates, gaps, clock order and coverage of a session.
 
-use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity, StreamCheck, TakeCheck};
-use palpate_wire::wording::counted;
+use palpate_reports::wording::counted;
+use palpate_reports::{ChannelCoverage, CheckReport, Problem, Severity, StreamCheck, TakeCheck};
 
 use crate::{
     RecordingError, Session, SpanKind, Take, axes, decode::decode, format::OBJECT_POSE_TOPIC, object_poses,
@@ -84,7 +84,7 @@ pub fn check_session(session: &Session) -> Result<CheckReport, RecordingError> {
     Ok(report)
 }
 
-/// The rules; a trait of this module, since the report belongs to `palpate_wire`.
+/// The rules; a trait of this module, since the report belongs to `palpate_reports`.
 trait Judge {
     fn add(&mut self, severity: Severity, place: impl Into<String>, message: impl Into<String>);
     fn add_error(&mut self, take_id: &str, error: &RecordingError);

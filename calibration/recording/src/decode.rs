@@ -15,11 +15,11 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 use nalgebra::Isometry3;
-use palpate_robot_model::{Station, StationFiles};
-use palpate_wire::{
+use palpate_messages::{
     foxglove::{JointStates, PoseInFrame},
     proto::{Marker, TactileAxes, TactileSample, marker::Kind},
 };
+use palpate_robot_model::{Station, StationFiles};
 use prost::Message as _;
 
 use crate::{

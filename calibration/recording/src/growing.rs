@@ -18,8 +18,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use palpate_reports::TakeVerdict;
 use palpate_robot_model::Station;
-use palpate_wire::api::TakeVerdict;
 use serde::{Deserialize, Serialize};
 
 use crate::{

@@ -1,6 +1,6 @@
 //! What is wrong with the poses of a moving object.
 
-use palpate_wire::{api::Severity, wording::counted};
+use palpate_reports::{Severity, wording::counted};
 
 use crate::{Take, plausible};
 

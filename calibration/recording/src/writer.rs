@@ -8,12 +8,12 @@ use std::{
 
 use mcap::{Attachment, WriteOptions, records::MessageHeader, records::Metadata};
 use nalgebra::Isometry3;
-use palpate_robot_model::{Station, TaxelAxes};
-use palpate_wire::{
+use palpate_messages::{
     descriptor_set,
     foxglove::{JointState, JointStates, Log, Pose, PoseInFrame, Quaternion, Vector3, log::Level},
     proto::{Marker, TactileAxes, TactileSample, marker::Kind},
 };
+use palpate_robot_model::{Station, TaxelAxes};
 
 use crate::{
     RecordingError, Span, SpanKind, TakeMeta,

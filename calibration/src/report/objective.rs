@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use palpate_wire::api::{CalibrationReport, Objective, StreamFit, StreamThetaReport, ThetaReport};
+use palpate_reports::{CalibrationReport, Objective, StreamFit, StreamThetaReport, ThetaReport};
 
 use super::{Escaped, tables::significant};
 

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use palpate_wire::api::{CalibrationReport, Metrics, StreamFit};
+use palpate_reports::{CalibrationReport, Metrics, StreamFit};
 
 use super::{Escaped, metric_texts};
 

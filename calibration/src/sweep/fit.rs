@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use palpate_reports::Objective;
 use palpate_robot_model::{SensorKind, TactileLayout};
 use palpate_sim::{SensorModel, StreamTheta, Theta, replay::NEAR_M};
-use palpate_wire::api::Objective;
 
 use super::{
     ExactResult, FitData, GridAxes, GridResult, Watch,

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use palpate_wire::bits;
+use palpate_messages::bits;
 use palpate_wire::proto::control_state::Phase;
 use serde::Serialize;
 use serde_json::{Value, json};

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use palpate_grasp::GraspConfig;
+use palpate_messages::bits;
 use palpate_robot_model::Station;
 use palpate_sim::job::Cancel;
-use palpate_wire::bits;
 use palpate_wire::proto::{LiveFrame, Targets, control_request::Request};
 
 use crate::inject::Injected;

@@ -6,8 +6,8 @@
 
 use palpate_grasp::GraspConfig;
 use palpate_grasp::scene::digits;
+use palpate_messages::bits;
 use palpate_robot_model::Station;
-use palpate_wire::bits;
 use palpate_wire::proto::LiveFrame;
 use palpate_wire::proto::control_state::Phase;
 use palpate_wire::proto::device_status::Link;

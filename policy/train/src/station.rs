@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context as _;
 use nalgebra::{Isometry3, Translation3};
-use palpate_emulator::TruthSense;
-use palpate_emulator::devices::{ArmPorts, Bodies, DevicePorts, EmulatedStation, PortsConfig, serve_devices};
+use palpate_emulator::{ArmPorts, Bodies, DevicePorts, EmulatedStation, PortsConfig, serve_devices};
 use palpate_grasp::GraspConfig;
 use palpate_robot_model::ObjectShape;
+use palpate_truth::TruthSense;
 use serde_json::{Value, json};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,

@@ -4,11 +4,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
-use palpate_emulator::{EmulationError, TruthSense, TruthTouch};
 use palpate_grasp::GraspError;
 use palpate_grasp::touch::{FixedBody, Sense, Touch, TouchScene};
 use palpate_robot_model::{ObjectModel, Station};
 use palpate_sim::tactile::Readings;
+use palpate_truth::{EmulationError, TruthSense, TruthTouch};
 
 /// The touch of a truth file.
 pub(crate) struct Emulated(TruthSense);

@@ -13,11 +13,11 @@ use palpate_calibration::{
     PairedTake,
     bench::{SweepBenchConfig, sweep as bench_sweep, write_peer_inputs},
 };
-use palpate_emulator::record_session;
 use palpate_recording::{Session, Take};
 use palpate_robot_model::TactileLayout;
 use palpate_server::{Error, assets};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_truth::record_session;
 use serde::Serialize;
 use tempfile::TempDir;
 

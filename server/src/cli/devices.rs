@@ -113,7 +113,7 @@ fn emulate(_args: &EmulateArgs) -> Outcome {
 
 #[cfg(unix)]
 fn emulate(args: &EmulateArgs) -> Outcome {
-    use palpate_emulator::devices::{ArmPorts, EmulatedStation, PortsConfig, PortsError, serve_devices};
+    use palpate_emulator::{ArmPorts, EmulatedStation, PortsConfig, PortsError, serve_devices};
     use palpate_server::{assets, chain};
 
     let (truth, _unpacked) = assets::truth(&args.truth)?;
@@ -148,7 +148,7 @@ mod unix {
         atomic::{AtomicBool, Ordering},
     };
 
-    use palpate_emulator::devices::DevicePorts;
+    use palpate_emulator::DevicePorts;
     use palpate_server::Error;
     use serde_json::{Value, json};
 

@@ -5,6 +5,7 @@ use std::{fs, path::PathBuf, process::ExitCode};
 use clap::Args;
 use palpate_diagnosis::DiagnosisConfig;
 use palpate_recording::Session;
+use palpate_reports::wording;
 use palpate_server::{
     Error,
     data::{bars::Bars, files, library::Library},
@@ -12,10 +13,7 @@ use palpate_server::{
 };
 use palpate_sim::SensorModel;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::{
-    api::{DiagnosisReport, Metrics},
-    wording,
-};
+use palpate_wire::api::{DiagnosisReport, Metrics};
 
 use super::{Outcome, calibrate::hold_out, output};
 

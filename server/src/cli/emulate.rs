@@ -3,9 +3,9 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
-use palpate_emulator::record_session;
 use palpate_server::{assets, data::library::Library};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_truth::record_session;
 
 use super::{Outcome, output};
 

@@ -8,6 +8,7 @@ use std::{
 
 use clap::{Args, Subcommand, ValueEnum};
 use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
+use palpate_reports::wording::counted;
 use palpate_robot_model::{
     AxesReading, SensorKind,
     new_station::{
@@ -19,7 +20,6 @@ use palpate_server::{
     Error,
     data::new_station::{self, RobotFile},
 };
-use palpate_wire::wording::counted;
 use serde::Serialize;
 
 use super::{Outcome, output};

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use palpate_calibration::PairedTake;
+use palpate_messages::bits;
 use palpate_recording::{Session, StreamLog, Take};
 use palpate_robot_model::{ObjectPath, PoseConfig};
 use palpate_sim::{SensorModel, effects::TakeScene, replay::PatchTrace, tactile::Readings};
 use palpate_wire::{
     api::{SessionDetail, SessionSummary, TakeSummary},
-    bits,
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace},
 };
 

@@ -13,9 +13,7 @@ use std::{
 
 use palpate_control::PlaceObject;
 use palpate_drivers::{PortOverride, Ports, priority};
-use palpate_emulator::devices::{
-    ArmPorts, DevicePorts, EmulatedStation, PortsConfig, StationControl, serve_devices,
-};
+use palpate_emulator::{ArmPorts, DevicePorts, EmulatedStation, PortsConfig, StationControl, serve_devices};
 use palpate_robot_model::{DeviceKind, Station};
 use tempfile::TempDir;
 

@@ -4,7 +4,7 @@ use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use palpate_control::{AuditFile, Control, ControlConfig, Ending, Handle};
 use palpate_drivers::Ports;
-use palpate_emulator::devices::StationControl;
+use palpate_emulator::StationControl;
 use palpate_robot_model::Station;
 use palpate_wire::api::Source;
 

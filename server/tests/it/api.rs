@@ -1,6 +1,7 @@
 //! Sessions, takes, models and the page.
 
 use axum::http::header;
+use palpate_messages::bits;
 use palpate_recording::Session;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
@@ -8,7 +9,6 @@ use palpate_wire::{
         CheckReport, Info, ModelSummary, ObjectEntry, SessionDetail, SessionSummary, Source, StationDocument,
         TrashEntry, TrashSort,
     },
-    bits,
     proto::{ReplayTrace, TakeTrace},
 };
 use prost::Message as _;

@@ -4,11 +4,12 @@ use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
 
 use axum::http::{StatusCode, header};
 use futures_util::{SinkExt as _, StreamExt as _};
-use palpate_server::{AppState, LiveStation, Studio, app, assets};
-use palpate_wire::{
+use palpate_messages::{
     foxglove::{FrameTransforms, JointStates},
-    proto::{LiveFrame, TactileSample},
+    proto::TactileSample,
 };
+use palpate_server::{AppState, LiveStation, Studio, app, assets};
+use palpate_wire::proto::LiveFrame;
 use prost::Message as _;
 use serde_json::{Value, json};
 use tokio::{net::TcpListener, time::timeout};

@@ -17,10 +17,10 @@ use axum::{
     http::{HeaderMap, Request, StatusCode, header},
 };
 use http_body_util::BodyExt as _;
-use palpate_emulator::record_session;
 use palpate_recording::{Session, import::import_csv};
 use palpate_server::{Access, AppState, Studio, app, assets};
 use palpate_sim::job::{Cancel, NoProgress};
+use palpate_truth::record_session;
 use palpate_wire::api::ProblemDetails;
 use serde::de::DeserializeOwned;
 use tower::ServiceExt as _;

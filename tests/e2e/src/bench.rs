@@ -13,7 +13,7 @@ use std::{
 
 use anyhow::{Context as _, bail};
 use palpate_drivers::priority;
-use palpate_emulator::devices::{
+use palpate_emulator::{
     ArmPorts, DevicePorts, EmulatedStation, Faults, LoggedStep, PortsConfig, StationControl, StationSnapshot,
     serve_devices,
 };

@@ -3,6 +3,7 @@
 pub mod next;
 
 use egui::{RichText, accesskit::Role as Accessible};
+use palpate_reports::wording::counted;
 use palpate_wire::{
     api::{
         CalibrationRequest, CampaignSummary, DiagnosisRequest, Job, JobState, ModelSummary, Role,
@@ -10,7 +11,6 @@ use palpate_wire::{
     },
     markdown,
     proto::device_status::Link,
-    wording::counted,
 };
 
 use self::next::{CampaignFacts, Facts, SessionFacts, Step};

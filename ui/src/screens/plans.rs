@@ -1,11 +1,9 @@
 //! Plans: what a calibration session touches, before it is recorded.
 
 use egui::{Rect, RichText, vec2};
+use palpate_reports::wording;
 use palpate_robot_model::Station;
-use palpate_wire::{
-    api::{PlanDocument, PlanTake},
-    wording,
-};
+use palpate_wire::api::{PlanDocument, PlanTake};
 
 use super::{
     About, Part, ScreenContext, Subject, View, duration_text, empty_ui, failed_ui, hand::channel_map_ui,

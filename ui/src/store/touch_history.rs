@@ -4,7 +4,8 @@
 
 use std::collections::VecDeque;
 
-use palpate_wire::{bits, proto::LiveFrame};
+use palpate_messages::bits;
+use palpate_wire::proto::LiveFrame;
 
 use crate::screens::timelines::events::{Event, runs};
 

@@ -10,6 +10,7 @@ use std::{
 
 use base64::Engine as _;
 use egui_kittest::Harness;
+use palpate_messages::bits;
 use palpate_robot_model::Station;
 use palpate_ui::{
     Platform, StudioApp,
@@ -21,7 +22,6 @@ use palpate_wire::{
     api::{
         Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary, ThetaReport,
     },
-    bits,
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace, control_request},
 };
 use prost::Message as _;

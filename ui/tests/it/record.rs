@@ -2,6 +2,7 @@
 
 use egui::{Key, accesskit::Role};
 use egui_kittest::kittest::Queryable as _;
+use palpate_messages::bits;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
     route::Screen,
@@ -11,7 +12,6 @@ use palpate_wire::{
         FreeTake, FreeTakeState, PlanSummary, RecordingAction, RecordingDocument, RecordingPhase,
         RecordingSession, RecordingStep, StartRecording, StepState, TakeAction, TakeVerdict, WantedTake,
     },
-    bits,
     proto::{RecordingStatus, control_request::Request as Command, control_state::Phase},
 };
 

@@ -188,11 +188,9 @@ fn take_that_does_not_fit_its_station_says_so() {
 #[test]
 #[ignore = "measures time; says how long a frame of ten busy minutes takes"]
 fn ten_minutes_of_every_channel_at_sixty_frames_a_second() {
+    use palpate_messages::bits;
     use palpate_ui::api_client::Request;
-    use palpate_wire::{
-        bits,
-        proto::{ReplayTrace, TakeTrace},
-    };
+    use palpate_wire::proto::{ReplayTrace, TakeTrace};
     use prost::Message as _;
     let station = station();
     let num_channels = station.layout.num_channels();

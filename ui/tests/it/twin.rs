@@ -2,6 +2,7 @@
 
 use egui::accesskit::Role;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
+use palpate_messages::bits;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
     playback::HandSource,
@@ -9,7 +10,6 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{Info, LiveModel, Source},
-    bits,
     proto::{LiveFrame, StreamMessage, TaxelWarning, TwinStatus, stream_message},
 };
 use prost::Message as _;

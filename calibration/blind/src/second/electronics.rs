@@ -1,7 +1,7 @@
 //! Boards: filters, wander, mains, rounding, and ways to the host.
 
-use palpate_emulator::Hidden;
 use palpate_robot_model::{Place, SensorKind, Station, StreamConfig};
+use palpate_truth::Hidden;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use palpate_emulator::Hidden;
 use palpate_robot_model::{Patch, SensorKind, Station};
 use palpate_sim::geometry::SignedDistance;
+use palpate_truth::Hidden;
 
 use super::imperfections::{Imperfections, SkinConfig, Spread};
 use super::{motion_of, value};

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use palpate_sim::actuator;
-use palpate_sim::effects::Effect;
-use palpate_wire::api::{
+use palpate_reports::{
     Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, NextExperiment, Rival, Unexplained, Verdict,
     WaterfallStep,
 };
+use palpate_sim::actuator;
+use palpate_sim::effects::Effect;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use palpate_emulator::actuator::{ServoTruth, record_servo, servo_cases};
 use palpate_recording::ServoLog;
+use palpate_reports::Verdict;
 use palpate_sim::job::{Cancel, NoProgress};
-use palpate_wire::api::Verdict;
+use palpate_truth::actuator::{ServoTruth, record_servo, servo_cases};
 
 use super::*;
 

@@ -3,10 +3,7 @@
 use std::fmt::{self, Write as _};
 
 use palpate_calibration::report::Escaped;
-use palpate_wire::{
-    api::{ChannelResidual, DiagnosisReport},
-    wording,
-};
+use palpate_reports::{ChannelResidual, DiagnosisReport, wording};
 
 const NAMES: f64 = 250.0;
 const BARS: f64 = 520.0;

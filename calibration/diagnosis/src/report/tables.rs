@@ -3,10 +3,7 @@
 use std::fmt::{self, Write as _};
 
 use palpate_calibration::report::Escaped;
-use palpate_wire::{
-    api::{Cell, DiagnosisReport, Metrics, NamedEffect},
-    wording,
-};
+use palpate_reports::{Cell, DiagnosisReport, Metrics, NamedEffect, wording};
 
 pub(super) fn write_cells(page: &mut String, cells: &[Cell]) -> fmt::Result {
     page.push_str(

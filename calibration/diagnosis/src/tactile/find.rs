@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use palpate_reports::{Cell, ChannelResidual};
 use palpate_robot_model::Station;
-use palpate_wire::api::{Cell, ChannelResidual};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -532,8 +532,8 @@ fn add_place(key: &mut Key, place: &Place) {
 mod tests {
     use std::path::Path;
 
-    use palpate_emulator::Stage;
     use palpate_sim::SensorModel;
+    use palpate_truth::Stage;
 
     use super::*;
 

@@ -147,7 +147,7 @@ pub(crate) fn gap_interval(judged: &[Judged], resamples: usize, seed: u64) -> Op
 }
 
 /// Metrics over all channels and takes.
-pub(crate) fn metrics(judged: &[Judged]) -> palpate_wire::api::Metrics {
+pub(crate) fn metrics(judged: &[Judged]) -> palpate_reports::Metrics {
     judged.iter().flat_map(|take| &take.sums).sum::<MetricsSum>().metrics()
 }
 
@@ -308,9 +308,9 @@ mod tests {
     use std::path::Path;
 
     use nalgebra::Isometry3;
-    use palpate_emulator::Stage;
     use palpate_robot_model::Place;
     use palpate_sim::effects::Effect;
+    use palpate_truth::Stage;
 
     use super::*;
 

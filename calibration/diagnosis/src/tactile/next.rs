@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
+use palpate_reports::NextExperiment;
 use palpate_robot_model::Station;
 use palpate_sim::effects::Effect;
-use palpate_wire::api::NextExperiment;
 
 use super::TactileDomain;
 use crate::DiagnosisError;

@@ -1,6 +1,6 @@
 //! What an import understood, for people and scripts.
 
-use palpate_wire::api::StreamCheck;
+use palpate_reports::StreamCheck;
 use serde::Serialize;
 
 /// What was understood of a folder of recordings; `palpate import --explain`.

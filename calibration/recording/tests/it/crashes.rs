@@ -3,7 +3,7 @@
 use std::{collections::BTreeSet, fs, path::Path};
 
 use palpate_recording::{GrowingSession, PlannedStep, Session, SessionPlan, Take, TakeMeta, TakeState};
-use palpate_wire::api::TakeVerdict;
+use palpate_reports::TakeVerdict;
 
 use crate::{
     live::write_tick,

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use palpate_recording::{
     GrowingSession, LiveTake, PlannedStep, RecordingError, Session, SessionPlan, TakeState, check_session,
 };
-use palpate_wire::api::TakeVerdict;
+use palpate_reports::TakeVerdict;
 
 use crate::{
     live::write_tick,

@@ -3,11 +3,12 @@
 use std::{fs, io::Cursor, path::Path};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use palpate_messages::foxglove::PoseInFrame;
 use palpate_recording::{
     LiveTake, TactileSampleRef, Take, TakeMeta, TakeWriter, check_session, close_partial,
 };
+use palpate_reports::CheckReport;
 use palpate_robot_model::{FixedBox, ObjectPath};
-use palpate_wire::{api::CheckReport, foxglove::PoseInFrame};
 use proptest::prelude::*;
 use prost::Message as _;
 

@@ -2,12 +2,9 @@
 
 use std::{fs, path::Path};
 
+use palpate_messages::{foxglove::JointStates, proto::TactileSample};
 use palpate_recording::{Session, SessionDraft, SessionFile, SessionTake, check_session};
-use palpate_wire::{
-    api::{CheckReport, Severity},
-    foxglove::JointStates,
-    proto::TactileSample,
-};
+use palpate_reports::{CheckReport, Severity};
 use prost::Message as _;
 
 use crate::support::{meta, rewrite, take_bytes, tree};

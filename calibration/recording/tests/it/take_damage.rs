@@ -2,8 +2,8 @@
 
 use std::{fs, path::Path, sync::LazyLock};
 
+use palpate_messages::{foxglove::JointStates, proto::TactileSample};
 use palpate_recording::Take;
-use palpate_wire::{foxglove::JointStates, proto::TactileSample};
 use proptest::prelude::*;
 use prost::Message as _;
 

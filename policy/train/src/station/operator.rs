@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, bail};
-use palpate_emulator::TruthSense;
-use palpate_emulator::devices::{FeltObject, StationControl};
+use palpate_emulator::{FeltObject, StationControl};
 use palpate_grasp::touch::NoTouch;
 use palpate_grasp::{GraspConfig, GraspScene, Start};
 use palpate_robot_model::{ObjectModel, Station};
+use palpate_truth::TruthSense;
 use serde::Deserialize;
 use serde_json::{Value, json};
 

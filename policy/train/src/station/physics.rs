@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::Isometry3;
-use palpate_emulator::devices::{Drive, FeltObject, Mechanics};
+use palpate_emulator::{Drive, FeltObject, Mechanics};
 use palpate_grasp::{GraspConfig, World};
 use palpate_robot_model::Station;
 

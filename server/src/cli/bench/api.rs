@@ -14,9 +14,9 @@ use std::{
 };
 
 use clap::Args;
-use palpate_emulator::record_session;
 use palpate_server::{Error, assets};
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_truth::record_session;
 use palpate_wire::api::{Job, JobPage};
 use serde::{Deserialize, Serialize};
 use serde_json::json;

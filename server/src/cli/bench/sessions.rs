@@ -11,11 +11,11 @@ use std::{
 };
 
 use clap::Args;
-use palpate_emulator::record_session;
 use palpate_recording::Session;
 use palpate_server::{Error, assets};
 use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_truth::record_session;
 use palpate_wire::api::{Job, JobPage, SessionSummary};
 use serde::Serialize;
 use serde_json::json;

@@ -18,10 +18,11 @@ use std::{
 
 use clap::Args;
 use palpate_drivers::{PortOverride, priority};
-use palpate_emulator::{devices::StationControl, record_session};
+use palpate_emulator::StationControl;
 use palpate_server::{EmulatedDevices, Error, assets};
 use palpate_sim::job::Progress as _;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use palpate_truth::record_session;
 use palpate_wire::{
     api::LiveDocument,
     proto::{

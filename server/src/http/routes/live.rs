@@ -9,11 +9,11 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 use palpate_control::{Claim, read_audit};
-use palpate_emulator::devices::{Faults, StationControl};
+use palpate_emulator::{Faults, StationControl};
+use palpate_messages::bits;
 use palpate_robot_model::Station;
 use palpate_wire::{
     api::{LiveDevice, LiveDocument, LiveModel, PlaceObject},
-    bits,
     proto::{ControlState, LiveFrame, control_state::Phase, device_status::Link},
 };
 use serde::Deserialize;

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use palpate_emulator::record_session;
+use palpate_truth::record_session;
 use palpate_wire::api::{ArtifactSort, EmulateRequest};
 use serde_json::Value;
 

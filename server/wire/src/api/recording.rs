@@ -1,5 +1,6 @@
 //! Guided recording: the checklist of a calibration session and what can be done with its steps.
 
+use palpate_reports::TakeVerdict;
 use serde::{Deserialize, Serialize};
 
 /// Body of `POST /api/v1/recording`: begins a session, or goes on with one that was begun.
@@ -324,24 +325,6 @@ pub enum RecordingPhase {
     Review,
     /// Every step is done.
     Done,
-}
-
-/// The automatic quality check of a take.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-pub struct TakeVerdict {
-    /// Whether it can be accepted without a second look.
-    pub good: bool,
-    /// One sentence.
-    pub summary: String,
-    /// What is wrong, each with what to do.
-    pub problems: Vec<String>,
-    /// Channels that were touched, by id.
-    pub covered: Vec<String>,
-    /// Planned channels that were not, by id.
-    pub missed: Vec<String>,
-    /// Samples per second of joints and of each stream, by name.
-    pub rates_hz: Vec<(String, f64)>,
 }
 
 /// Body of `POST /api/v1/recording/act`: what the operator does; answered by [`RecordingDocument`].

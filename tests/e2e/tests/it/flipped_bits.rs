@@ -3,7 +3,7 @@
 use std::{thread, time::Duration};
 
 use e2e::{MS, Tools, targets};
-use palpate_emulator::devices::LineTraffic;
+use palpate_emulator::LineTraffic;
 use palpate_wire::proto::{Arm, ControlState, control_request::Request, control_state::Phase};
 
 use crate::scene::{Scene, all_ready, fault};

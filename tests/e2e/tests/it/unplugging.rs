@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::Context as _;
 use e2e::{MS, Tools, still_from_ns, targets};
-use palpate_emulator::devices::Push;
+use palpate_emulator::Push;
 use palpate_wire::proto::{
     ControlState, DeviceStatus, Disarm, control_request::Request, control_state::Phase, device_status::Link,
 };

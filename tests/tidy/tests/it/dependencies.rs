@@ -31,6 +31,15 @@ fn table() -> BTreeMap<String, Row> {
     .collect()
 }
 
+/// Top folders in the order in which `ARCHITECTURE.md` has them; those that share a place share a rank.
+fn ranks() -> BTreeMap<String, usize> {
+    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let order = page.split_once("or one before it (").and_then(|(_, rest)| rest.split_once(')'));
+    let (order, _) = order.expect("ARCHITECTURE.md gives the order of the top folders");
+    let places = order.split(", ").enumerate();
+    places.flat_map(|(rank, names)| names.split(" and ").map(move |name| (name.to_owned(), rank))).collect()
+}
+
 /// The resolved graph for one platform. Without a platform, cargo would want the packages of all of them on disk.
 fn metadata(platform: &str) -> Metadata {
     MetadataCommand::new()
@@ -76,8 +85,10 @@ fn assert_reaches_none(metadata: &Metadata, from: &str, forbidden: &[&str]) {
 }
 
 #[test]
-fn a_crate_uses_only_crates_of_lower_levels() {
-    let table = table();
+fn a_crate_uses_only_crates_of_lower_levels_and_folders_before_it() {
+    let (table, ranks) = (table(), ranks());
+    let rank_of = |folder: &str| folder.split('/').next().and_then(|top| ranks.get(top));
+    assert!(ranks.len() >= 5 && ranks["sim"] < ranks["ui"], "{ranks:?}");
     let metadata = metadata(&host());
     let members = metadata.workspace_packages();
     let tools = ["tidy", "xtask"];
@@ -94,6 +105,16 @@ fn a_crate_uses_only_crates_of_lower_levels() {
                 "{name} (level {level}) uses {} (level {used}), expected a lower level",
                 dependency.name
             );
+            // What only tests use lies with the tests.
+            if let (Some(own), Some(other)) =
+                (rank_of(folder), rank_of(&table[dependency.name.as_str()].folder))
+            {
+                assert!(
+                    other <= own,
+                    "{name} in {folder} uses {}, whose top folder comes later",
+                    dependency.name
+                );
+            }
             assert!(
                 !tools.contains(&name) && !tools.contains(&dependency.name.as_str()),
                 "{name} uses {}: tools must build when nothing else does",
@@ -132,7 +153,7 @@ fn pure_crates_reach_no_run_time() {
     for name in ["palpate_robot_model", "palpate_wire"] {
         assert_reaches_none(&metadata, name, &["tokio", "axum", "rayon", "egui", "wgpu", "rand", "mcap"]);
     }
-    for name in ["palpate_recording", "palpate_calibration", "palpate_emulator"] {
+    for name in ["palpate_recording", "palpate_calibration", "palpate_truth"] {
         assert_reaches_none(&metadata, name, &["tokio", "axum", "egui", "wgpu"]);
     }
 }

@@ -164,7 +164,7 @@ fn the_search_for_imports_sees_every_spelling() {
 #[test]
 fn the_truth_world_shares_geometry_with_the_simulator_and_nothing_else() {
     let allowed = ["geometry", "job", "SignedDistance"];
-    let files = rust_files(&root().join("server/emulator/src"));
+    let files = rust_files(&root().join("calibration/truth/src"));
     assert!(!files.is_empty());
     for path in files {
         let mut taken = Vec::new();

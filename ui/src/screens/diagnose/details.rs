@@ -1,11 +1,9 @@
 //! What is left, what to record next, and the figures behind it all.
 
 use egui::RichText;
-use palpate_wire::{
-    api::{
-        Cell, DiagnosisReport, Metrics, NextExperiment, RecordingDocument, StepState, Verdict, WantedTake,
-    },
-    wording::{self, counted},
+use palpate_reports::wording::{self, counted};
+use palpate_wire::api::{
+    Cell, DiagnosisReport, Metrics, NextExperiment, RecordingDocument, StepState, Verdict, WantedTake,
 };
 
 use super::Start;

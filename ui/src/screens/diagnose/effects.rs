@@ -1,10 +1,8 @@
 //! The named effects: a sentence each, whether to add it, and the evidence one click away.
 
 use egui::{RichText, accesskit::Role};
-use palpate_wire::{
-    api::{DiagnosisReport, NamedEffect},
-    wording,
-};
+use palpate_reports::wording;
+use palpate_wire::api::{DiagnosisReport, NamedEffect};
 
 use super::{DiagnoseState, Shown};
 use crate::screens::ScreenContext;

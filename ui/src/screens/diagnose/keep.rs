@@ -1,10 +1,8 @@
 //! Adding what was named to a model, undoing it, and what the saved models hold.
 
 use egui::RichText;
-use palpate_wire::{
-    api::{DiagnosisReport, DiagnosisRun, ModelSummary, SaveDiagnosisRequest},
-    wording,
-};
+use palpate_reports::wording;
+use palpate_wire::api::{DiagnosisReport, DiagnosisRun, ModelSummary, SaveDiagnosisRequest};
 
 use super::Shown;
 use crate::{

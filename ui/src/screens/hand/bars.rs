@@ -1,8 +1,8 @@
 //! Rows around the picture: where the data comes from, named views, what colours mean, live rates.
 
 use egui::{RichText, accesskit::Role};
+use palpate_reports::wording;
 use palpate_robot_model::Station;
-use palpate_wire::wording;
 
 use super::{
     HandState, Shot,

@@ -24,11 +24,11 @@ use std::sync::Arc;
 
 use egui::{Color32, Key, Panel, Rgba, RichText, accesskit::Role};
 use nalgebra::Isometry3;
+use palpate_reports::wording;
 use palpate_robot_model::Station;
 use palpate_wire::{
     api::{Source, TakeSummary},
     proto::{LiveFrame, ReplayTrace},
-    wording,
 };
 
 use self::{

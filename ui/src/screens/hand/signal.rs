@@ -2,11 +2,9 @@
 
 use egui::Color32;
 use nalgebra::Isometry3;
+use palpate_messages::bits;
 use palpate_robot_model::{PoseConfig, SensorKind, Station};
-use palpate_wire::{
-    bits,
-    proto::{LiveFrame, ReplayTrace},
-};
+use palpate_wire::proto::{LiveFrame, ReplayTrace};
 
 use crate::{
     take_data::{TakeData, index_at},

@@ -6,10 +6,10 @@ use base64::Engine as _;
 use egui::accesskit::Role;
 use egui_kittest::{Harness, kittest::Queryable as _};
 use nalgebra::{Isometry3, Unit, Vector3};
+use palpate_messages::bits;
 use palpate_robot_model::{Channel, Station};
 use palpate_wire::{
     api::{Info, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary},
-    bits,
     proto::{LiveFrame, ReplayTrace, StreamMessage, StreamTrace, TakeTrace, stream_message},
 };
 use proptest::prelude::*;

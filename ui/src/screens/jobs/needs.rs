@@ -1,10 +1,8 @@
 //! What a job needs of the machine, as far as the form asks: parts, and the graphics card.
 
 use egui::RichText;
-use palpate_wire::{
-    api::{Job, Resources},
-    wording::counted,
-};
+use palpate_reports::wording::counted;
+use palpate_wire::api::{Job, Resources};
 
 use super::super::ScreenContext;
 

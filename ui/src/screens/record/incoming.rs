@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use egui::{Color32, Rect, RichText};
+use palpate_messages::bits;
 use palpate_robot_model::Station;
 use palpate_wire::{
     api::{RecordingSession, StepState},
-    bits,
     proto::device_status::Link,
 };
 

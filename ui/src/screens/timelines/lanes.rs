@@ -1,7 +1,8 @@
 //! The lanes of a take: contacts of real and simulated touch, and where they differ, worked out once when it opens.
 
+use palpate_messages::bits;
 use palpate_robot_model::{SensorKind, Station};
-use palpate_wire::{bits, proto::ReplayTrace};
+use palpate_wire::proto::ReplayTrace;
 
 use super::{
     events::{Event, OnsetPair, pair_onsets, runs},

@@ -6,9 +6,9 @@ mod found;
 use std::{collections::BTreeMap, sync::Arc};
 
 use egui::RichText;
-use palpate_wire::{
-    api::{Campaign, ComparisonRequest, Job, JobRequest, JobState, ModelSummary, NOMINAL_MODEL, Role, Scope},
-    wording::counted,
+use palpate_reports::wording::counted;
+use palpate_wire::api::{
+    Campaign, ComparisonRequest, Job, JobRequest, JobState, ModelSummary, NOMINAL_MODEL, Role, Scope,
 };
 
 use self::{

@@ -3,10 +3,8 @@
 use std::collections::BTreeSet;
 
 use egui::RichText;
-use palpate_wire::{
-    api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder},
-    wording::counted,
-};
+use palpate_reports::wording::counted;
+use palpate_wire::api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder};
 
 use crate::{screens::ScreenContext, store::Loadable};
 

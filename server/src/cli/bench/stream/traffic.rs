@@ -12,7 +12,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use palpate_emulator::devices::StationControl;
+use palpate_emulator::StationControl;
 use palpate_recording::Take;
 use palpate_robot_model::{DeviceKind, Station};
 use palpate_server::Error;

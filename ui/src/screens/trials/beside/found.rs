@@ -3,10 +3,8 @@
 use std::collections::BTreeMap;
 
 use egui::RichText;
-use palpate_wire::{
-    api::{ComparedTrial, ComparisonReport, SaidBy, SuccessRate, TrialVerdict},
-    wording::counted,
-};
+use palpate_reports::wording::counted;
+use palpate_wire::api::{ComparedTrial, ComparisonReport, SaidBy, SuccessRate, TrialVerdict};
 
 use crate::{
     route::{Route, Screen},
