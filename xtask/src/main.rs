@@ -39,7 +39,7 @@ enum Command {
     BuildUi,
     /// Install what the tests need, then run every test
     Test(test::TestArgs),
-    /// What CI runs: formatting, lints, whether `palpate` compiles by itself, every test
+    /// What CI runs: formatting, lints, whether `palpate` and the fuzz targets compile by themselves, every test
     Check,
     /// Have pandas, pyarrow and `datasets` read an exported session: 400 MB of Python packages
     CheckLerobot(others::LerobotArgs),

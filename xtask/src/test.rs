@@ -98,7 +98,8 @@ impl Tests {
     }
 }
 
-/// Formatting, lints and documentation with warnings denied, whether `palpate` compiles by itself, and every test.
+/// Formatting, lints and documentation with warnings denied, whether `palpate` and the fuzz targets compile by themselves,
+/// and every test.
 pub(crate) fn check() -> anyhow::Result<()> {
     let (root, begun) = (paths::root(), Instant::now());
     skip::check()?;
@@ -126,6 +127,7 @@ pub(crate) fn check() -> anyhow::Result<()> {
     }
     shell::run(&mut documents)?;
     build::check_alone()?;
+    build::check_fuzz_targets()?;
     let tested = run(&TestArgs { filter: None });
     shell::print_long_steps(begun);
     tested
