@@ -5,11 +5,11 @@
 
 mod browser;
 mod build;
-mod lanes;
 mod mujoco;
 mod others;
 mod page;
 mod paths;
+mod programs;
 mod python;
 mod shell;
 mod skip;

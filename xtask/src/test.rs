@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::Command, time::Instant};
 
 use clap::Args;
 
-use crate::{browser, build, lanes, mujoco, paths, python, shell, skip, slurm, wasm};
+use crate::{browser, build, mujoco, paths, programs, python, shell, skip, slurm, wasm};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 const PROPTEST_SEED: &str = "20261121";
@@ -60,7 +60,7 @@ impl Tests {
         }
         let tests = Self { filter: args.filter.clone(), python, page, grasp_world, artifacts, skipped };
         // A step of its own, so that one sees what building takes and what running takes.
-        lanes::build(|| tests.cargo())?;
+        programs::build(|| tests.cargo())?;
         Ok(tests)
     }
 
@@ -90,10 +90,10 @@ impl Tests {
                 mujoco::let_find(command, dir);
             }
         };
-        let tested = lanes::run(|| self.cargo(), env, self.filter.as_deref());
+        let tested = programs::run(|| self.cargo(), env, self.filter.as_deref());
         eprintln!("screenshots and reports: {}", self.artifacts.display());
         skip::report(&self.skipped);
-        lanes::report();
+        programs::report();
         tested
     }
 }

@@ -18,4 +18,4 @@ pub mod foxglove {
     include!(concat!(env!("OUT_DIR"), "/foxglove.rs"));
 }
 
-pub use schema::descriptor_set;
+pub use schema::{descriptor_set, descriptor_set_among};

@@ -6,15 +6,20 @@ use prost_types::FileDescriptorSet;
 /// Descriptions of every message, as compiled.
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 
-/// The serialized `FileDescriptorSet` of the message called `full_name`: its file and all that it imports, dependencies
-/// first, as MCAP's `protobuf` schema encoding wants it. `None` if there is no such message.
+/// The serialized `FileDescriptorSet` of the message of recordings called `full_name`: its file and all that it imports,
+/// dependencies first, as MCAP's `protobuf` schema encoding wants it. `None` if there is no such message.
 ///
 /// ```
 /// assert!(palpate_messages::descriptor_set("palpate.TactileSample").is_some());
 /// assert!(palpate_messages::descriptor_set("palpate.Unknown").is_none());
 /// ```
 pub fn descriptor_set(full_name: &str) -> Option<Vec<u8>> {
-    let all = FileDescriptorSet::decode(DESCRIPTORS).ok()?;
+    descriptor_set_among(DESCRIPTORS, full_name)
+}
+
+/// The same for a message of the serialized set `descriptors`, whose files have their dependencies before them.
+pub fn descriptor_set_among(descriptors: &[u8], full_name: &str) -> Option<Vec<u8>> {
+    let all = FileDescriptorSet::decode(descriptors).ok()?;
     let (package, message) = full_name.rsplit_once('.')?;
     let home = all.file.iter().position(|file| {
         file.package() == package && file.message_type.iter().any(|declared| declared.name() == message)

@@ -340,6 +340,12 @@ const EXAMPLES: &[Example] = &[
         status: 200,
     },
     Example {
+        method: "GET",
+        path: "/recording/plans",
+        curl: r#"curl "$PALPATE_URL/api/v1/recording/plans""#,
+        status: 200,
+    },
+    Example {
         method: "POST",
         path: "/recording",
         curl: r#"curl -H "Palpate-Lease: $LEASE" --json '{"plan": "quick_check", "session": "tuesday"}' "$PALPATE_URL/api/v1/recording""#,

@@ -42,6 +42,7 @@ const screens = {
   sessions: "#/sessions/demo",
   "sessions, dead link": "#/sessions/nowhere",
   objects: "#/objects",
+  plans: "#/plans",
   models: "#/models",
   trials: "#/trials",
   jobs: "#/jobs",

@@ -16,6 +16,7 @@ const screens = {
   job_form: "#/jobs?job=new",
   models: "#/models",
   objects: "#/objects",
+  plans: "#/plans",
   record: "#/record",
   settings: "#/settings?part=audit",
   help: "#/help/learning",

@@ -21,6 +21,7 @@ const SCREENS = [
   "diagnose",
   "sessions",
   "objects",
+  "plans",
   "models",
   "trials",
   "jobs",

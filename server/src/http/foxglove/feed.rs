@@ -4,14 +4,17 @@ use std::{collections::BTreeMap, time::Duration};
 
 use base64::Engine as _;
 use palpate_messages::{
-    bits, descriptor_set,
+    bits,
     foxglove::{
         FrameTransform, FrameTransforms, JointState, JointStates, Log, Quaternion, Vector3, log::Level,
     },
     proto::TactileSample,
 };
 use palpate_robot_model::{Robot, Station};
-use palpate_wire::proto::{LiveFrame, device_status::Link};
+use palpate_wire::{
+    descriptor_set,
+    proto::{LiveFrame, device_status::Link},
+};
 use prost_types::Timestamp;
 use serde::Deserialize;
 use serde_json::{Value, json};

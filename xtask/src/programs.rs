@@ -1,9 +1,9 @@
-//! Runs the tests in two lanes beside each other: those that watch a clock, and those that compute.
+//! Runs the test programs: those that watch a clock first, alone, then those that compute, two at a time.
 //!
-//! A station in real time waits most of the time, and needs the processor at once when it wakes. So its tests run one
-//! program after another, and what computes runs beside them with the lowest priority. A test that fails is run a second
-//! time when everything else has ended: a station on a busy machine may be late once. What fails twice is wrong, and so is
-//! a run in which more than a few fail. A test that needed its second time is named at the end.
+//! A station in real time waits most of the time, and needs the processor at once when it wakes; whatever computes beside it
+//! makes it late, also with the lowest priority, because Linux gives every session its share. A test that fails is run a
+//! second time when everything else has ended: a station on a busy machine may be late once. What fails twice is wrong, and
+//! so is a run in which more than a few fail. A test that needed its second time is named at the end.
 
 use std::{
     io::{BufRead as _, BufReader, Read, Write as _},
@@ -70,13 +70,14 @@ pub(crate) fn run(
     let programs = programs(&listed)?;
     let (watching, computing): (Vec<&Program>, Vec<&Program>) =
         programs.iter().partition(|program| program.watches_a_clock());
-    let (first, second) = thread::scope(|scope| {
-        let computing = scope.spawn(|| in_lane(&computing, &env, filter, true));
-        let watching = in_lane(&watching, &env, filter, false);
-        (watching, computing.join())
+    let mut failed = in_order(&Mutex::new(watching.iter()), &env, filter, true)?;
+    let computing = Mutex::new(computing.iter());
+    let in_turn = || in_order(&computing, &env, filter, false);
+    let [first, second] = thread::scope(|scope| {
+        let other = scope.spawn(in_turn);
+        [in_turn(), other.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))]
     });
-    let mut failed = first?;
-    failed.extend(second.map_err(|_| anyhow::anyhow!("a lane of tests panicked"))??);
+    failed.extend(first?.into_iter().chain(second?));
     again(&failed, &env)?;
     let mut examples = cargo();
     examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());
@@ -84,15 +85,19 @@ pub(crate) fn run(
     shell::run(&mut examples)
 }
 
-/// Runs the programs of a lane one after another; gives those that did not pass.
-fn in_lane<'a>(
-    lane: &[&'a Program],
+/// Runs what comes next of `programs` until there is no more; gives those that did not pass.
+fn in_order<'a>(
+    programs: &Mutex<std::slice::Iter<'_, &'a Program>>,
     env: &(impl Fn(&mut Command) + Sync),
     filter: Option<&str>,
-    gives_way: bool,
+    is_live: bool,
 ) -> anyhow::Result<Vec<Failed<'a>>> {
-    let failed = lane.iter().map(|program| program.attempt(env, filter.as_slice(), gives_way));
-    Ok(failed.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+    let mut failed = Vec::new();
+    let next = || programs.lock().unwrap_or_else(PoisonError::into_inner).next();
+    while let Some(program) = next() {
+        failed.extend(program.attempt(env, filter.as_slice(), is_live)?);
+    }
+    Ok(failed)
 }
 
 /// Names the tests that needed a second time.
@@ -125,7 +130,7 @@ fn again(failed: &[Failed<'_>], env: &(impl Fn(&mut Command) + Sync)) -> anyhow:
     for (one, names) in failed.iter().zip(&names) {
         let mut args = vec!["--exact", "--test-threads=1"];
         args.extend(names.iter().map(String::as_str));
-        if one.program.attempt(env, &args, false)?.is_some() {
+        if one.program.attempt(env, &args, true)?.is_some() {
             bail!("tests failed twice; see above");
         }
     }
@@ -144,17 +149,15 @@ impl Program {
         })
     }
 
-    /// Runs it; `None` if it passes. Where it `gives_way` to everything else, what it prints is shown when it has ended.
+    /// Runs it; `None` if it passes. Unless it `is_live`, what it prints is shown when it has ended.
     fn attempt(
         &self,
         env: &(impl Fn(&mut Command) + Sync),
         args: &[&str],
-        gives_way: bool,
+        is_live: bool,
     ) -> anyhow::Result<Option<Failed<'_>>> {
-        let mut command = Command::new("nice");
-        // Whatever the tests start inherits it.
-        command.args(["-n", if gives_way { "19" } else { "0" }]).arg(&self.executable).args(args);
-        command.current_dir(&self.dir).env("CARGO_MANIFEST_DIR", &self.dir);
+        let mut command = Command::new(&self.executable);
+        command.args(args).current_dir(&self.dir).env("CARGO_MANIFEST_DIR", &self.dir);
         env(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         shell::timed_as(&self.name(), || {
@@ -164,7 +167,7 @@ impl Program {
             let (output, errors) = thread::scope(|scope| {
                 let errors = scope.spawn(|| stderr.map_or_else(String::new, |from| read(from, |_| ())));
                 let show_live = |line: &str| {
-                    if !gives_way {
+                    if is_live {
                         show(line);
                     }
                 };
@@ -175,8 +178,8 @@ impl Program {
                 )
             });
             let status = child.wait().with_context(|| format!("failed to wait for {}", self.name()))?;
-            // In one piece: the other lane prints too.
-            show(&if gives_way { format!("\n== {}\n{output}{errors}", self.name()) } else { errors });
+            // In one piece: another program prints too.
+            show(&if is_live { errors } else { format!("\n== {}\n{output}{errors}", self.name()) });
             Ok((!status.success()).then_some(Failed { program: self, output }))
         })
     }
