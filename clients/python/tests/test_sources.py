@@ -15,6 +15,7 @@ from palpate import documents
 
 CLIENT = CHECKOUT / "clients/python"
 WIRE = CHECKOUT / "server/wire"
+REPORTS = CHECKOUT / "calibration/reports/src"
 
 
 def run(*command: str | Path) -> str:
@@ -45,7 +46,8 @@ def test_generated_modules_are_those_of_the_proto_files(tmp_path: Path) -> None:
 
 
 def test_documents_have_the_fields_of_the_server() -> None:
-    text = "\n".join(path.read_text() for path in [WIRE / "src/api.rs", *sorted((WIRE / "src/api").glob("*.rs"))])
+    sources = [WIRE / "src/api.rs", *(WIRE / "src/api").glob("*.rs"), *REPORTS.glob("*.rs")]
+    text = "\n".join(path.read_text() for path in sources)
     structs = {}
     for name, body in re.findall(r"pub struct (\w+)(?:<[^>]*>)? \{\n(.*?)\n\}", text, re.DOTALL):
         fields = re.findall(r"((?:\s*#\[[^\n]*\n)*)\s*pub (\w+):", re.sub(r"^\s*///.*\n", "", body, flags=re.MULTILINE))
