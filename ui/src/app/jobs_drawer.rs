@@ -95,6 +95,10 @@ impl StudioApp {
         let list = self.store.jobs.list();
         let jobs = list.ready().map_or(&[][..], |jobs| jobs.as_slice());
         self.jobs_drawer.follow(jobs, self.route.screen != Screen::Jobs);
+        // Whoever has its result on the screen has looked.
+        if let Some(run) = &self.route.run {
+            self.jobs_drawer.news.remove(run);
+        }
         let news = &self.jobs_drawer.news;
         let at_work = jobs.iter().filter(|job| job.is_unfinished());
         at_work.chain(jobs.iter().filter(|job| news.contains(&job.id))).cloned().collect()
