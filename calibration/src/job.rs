@@ -254,8 +254,8 @@ impl JudgedTake {
         nominal: &SensorModel,
         calibrated: &SensorModel,
     ) -> Self {
-        let nominal = tactile::readings(layout, &take.contact, nominal).active;
-        let calibrated = tactile::readings(layout, &take.contact, calibrated).active;
+        let nominal = tactile::readings(layout, &take.contact, &nominal.thetas()).active;
+        let calibrated = tactile::readings(layout, &take.contact, &calibrated.thetas()).active;
         let compare = |simulated: &[bool]| {
             compare_take(&take.frame_times_s, layout.num_channels(), &take.real_active, simulated)
         };

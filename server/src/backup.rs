@@ -15,7 +15,7 @@ use palpate_jobs::Database;
 use serde::Serialize;
 use tar::{Builder, EntryType, Header};
 
-use crate::{Error, jobs::board::DATABASE_FILE};
+use crate::{Error, data::database::DATABASE_FILE};
 
 /// Names that belong to a running program, not to its data: locks, what is being written, and what SQLite keeps beside its
 /// database.

@@ -21,6 +21,7 @@ mod output;
 mod people;
 mod replay;
 mod retention;
+mod retention_days;
 mod serve;
 mod session;
 mod station;

@@ -5,6 +5,7 @@ mod connection;
 mod control_socket;
 mod docs;
 mod document;
+mod documented;
 mod door;
 mod download;
 mod etag;
@@ -18,6 +19,7 @@ mod pacing;
 pub(crate) mod page;
 mod pages;
 mod problem;
+mod route;
 mod routes;
 mod stream;
 
@@ -30,9 +32,9 @@ use axum::{
     response::Response,
     routing::get,
 };
-pub use document::openapi;
 use palpate_wire::api::ProblemType;
-pub use routes::{Needs, NeedsLease, Route, root_routes, routes};
+pub use route::{Needs, NeedsLease, Route};
+pub use routes::{openapi_document, root_routes, routes};
 use tower_http::timeout::RequestBodyTimeoutLayer;
 
 use crate::AppState;

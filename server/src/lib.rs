@@ -42,14 +42,15 @@ mod work;
 
 pub use backup::{BackupReport, backup};
 pub use data::Store;
+pub use data::database::open_people;
 pub use error::{Class, Error, chain};
-pub use http::{Needs, NeedsLease, Route, app, openapi, root_routes, routes};
+pub use http::{Needs, NeedsLease, Route, app, openapi_document, root_routes, routes};
 pub use hub::Hub;
 pub use retention::{
     RetentionAct, RetentionConfig, RetentionKept, RetentionPlan, RetentionStep,
     carry_out as carry_out_retention, plan as plan_retention,
 };
-pub use serve::{Ready, ServeConfig, Served, open_people, serve, serve_on};
+pub use serve::{Ready, ServeConfig, Served, serve, serve_on};
 pub use state::{Access, AppState, Studio};
 pub use station::{EmulatedDevices, LiveStation, RunningStation};
 pub use tls::Tls;

@@ -7,7 +7,6 @@
 
 use std::{
     fs,
-    os::unix::fs::MetadataExt as _,
     path::{Path, PathBuf},
     sync::Arc,
     thread,
@@ -20,7 +19,7 @@ use palpate_wire::api::Job;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{AppState, Error, chain, jobs::board};
+use crate::{AppState, Error, chain, data::files::moved_at, jobs::board};
 
 const SECONDS_A_DAY: f64 = 86_400.0;
 /// A studio that is on looks this often.
@@ -405,13 +404,6 @@ fn id_of(name: &str) -> &str {
 fn since_moved(path: &Path, now: SystemTime) -> Result<f64, Error> {
     let seconds = |time: SystemTime| time.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
     Ok(seconds(now) - seconds(moved_at(path)?))
-}
-
-/// When what is at `path` was moved there, to the second.
-pub(crate) fn moved_at(path: &Path) -> Result<SystemTime, Error> {
-    let meta = path.symlink_metadata().map_err(Error::io("look at", path))?;
-    let newest = meta.ctime().max(meta.mtime());
-    Ok(UNIX_EPOCH + Duration::from_secs(u64::try_from(newest).unwrap_or(0)))
 }
 
 fn is_older(age_days: f64, days: Option<u32>) -> bool {

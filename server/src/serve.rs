@@ -8,14 +8,12 @@ use std::{
 };
 
 use palpate_control::Ending;
-use palpate_jobs::Database;
-use palpate_people::People;
 use tokio::{net::TcpListener, sync::oneshot};
 
 use crate::{
     Error, LiveStation, RunningStation, Tls, app,
+    data::database::open_people,
     http::{listener, page},
-    jobs::board::DATABASE_FILE,
     retention::{self, RetentionConfig},
     state::{Access, AppState, Studio},
     tls::{self, TlsIdentity},
@@ -273,19 +271,6 @@ fn refuse_nobody(data: &Path, listen: SocketAddr) -> Result<(), Error> {
          --data {}`, or listen on 127.0.0.1 and forward the port (ssh -L 8080:127.0.0.1:8080 THIS_COMPUTER)",
         data.display()
     )))
-}
-
-/// The people of the data folder `data`, with or without a studio that has it open.
-pub fn open_people(data: &Path) -> Result<People, Error> {
-    if !data.is_dir() {
-        return Err(Error::Argument(format!(
-            "{data:?} is no folder; give the data folder of a studio (--data)"
-        )));
-    }
-    let path = data.join(DATABASE_FILE);
-    // Checks where it is, and makes it if need be.
-    drop(Database::open(&path)?);
-    Ok(People::open(&path)?)
 }
 
 /// Ends the motion of a station, if there is one. On a thread of its own: the runtime's may all be busy.

@@ -15,14 +15,13 @@ use tokio::sync::watch;
 
 use crate::{
     Error, Hub, Store, assets,
-    data::{index::TakeIndex, library::Library},
+    data::{database::open_people, index::TakeIndex, library::Library},
     jobs::{
         board::Jobs,
         runs::{Calibrations, Diagnoses, Runs},
         trainer::Trainer,
         way_in::WayIn,
     },
-    serve::open_people,
     station::{Live, LiveStation, RunningStation},
     work::Work,
 };

@@ -13,9 +13,12 @@ pub mod job;
 pub mod live;
 mod parallel;
 pub mod replay;
+mod response;
 mod sensor_model;
 pub mod tactile;
+mod theta;
 
-pub use sensor_model::{
-    MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, StreamTheta, Theta, Thetas,
-};
+pub use replay::MOST_SOFTNESS_M;
+pub use response::Response;
+pub use sensor_model::{SensorModel, SensorModelError};
+pub use theta::{StreamTheta, Theta, Thetas};

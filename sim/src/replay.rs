@@ -10,7 +10,6 @@ use palpate_robot_model::{
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
-use crate::sensor_model::MOST_SOFTNESS_M;
 
 /// The part of a replay that does not depend on theta, for one take.
 ///
@@ -80,6 +79,9 @@ impl Gaps {
 /// Distances up to this are exact; a `lambda_con` beyond it is refused.
 pub const NEAR_M: f64 = 0.05;
 
+/// [`crate::Response::pad_softness_m`] of the softest pad that a model may have, m.
+pub const MOST_SOFTNESS_M: f64 = 3e-3;
+
 impl PatchTrace {
     /// What its frames take in memory, bytes.
     pub(crate) fn num_bytes(&self) -> usize {
@@ -148,7 +150,7 @@ impl PatchTrace {
 ///     name = "pad"
 ///     theta = { lambda_con_m = 0.001, alpha_per_m = 300.0, lambda_pre_pa = 1500.0 }
 /// "#)?;
-/// let readings = readings(&layout, &trace, &model);
+/// let readings = readings(&layout, &trace, &model.thetas());
 /// assert!((readings.raw[2] - 2000.0).abs() < 1e-6); // 2 mm deep at 1 MPa/m
 /// assert_eq!(readings.active, [false, false, true]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())

@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Patch, SensorKind, TactileLayout};
 
-use crate::SensorModel;
 use crate::parallel::for_each_chunk;
 use crate::replay::{ContactTrace, PatchTrace};
-use crate::sensor_model::Thetas;
+use crate::theta::Thetas;
 
 /// Simulated readings of every channel over a take, frame-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -171,14 +170,13 @@ pub fn is_active(kind: SensorKind, raw: f64, threshold: f64) -> bool {
     }
 }
 
-/// Readings of `model` over a take.
+/// Readings over a take of the model that has `thetas` and nothing else.
 ///
-/// `lambda_con` must not be beyond [`crate::replay::NEAR_M`], which [`SensorModel::from_toml`] makes sure of.
-pub fn readings(layout: &TactileLayout, trace: &ContactTrace, model: &SensorModel) -> Readings {
+/// `lambda_con` must not be beyond [`crate::replay::NEAR_M`], which [`crate::SensorModel::from_toml`] makes sure of.
+pub fn readings(layout: &TactileLayout, trace: &ContactTrace, thetas: &Thetas<'_>) -> Readings {
     let num_channels = layout.num_channels();
-    let thetas = model.thetas();
     let raw = propagated(layout, trace, &thetas.alphas_per_m(layout));
-    let thresholds = thresholds(layout, &thetas);
+    let thresholds = thresholds(layout, thetas);
     let mut active = Vec::with_capacity(raw.len());
     for frame_raw in raw.chunks_exact(num_channels.max(1)) {
         let channels = layout.channels.iter().zip(frame_raw).zip(&thresholds);

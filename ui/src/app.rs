@@ -14,7 +14,6 @@ mod strip;
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use stop::STOP_NAME;
-pub(crate) use stop::is_narrow;
 
 use std::{collections::HashMap, time::Duration};
 

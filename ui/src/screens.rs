@@ -30,7 +30,7 @@ use crate::{
     route::{Route, Screen},
     store::{Loadable, Store},
     surface::Surface,
-    theme::Palette,
+    theme::{Palette, is_narrow},
 };
 
 /// What a screen works with.
@@ -212,7 +212,7 @@ pub fn two_parts_ui(
     chosen: Option<&str>,
     mut part_ui: impl FnMut(&mut egui::Ui, Part),
 ) {
-    if !crate::app::is_narrow(ui.ctx()) {
+    if !is_narrow(ui.ctx()) {
         egui::Panel::left(id.to_owned()).resizable(false).exact_size(CHOICE_WIDTH).show(ui, |ui| {
             egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| part_ui(ui, Part::Choice));
         });

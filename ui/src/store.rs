@@ -5,6 +5,7 @@
 
 mod campaigns;
 pub mod control;
+mod curves;
 mod docs;
 mod jobs;
 mod live;
@@ -15,6 +16,8 @@ mod runs;
 mod tests;
 pub mod touch_history;
 mod trash;
+
+pub use curves::Curves;
 
 use std::{collections::BTreeMap, sync::Arc};
 

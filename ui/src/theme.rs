@@ -5,6 +5,14 @@
 
 use egui::{Color32, FontFamily, FontId, Stroke, TextStyle, Theme, Visuals};
 
+/// Pages narrower than this show the station's state and STOP in the bar, and the rest behind a menu.
+pub(crate) const NARROW: f32 = 900.0;
+
+/// Whether the page at hand is narrow.
+pub(crate) fn is_narrow(ctx: &egui::Context) -> bool {
+    ctx.content_rect().width() < NARROW
+}
+
 /// What each colour stands for, in one theme.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Palette {

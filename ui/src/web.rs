@@ -1,9 +1,11 @@
 //! The browser: starts the page, and gives it `fetch`, two `WebSocket`s and the address bar.
 
 mod control;
+mod document;
 mod fetch;
 mod file_dialog;
 mod picture;
+mod socket;
 mod window;
 
 use wasm_bindgen::{JsCast as _, prelude::wasm_bindgen};
@@ -19,7 +21,7 @@ const SKELETON_TEXT_ID: &str = "skeleton-text";
 fn start() {
     wasm_bindgen_futures::spawn_local(async {
         if let Err(error) = run().await {
-            window::set_text(
+            document::set_text(
                 SKELETON_TEXT_ID,
                 &format!("The studio could not start: {error}. It needs a browser with WebGL 2."),
             );
@@ -27,13 +29,8 @@ fn start() {
     });
 }
 
-/// Sends a stop at once: see [`control::stop_now`].
-pub(crate) fn stop_now() {
-    control::stop_now();
-}
-
 async fn run() -> Result<(), String> {
-    let canvas = window::document()
+    let canvas = document::document()
         .and_then(|document| document.get_element_by_id(CANVAS_ID))
         .and_then(|element| element.dyn_into::<web_sys::HtmlCanvasElement>().ok())
         .ok_or("the page has no canvas")?;
@@ -46,7 +43,7 @@ async fn run() -> Result<(), String> {
             Box::new(move |cc| {
                 let state = cc.wgpu_render_state.as_ref();
                 let surface = state.map(|state| Surface::new(state.target_format, &state.adapter));
-                crate::mirror::install(&cc.egui_ctx, &mirror_canvas);
+                crate::mirror::install(&cc.egui_ctx, &mirror_canvas, control::stop_now);
                 cc.egui_ctx.add_plugin(crate::pacing::PressPacing::default());
                 let api = Box::new(fetch::WebApi::new(cc.egui_ctx.clone()));
                 let app = StudioApp::new(
@@ -55,7 +52,7 @@ async fn run() -> Result<(), String> {
                     Box::new(window::BrowserWindow::new(&cc.egui_ctx)),
                     surface,
                 );
-                window::remove(SKELETON_ID);
+                document::remove(SKELETON_ID);
                 Ok(Box::new(WebApp { app }))
             }),
         )

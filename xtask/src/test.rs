@@ -112,10 +112,10 @@ pub(crate) fn check() -> anyhow::Result<()> {
     lints.args(["--", "--deny", "warnings"]);
     // Beside each other: at its end, the page keeps one core busy for a minute. The tests find it built.
     std::thread::scope(|scope| {
-        let page = scope.spawn(wasm::build_page);
+        let page = scope.spawn(|| wasm::build_page().and_then(|_| wasm::lint_page()));
         let linted = shell::run(&mut lints);
         let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;
-        linted.and(built.map(drop))
+        linted.and(built)
     })?;
     // Links in the documentation lead somewhere. It shares its work on dependencies with the lints.
     let mut documents = shell::cargo(&root);

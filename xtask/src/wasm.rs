@@ -21,6 +21,19 @@ pub(crate) fn build_page() -> anyhow::Result<PathBuf> {
     page::assemble(&bound, &paths::target().join("page"))
 }
 
+/// Lints what only the page compiles, with warnings denied, where there is a clippy for that; Debian's toolchain has none.
+pub(crate) fn lint_page() -> anyhow::Result<()> {
+    if !rustup_has_target() {
+        eprintln!("left out: lints of the page's own code, because rustup has no target {TARGET} here");
+        return Ok(());
+    }
+    let mut clippy = shell::cargo(&paths::root());
+    clippy
+        .args(["clippy", "--package", "palpate_ui", "--lib", "--target", TARGET, "--", "--deny", "warnings"])
+        .env("CARGO_TARGET_DIR", paths::target().join("web"));
+    shell::run(&mut clippy)
+}
+
 fn compile() -> anyhow::Result<PathBuf> {
     let target_dir = paths::target().join("web");
     let mut command = match toolchain()? {

@@ -22,6 +22,7 @@ mod fit;
 mod linear;
 mod merge;
 mod name;
+mod naming;
 mod normal;
 mod reconsider;
 mod rows;
@@ -33,8 +34,9 @@ mod tests;
 pub(crate) use adequacy::{loss_by_unit, share_left};
 pub(crate) use agreement::{Contributions, Disagreement};
 pub(crate) use fit::{refit, refit_roughly};
+pub use name::name;
 pub(crate) use name::strongest;
-pub use name::{Naming, NamingConfig, Round, Tried, name};
+pub use naming::{Naming, NamingConfig, Round, Tried};
 pub(crate) use normal::inverse;
 
 use std::ops::Range;

@@ -6,16 +6,21 @@
 //! Pure: takes, clocks, random seeds and paths come from the caller.
 
 pub mod actuator;
+mod config;
 pub mod engine;
+mod fired;
 mod job;
 mod null;
+mod prepare;
 pub mod report;
 pub mod rules;
 mod show;
+mod steps;
 pub mod tactile;
 mod withhold;
 
-pub use job::{DiagnosisConfig, DiagnosisOutcome, diagnose};
+pub use config::DiagnosisConfig;
+pub use job::{DiagnosisOutcome, diagnose};
 pub use null::{NullBar, null_bar};
 pub use tactile::adequacy::Adequacy;
 

@@ -7,8 +7,9 @@ use palpate_sim::job::{Cancel, Progress};
 use serde::{Deserialize, Serialize};
 
 use crate::DiagnosisError;
+use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
 use crate::engine::{self, NamingConfig};
-use crate::job::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS, Prepared, check, prepare};
+use crate::prepare::{Prepared, check, prepare};
 use crate::tactile::adequacy::Adequacy;
 
 /// A station's null bar.

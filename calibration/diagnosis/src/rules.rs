@@ -5,10 +5,12 @@
 //!
 //! [`DiagnosisConfig::without_rules`]: crate::DiagnosisConfig::without_rules
 
-use palpate_sim::effects::Effect;
-
+use crate::fired::{
+    ALIKE, BY_PART, BY_TAKE, CRUMB, GAP_GROWS, LEFT_AT_PATCH, LOSS_LEFT, ONE_PLACE, POSTURE, REMAINDER,
+    REPEATING_LEFT, REPEATS_MORE,
+};
 use crate::tactile::{adequacy, posture};
-use crate::{job, withhold};
+use crate::{steps, withhold};
 
 /// A rule that withholds names.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,67 +22,6 @@ pub struct Rule {
     /// Names are withheld where the measure is above this.
     pub limit: f64,
 }
-
-/// Why a name was withheld.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fired {
-    /// Id of the rule.
-    pub rule: &'static str,
-    /// What it measured.
-    pub measured: f64,
-    /// What it allows.
-    pub limit: f64,
-}
-
-impl Fired {
-    /// The rule `rule`, if it allows `limit` and `measured` is above that.
-    pub(crate) fn above(rule: &'static str, measured: f64, limit: f64) -> Option<Self> {
-        (measured > limit).then_some(Self { rule, measured, limit })
-    }
-}
-
-/// A name that was withheld.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Withheld {
-    /// The effect as it was fitted when it was withheld.
-    pub effect: Effect,
-    /// Why.
-    pub why: Fired,
-}
-
-/// Which rules are in force.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct InForce<'a> {
-    without: &'a [String],
-}
-
-impl<'a> InForce<'a> {
-    pub(crate) fn all_but(without: &'a [String]) -> Self {
-        Self { without }
-    }
-
-    /// `fired`, if its rule is in force.
-    pub(crate) fn keep(&self, fired: Option<Fired>) -> Option<Fired> {
-        fired.filter(|fired| self.has(fired.rule))
-    }
-
-    pub(crate) fn has(&self, rule: &str) -> bool {
-        !self.without.iter().any(|without| without == rule)
-    }
-}
-
-pub(crate) const BY_TAKE: &str = "size_by_take";
-pub(crate) const BY_PART: &str = "size_by_part";
-pub(crate) const REMAINDER: &str = "remainder";
-pub(crate) const ALIKE: &str = "alike";
-pub(crate) const ONE_PLACE: &str = "one_place";
-pub(crate) const LOSS_LEFT: &str = "loss_left";
-pub(crate) const CRUMB: &str = "crumb";
-pub(crate) const REPEATING_LEFT: &str = "repeating_left";
-pub(crate) const REPEATS_MORE: &str = "repeats_more";
-pub(crate) const LEFT_AT_PATCH: &str = "left_at_patch";
-pub(crate) const POSTURE: &str = "posture";
-pub(crate) const GAP_GROWS: &str = "gap_grows";
 
 /// Every rule, in the order in which they are asked.
 pub static RULES: &[Rule] = &[
@@ -143,7 +84,7 @@ pub static RULES: &[Rule] = &[
     Rule {
         id: GAP_GROWS,
         measures: "frames that are mistaken on the fitted takes with the effects, over those without",
-        limit: 1.0 + job::CHANCE_IN_GAP,
+        limit: 1.0 + steps::CHANCE_IN_GAP,
     },
 ];
 

@@ -13,9 +13,10 @@ use palpate_reports::wording::effect_at;
 use rayon::prelude::*;
 
 use crate::DiagnosisError;
+use crate::config::DiagnosisConfig;
 use crate::engine::{Naming, Tried};
-use crate::job::{DiagnosisConfig, Steps, in_doubt, interval, judge_all};
 use crate::null::NullBar;
+use crate::steps::{Steps, in_doubt, interval, judge_all};
 use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
 use crate::tactile::judge::{Judged, gap, gap_interval, judge, metrics, noise_floor, repeated};

@@ -7,7 +7,7 @@ use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
 use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
-use crate::rules::{self, Fired, InForce};
+use crate::fired::{self, Fired, InForce};
 use crate::tactile::{TactileDomain, is_local};
 
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
@@ -40,13 +40,13 @@ pub(crate) fn withhold(
     if has_readings && !is_part {
         withhold_disagreeing(domain, known, naming, fitted, rules)?;
     }
-    if rules.has(rules::REMAINDER) {
+    if rules.has(fired::REMAINDER) {
         withhold_remainders(domain, known, naming, fitted)?;
     }
-    if has_readings && rules.has(rules::ALIKE) {
+    if has_readings && rules.has(fired::ALIKE) {
         withhold_alike(domain, known, naming, fitted)?;
     }
-    if rules.has(rules::ONE_PLACE) {
+    if rules.has(fired::ONE_PLACE) {
         withhold_at_one_place(domain, start, naming, fitted)?;
     }
     Ok(())
@@ -63,7 +63,7 @@ fn withhold_disagreeing(
     // How many times as much as it may, and by which rule.
     let excess = |of: Disagreement| {
         let measures =
-            [(rules::BY_TAKE, of.by_take, MOST_BY_TAKE), (rules::BY_PART, of.by_part, MOST_BY_PART)];
+            [(fired::BY_TAKE, of.by_take, MOST_BY_TAKE), (fired::BY_PART, of.by_part, MOST_BY_PART)];
         let in_force = measures.into_iter().filter(|(rule, ..)| rules.has(rule));
         let ratios =
             in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));
@@ -109,7 +109,7 @@ fn withhold_remainders(
         let remainder = placed.filter_map(|idx| Some((idx, *stronger(idx)?.1))).next();
         let Some((remainder, of_stronger)) = remainder else { return Ok(()) };
         let measured = of_stronger / evidence[remainder];
-        let why = Fired { rule: rules::REMAINDER, measured, limit: 1.0 / LEAST_BESIDE };
+        let why = Fired { rule: fired::REMAINDER, measured, limit: 1.0 / LEAST_BESIDE };
         naming.withhold_one(domain, known + remainder, fitted, why)?;
     }
 }
@@ -130,7 +130,7 @@ fn withhold_alike(
             placed.iter().enumerate().flat_map(|(at, &two)| placed[..at].iter().map(move |&one| (one, two)));
         let mut alike = pairs.filter_map(|(one, two)| {
             let cosine = contributions.likeness(one, two).abs();
-            Fired::above(rules::ALIKE, cosine, ALIKE).map(|why| (one, two, why))
+            Fired::above(fired::ALIKE, cosine, ALIKE).map(|why| (one, two, why))
         });
         let Some((one, two, why)) = alike.next() else { break };
         naming.withhold_one(domain, two, fitted, why)?;
@@ -150,7 +150,7 @@ fn withhold_at_one_place(
     let named = &naming.model.effects[known..];
     let patches: Vec<BTreeSet<usize>> = named.iter().map(|effect| domain.patches(effect)).collect();
     let (standing, count) = (num_standing(named, &patches, &domain.limbs()), named.len());
-    let why = Fired { rule: rules::ONE_PLACE, measured: (count - standing) as f64, limit: 0.0 };
+    let why = Fired { rule: fired::ONE_PLACE, measured: (count - standing) as f64, limit: 0.0 };
     match standing {
         _ if standing == count => {}
         0 => naming.withhold(start, why),

@@ -14,12 +14,14 @@ mod config;
 #[cfg(test)]
 mod documented;
 mod files;
+mod firmware;
 mod name_pattern;
 mod parquet;
 mod poses;
 mod read;
 mod repetitions;
 mod report;
+mod rows;
 mod sheet;
 mod spans;
 mod table;

@@ -89,7 +89,7 @@ fn count(data: &FitData<'_>, alpha_per_m: f64, kind: SensorKind, thresholds: &[f
 pub fn l1_of_readings(data: &FitData<'_>, theta: Theta) -> u64 {
     let model = SensorModel::plain("", theta);
     let l1_of_take = |take: &&crate::PairedTake| {
-        let Readings { active, .. } = tactile::readings(data.layout(), &take.contact, &model);
+        let Readings { active, .. } = tactile::readings(data.layout(), &take.contact, &model.thetas());
         active.iter().zip(&take.real_active).filter(|(simulated, real)| simulated != real).count() as u64
     };
     data.takes().iter().map(l1_of_take).sum()

@@ -214,7 +214,7 @@ fn two_skins() -> (TactileLayout, Vec<PairedTake>, SensorModel) {
     }
     let mut takes = synthetic::takes(Size { frames_per_take: 900, ..crate::SMALL }, &layout, 3);
     for take in &mut takes {
-        take.real_active = palpate_sim::tactile::readings(&layout, &take.contact, &truth).active;
+        take.real_active = palpate_sim::tactile::readings(&layout, &take.contact, &truth.thetas()).active;
     }
     (layout, takes, truth)
 }

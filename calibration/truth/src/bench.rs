@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::EmulationError;
 use crate::hidden::Hidden;
+use crate::noise::gaussian;
 use crate::secrets::limb_dofs;
 use crate::stage::Stage;
-use crate::world::gaussian;
 
 /// How strongly an effect is hidden.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

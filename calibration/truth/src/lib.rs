@@ -11,6 +11,7 @@ pub mod actuator;
 mod bench;
 mod hidden;
 mod motion;
+mod noise;
 mod secrets;
 mod session;
 mod stage;

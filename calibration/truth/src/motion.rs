@@ -1,9 +1,6 @@
-//! What the truth world takes from the planner of motions and from kinematics.
+//! The motion of a take, as the planner gives it.
 
-pub(crate) use palpate_motion::TakeMotion;
-pub(crate) use palpate_robot_model::ik::chain_dofs;
-
-use palpate_motion::{Primitives, Scene, plan_in};
+use palpate_motion::{Primitives, Scene, TakeMotion, plan_in};
 
 use crate::EmulationError;
 use crate::truth::Emulation;

@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use palpate_robot_model::{Place, Station};
+use palpate_robot_model::{Place, Station, ik::chain_dofs};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::hidden::Hidden;
-use crate::motion::chain_dofs;
-use crate::world::gaussian;
+use crate::noise::gaussian;
 
 /// Everything that a list of [`Hidden`] asks for. Without any, each part is what leaves the world as it is.
 #[derive(Clone, Debug)]

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use palpate_motion::Plan;
+use palpate_motion::{Plan, TakeMotion};
 use palpate_recording::{JointLog, PoseLog, Span, SpanKind, StreamLog, Take};
 use palpate_robot_model::Station;
 use rayon::prelude::*;
 
 use crate::hidden::Hidden;
-use crate::motion::{TakeMotion, plan_take};
+use crate::motion::plan_take;
 use crate::session::{scenes, start_unix_ns, take_meta};
 use crate::truth::{Emulation, Truth};
 use crate::world::Event;

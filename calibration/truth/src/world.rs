@@ -19,11 +19,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::EmulationError;
+use crate::noise::gaussian;
 use crate::truth::Emulation;
 use cabling::Cabling;
 pub use device::Arrival;
 use device::Device;
-pub(crate) use device::gaussian;
 use elastomer::Layer;
 use front_end::Sensors;
 use linkage::Linkage;

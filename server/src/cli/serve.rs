@@ -19,7 +19,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 pub(super) use config::{Config, LogFormat};
 
-use super::{Outcome, output, retention::RetentionArgs, station::StationArgs};
+use super::{Outcome, output, retention_days::RetentionArgs, station::StationArgs};
 
 /// The program has ended this long after the first signal, whatever stalls: motion takes 1.6 s at most.
 const END_DEADLINE: Duration = Duration::from_millis(2800);

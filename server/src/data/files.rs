@@ -3,7 +3,9 @@
 use std::{
     fs::File,
     io::{BufWriter, Write as _},
+    os::unix::fs::MetadataExt as _,
     path::Path,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use palpate_recording::files::{check_name, replace_file_with};
@@ -61,6 +63,13 @@ pub fn slug(name: &str) -> Result<String, Error> {
     }
     check_id("name", slug)?;
     Ok(slug.to_owned())
+}
+
+/// When what is at `path` was moved there, to the second.
+pub(crate) fn moved_at(path: &Path) -> Result<SystemTime, Error> {
+    let meta = path.symlink_metadata().map_err(Error::io("look at", path))?;
+    let newest = meta.ctime().max(meta.mtime());
+    Ok(UNIX_EPOCH + Duration::from_secs(u64::try_from(newest).unwrap_or(0)))
 }
 
 #[cfg(test)]

@@ -10,13 +10,11 @@ use std::{
     time::{Duration, UNIX_EPOCH},
 };
 
-use palpate_recording::Session;
 use palpate_wire::api::TakeSummary;
 use rusqlite::{Connection, OptionalExtension as _, params};
-use serde::Serialize;
 
-use super::{Store, library::Library};
-use crate::{Error, chain, jobs::board::DATABASE_FILE};
+use super::database::DATABASE_FILE;
+use crate::Error;
 
 /// Tables of other versions are dropped: their entries are made again.
 const TABLE: &str = "take_index_1";
@@ -28,17 +26,6 @@ pub(crate) struct TakeIndex {
     /// Paths of takes are kept relative to it, so that the folder can be moved.
     root: PathBuf,
     connection: Mutex<Connection>,
-}
-
-/// What a rebuilt index holds.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct IndexReport {
-    /// Sessions that can be opened.
-    pub sessions: usize,
-    /// Their takes.
-    pub takes: usize,
-    /// Sessions that cannot be read, by name, and why.
-    pub problems: Vec<String>,
 }
 
 impl TakeIndex {
@@ -98,7 +85,7 @@ impl TakeIndex {
         }
     }
 
-    fn clear(&self) -> Result<(), Error> {
+    pub(super) fn clear(&self) -> Result<(), Error> {
         let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
         connection.execute(&format!("DELETE FROM {TABLE}"), []).map_err(|err| failed("clear", &err))?;
         Ok(())
@@ -112,30 +99,6 @@ impl TakeIndex {
         let (size, modified_ns) = stamp(&meta)?;
         Some((name, size, modified_ns))
     }
-}
-
-/// Makes the index of the data folder `data` again from its takes, whether a studio has it open or not.
-pub fn rebuild_index(data: &Path) -> Result<IndexReport, Error> {
-    if !data.join(DATABASE_FILE).is_file() {
-        return Err(Error::Argument(format!(
-            "{data:?} is no data folder of a studio: it holds no {DATABASE_FILE}; give one (--data)"
-        )));
-    }
-    let index = TakeIndex::open(data)?;
-    index.clear()?;
-    let (store, library) = (Store::of_job(data), Library::with_index(index));
-    let mut report = IndexReport::default();
-    for id in store.sessions()? {
-        let opened: Result<Session, Error> = store.session(&id);
-        match opened.and_then(|session| library.detail(&session)) {
-            Ok(detail) => {
-                report.sessions += 1;
-                report.takes += detail.takes.len();
-            }
-            Err(err) => report.problems.push(format!("{id}: {}", chain(&err))),
-        }
-    }
-    Ok(report)
 }
 
 fn stamp(meta: &Metadata) -> Option<(i64, i64)> {

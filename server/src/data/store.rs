@@ -17,7 +17,7 @@ use palpate_sim::{SensorModel, StreamTheta};
 use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport, TrashEntry, TrashSort};
 
 use super::{cache::lock, files, upload};
-use crate::{Error, retention::moved_at};
+use crate::Error;
 
 /// Locked by the studio that has the folder open; it holds the number of its process.
 const LOCK_FILE: &str = "studio.lock";
@@ -334,7 +334,7 @@ impl Store {
                 };
                 let Some(id) = id.filter(|id| files::check_id(kind.what(), id).is_ok()) else { continue };
                 // It may be restored or emptied meanwhile.
-                let Ok(deleted) = moved_at(&path) else { continue };
+                let Ok(deleted) = files::moved_at(&path) else { continue };
                 found.push((deleted, TrashEntry { sort, id: id.to_owned(), deleted: rfc3339(deleted) }));
             }
         }

@@ -40,7 +40,7 @@ use tokio_tungstenite::{
 use super::{
     bucket::Bucket,
     connection::Connection,
-    document::Refusal,
+    documented::Refusal,
     extract::{Asking, Peer, Upgrade},
     identity::no_longer_valid,
     listener::KeepOpen,

@@ -1,9 +1,7 @@
 //! The OpenAPI document: made from the table of routes and from what stands above each handler.
 
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
-    fmt,
     sync::OnceLock,
 };
 
@@ -13,16 +11,15 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 use palpate_wire::api::{
-    BlindRequest, CalibrationReport, CalibrationRequest, CalibrationRun, ComparisonReport, ComparisonRequest,
-    DemonstrationsRequest, DiagnosisReport, DiagnosisRequest, DiagnosisRun, EmulateRequest,
+    BlindRequest, ComparisonReport, ComparisonRequest, DemonstrationsRequest, EmulateRequest,
     EvaluationRequest, ExpertRequest, GatheringRequest, ImitationRequest, LEASE_HEADER, PipelineRequest,
     PretrainingRequest, ProblemDetails, ProblemType, RolloutsRequest, TuneRequest,
 };
 use serde_json::{Value, json};
 use utoipa::{
-    IntoResponses, OpenApi as _, PartialSchema, ToSchema,
+    OpenApi as _, ToSchema,
     openapi::{
-        Content, Header, HttpMethod, ObjectBuilder, OpenApi, PathItem, Paths, Ref, RefOr, Required, Schema,
+        Content, Header, HttpMethod, ObjectBuilder, OpenApi, Ref, RefOr, Required, Schema,
         extensions::ExtensionsBuilder,
         path::{Operation, Parameter, ParameterBuilder, ParameterIn},
         response::{Response as Answer, ResponseBuilder},
@@ -33,8 +30,9 @@ use utoipa::{
 };
 
 use super::{
+    documented::{Documented, refusal, refusal_name},
     examples::{self, Example},
-    routes::{Needs, NeedsLease, Route, all_routes},
+    route::{Needs, NeedsLease, Route},
 };
 
 /// The document without what is said of routes.
@@ -85,156 +83,13 @@ request must show. The examples (`x-codeSamples`) are carried out by a test in t
 begins empty (`palpate serve --emulate small`); `$PALPATE_URL` is its address, `recordings.zip` a zipped session of \
 `palpate emulate --truth bench`, and `$LEASE` the lease of whoever has control.";
 
-/// Bytes of a file or a message.
-#[derive(ToSchema)]
-#[schema(value_type = String, format = Binary)]
-#[expect(dead_code, reason = "its form is all that is asked of it")]
-pub(super) struct Binary(Vec<u8>);
-
-/// One server-sent event.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "its form is all that is asked of it")]
-pub(super) struct JobEvent {
-    /// Attempt and state, by which a client that lost the connection goes on.
-    id: String,
-    /// `job`.
-    event: String,
-    /// A `Job` as JSON.
-    data: String,
-}
-
-/// Gives `$run` a schema under its own name: `utoipa` calls generic types alike whatever their arguments are.
-macro_rules! run_schema {
-    ($schema:ident, $name:literal, $run:ty, $request:ty, $report:ty) => {
-        pub(super) struct $schema;
-
-        impl PartialSchema for $schema {
-            fn schema() -> RefOr<Schema> {
-                <$run>::schema()
-            }
-        }
-
-        impl ToSchema for $schema {
-            fn name() -> Cow<'static, str> {
-                $name.into()
-            }
-
-            fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
-                <$run>::schemas(schemas);
-                schemas.push((<$request>::name().into_owned(), <$request>::schema()));
-                <$request>::schemas(schemas);
-                schemas.push((<$report>::name().into_owned(), <$report>::schema()));
-                <$report>::schemas(schemas);
-            }
-        }
-    };
-}
-
-run_schema!(CalibrationRunSchema, "CalibrationRun", CalibrationRun, CalibrationRequest, CalibrationReport);
-run_schema!(DiagnosisRunSchema, "DiagnosisRun", DiagnosisRun, DiagnosisRequest, DiagnosisReport);
-
-/// A refusal with this status, as problem details of one of the kinds that have it.
-pub(super) struct Refusal<const STATUS: u16>;
-
-impl<const STATUS: u16> IntoResponses for Refusal<STATUS> {
-    fn responses() -> BTreeMap<String, RefOr<Answer>> {
-        BTreeMap::from([(STATUS.to_string(), refusal(STATUS))])
-    }
-}
-
-fn refusal(status: u16) -> RefOr<Answer> {
-    RefOr::Ref(Ref::new(format!("#/components/responses/{}", refusal_name(status))))
-}
-
-fn refusal_name(status: u16) -> String {
-    format!("Refusal{status}")
-}
-
 /// What any request may be refused with: by the door, by the limits of connections and work, by a fault.
 const ANYWHERE: &[u16] = &[400, 421, 429, 500, 503];
 /// What any request that changes something may be refused with besides.
 const CHANGING: &[u16] = &[403];
 
-/// What is said of a route.
-#[derive(Clone)]
-pub(super) struct Documented {
-    operation: Operation,
-    /// Method and path as they stand above the handler, for the test that they are those of the table.
-    said: (Method, String),
-    /// The verb of its row.
-    verb: &'static str,
-    schemas: Vec<(String, RefOr<Schema>)>,
-}
-
-impl fmt::Debug for Documented {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (method, path) = &self.said;
-        f.debug_struct("Documented").field("method", method).field("path", path).finish_non_exhaustive()
-    }
-}
-
-impl Documented {
-    /// Of the handler at path `name`, as `utoipa_axum::routes!` gives it.
-    pub(super) fn new(
-        name: &str,
-        verb: &'static str,
-        schemas: Vec<(String, RefOr<Schema>)>,
-        paths: Paths,
-    ) -> Self {
-        let (path, item) = paths.paths.into_iter().next().unwrap_or_default();
-        let (method, mut operation) = only_operation(item);
-        // Functions are called alike in several modules.
-        operation.operation_id = Some(name.split("::").map(str::trim).collect::<Vec<_>>().join("_"));
-        Self { operation, said: (method, path), verb, schemas }
-    }
-
-    /// What stands above the handler and in its row agrees with the row's method and path; else what does not.
-    pub(super) fn disagreement(&self, method: &Method, path: &str) -> Option<String> {
-        let (said_method, said_path) = &self.said;
-        let agrees =
-            said_method == method && said_path == path && self.verb.eq_ignore_ascii_case(method.as_str());
-        (!agrees).then(|| {
-            format!(
-                "{method} {path} in the table, {said_method} {said_path} above the handler, {} in its row",
-                self.verb
-            )
-        })
-    }
-
-    fn is_socket(&self) -> bool {
-        self.operation.responses.responses.contains_key("101")
-    }
-
-    fn sends_events(&self) -> bool {
-        match self.operation.responses.responses.get("200") {
-            Some(RefOr::T(answer)) => answer.content.contains_key("text/event-stream"),
-            _ => false,
-        }
-    }
-}
-
-fn only_operation(item: PathItem) -> (Method, Operation) {
-    let PathItem { get, put, post, delete, patch, .. } = item;
-    let found = [
-        (Method::GET, get),
-        (Method::PUT, put),
-        (Method::POST, post),
-        (Method::DELETE, delete),
-        (Method::PATCH, patch),
-    ];
-    found
-        .into_iter()
-        .find_map(|(method, operation)| Some((method, operation?)))
-        .unwrap_or((Method::OPTIONS, Operation::new()))
-}
-
-/// The document of every route that a studio can have.
-pub fn openapi() -> Value {
-    written(&all_routes(true))
-}
-
 /// The document of `routes` as JSON. Its fields are sorted: `utoipa` keeps some in an order that changes from run to run.
-fn written(routes: &[Route]) -> Value {
+pub(super) fn written(routes: &[Route]) -> Value {
     // A document of strings, numbers and lists of them always serialises.
     sorted(serde_json::to_value(document_of(routes)).unwrap_or_default())
 }
@@ -250,12 +105,12 @@ fn sorted(value: Value) -> Value {
     }
 }
 
-/// The document of the routes that a studio has, as an answer.
-pub(super) fn answer(with_emulator: bool) -> Response {
+/// The document of the routes that a studio has, as an answer; `routes` are asked for once.
+pub(super) fn answer(with_emulator: bool, routes: impl FnOnce() -> Vec<Route>) -> Response {
     static DOCUMENTS: [OnceLock<Bytes>; 2] = [OnceLock::new(), OnceLock::new()];
     let [without, with] = &DOCUMENTS;
     let document = if with_emulator { with } else { without };
-    let make = || written(&all_routes(with_emulator)).to_string().into();
+    let make = || written(&routes()).to_string().into();
     let document = document.get_or_init(make).clone();
     ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], document).into_response()
 }
@@ -458,6 +313,7 @@ fn http_method(method: &Method) -> HttpMethod {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::http::routes::{all_routes, openapi_document};
 
     /// Every operation with its method and path.
     fn operations(document: &Value) -> Vec<(String, &Value)> {
@@ -480,7 +336,7 @@ mod tests {
 
     #[test]
     fn every_route_is_an_operation_of_its_own_with_what_it_needs() {
-        let document = openapi();
+        let document = openapi_document();
         let operations = operations(&document);
         assert_eq!(operations.len(), all_routes(true).len());
         let ids: BTreeSet<&str> =
@@ -513,7 +369,7 @@ mod tests {
                 _ => {}
             }
         }
-        let document = openapi();
+        let document = openapi_document();
         let mut found = Vec::new();
         references(&document, &mut found);
         assert!(found.len() > 100, "{}", found.len());
@@ -542,7 +398,7 @@ mod tests {
 
     #[test]
     fn problem_types_are_all_in_the_document() {
-        let document = openapi().to_string();
+        let document = openapi_document().to_string();
         for kind in ProblemType::ALL {
             assert!(document.contains(kind.uri()), "{kind:?}");
         }

@@ -23,7 +23,7 @@ use futures_util::SinkExt as _;
 use palpate_wire::{api::ProblemType, proto::stream_message::Message as Streamed};
 
 use super::{
-    document::Refusal,
+    documented::Refusal,
     extract::{Asking, Upgrade},
     listener::KeepOpen,
     pacing::Pacing,

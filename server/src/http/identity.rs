@@ -19,7 +19,7 @@ use palpate_people::{Denied, People, Presented, Principal, now_s};
 
 use super::{
     problem::problem,
-    routes::{Needs, NeedsLease},
+    route::{Needs, NeedsLease},
 };
 use crate::AppState;
 use palpate_wire::api::{ProblemType, Role, Scope};

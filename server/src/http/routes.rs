@@ -23,96 +23,21 @@ use axum::{
     extract::State,
     http::{Method, StatusCode},
     response::Response,
-    routing::{MethodRouter, get, post},
+    routing::{get, post},
 };
 use base64::Engine as _;
 use palpate_robot_model::StationFiles;
-use palpate_wire::api::{Info, Role, Scope, Source, StationDocument};
+use palpate_wire::api::{Info, Source, StationDocument};
 
 use super::{
-    control_socket,
-    document::{self, Documented, Refusal},
+    control_socket, document,
+    documented::{Documented, Refusal},
     foxglove, login_page,
     problem::{Answer, Problem},
+    route::{DATA, JOBS, MOVE, OPEN, OWN, PEOPLE, Route, SCORE, SETUP, STATION, TRIALS, VIEW, root, route},
     stream,
 };
 use crate::{AppState, Error, assets, work::Kind};
-
-/// What a request must show to be carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Needs {
-    /// What whoever asks must be at least; `None` where nobody has to log in.
-    pub role: Option<Role>,
-    /// The part of the API, to which a token may be limited.
-    pub scope: Scope,
-    /// Whether it needs the lease as well.
-    pub lease: NeedsLease,
-}
-
-/// Whether a request needs the lease.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NeedsLease {
-    /// No.
-    No,
-    /// The lease in force.
-    Always,
-    /// The lease in force, while somebody has one or a session is being recorded.
-    IfAny,
-}
-
-const fn needs(role: Role, scope: Scope, lease: NeedsLease) -> Needs {
-    Needs { role: Some(role), scope, lease }
-}
-
-/// Nobody has to log in.
-pub(super) const OPEN: Needs = Needs { role: None, scope: Scope::Read, lease: NeedsLease::No };
-/// Reads.
-pub(super) const VIEW: Needs = needs(Role::Viewer, Scope::Read, NeedsLease::No);
-/// Starts, stops and deletes jobs.
-const JOBS: Needs = needs(Role::Operator, Scope::Jobs, NeedsLease::No);
-/// Changes or deletes sessions and models.
-const DATA: Needs = needs(Role::Operator, Scope::Data, NeedsLease::No);
-/// Runs the trials of a campaign; the lease of whoever moves the hand is the rollout's.
-const TRIALS: Needs = needs(Role::Operator, Scope::Control, NeedsLease::No);
-/// Scores trials.
-const SCORE: Needs = needs(Role::Scorer, Scope::Score, NeedsLease::No);
-/// Changes what the station shows.
-const STATION: Needs = needs(Role::Operator, Scope::Control, NeedsLease::No);
-/// Moves the robot, or decides what it does next.
-const MOVE: Needs = needs(Role::Operator, Scope::Control, NeedsLease::Always);
-/// Would surprise whoever has control.
-const SETUP: Needs = needs(Role::Operator, Scope::Control, NeedsLease::IfAny);
-/// Says who the people are.
-const PEOPLE: Needs = needs(Role::Admin, Scope::People, NeedsLease::No);
-/// Changes one's own password and tokens.
-const OWN: Needs = needs(Role::Viewer, Scope::People, NeedsLease::No);
-
-/// A route of the API.
-#[derive(Clone, Debug)]
-pub struct Route {
-    /// Its method.
-    pub method: Method,
-    /// Its path below `/api/v1`, with parameters in braces.
-    pub path: &'static str,
-    /// What a request must show.
-    pub needs: Needs,
-    pub(super) handler: MethodRouter<Arc<AppState>>,
-    /// What the OpenAPI document says of it; `None` outside `/api/v1`.
-    pub(super) documented: Option<Documented>,
-}
-
-fn route(method: Method, path: &'static str, needs: Needs, (handler, documented): Row) -> Route {
-    debug_assert_eq!(documented.disagreement(&method, path), None);
-    Route { method, path, needs, handler, documented: Some(documented) }
-}
-
-/// A route outside `/api/v1`.
-fn root(method: Method, path: &'static str, needs: Needs, handler: MethodRouter<Arc<AppState>>) -> Route {
-    Route { method, path, needs, handler, documented: None }
-}
-
-/// A handler and what the OpenAPI document says of it.
-type Row = (MethodRouter<Arc<AppState>>, Documented);
 
 /// Rows of the table. What `#[utoipa::path]` says above a handler goes with it into the document: a handler without cannot
 /// be a row.
@@ -125,6 +50,11 @@ macro_rules! table {
             })
         ),+]
     };
+}
+
+/// The OpenAPI document of every route that a studio can have.
+pub fn openapi_document() -> serde_json::Value {
+    document::written(&all_routes(true))
 }
 
 /// Every route of the API that `state` serves: the service is built from this table, and tests walk it.
@@ -273,7 +203,7 @@ impl AppState {
 )]
 async fn openapi(State(state): State<Arc<AppState>>) -> Response {
     let with_emulator = state.live().is_none_or(|live| live.source() != Source::Real);
-    document::answer(with_emulator)
+    document::answer(with_emulator, || all_routes(with_emulator))
 }
 
 /// Says what studio this is.

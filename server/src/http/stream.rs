@@ -18,7 +18,7 @@ use palpate_people::Principal;
 use prost::Message as _;
 
 use super::{
-    document::Refusal,
+    documented::Refusal,
     extract::{Asking, Upgrade},
     identity::no_longer_valid,
     listener::KeepOpen,

@@ -16,13 +16,10 @@ use palpate_wire::{
 use serde_json::{Map, Value, json};
 
 use super::{kinds, legacy, trainer::Trainer, way_in::WayIn};
-use crate::{Error, Hub, Store, hub::List};
+use crate::{Error, Hub, Store, data::database::DATABASE_FILE, hub::List};
 
 /// The runner of jobs that have to be on this computer.
 const LOCAL_RUNNER: &str = "process";
-
-/// The database of a data folder.
-pub(crate) const DATABASE_FILE: &str = "palpate.sqlite";
 
 /// Jobs of every kind.
 pub(crate) struct Jobs {

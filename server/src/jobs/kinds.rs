@@ -10,6 +10,7 @@ mod evaluation;
 mod expert;
 mod gathering;
 mod imitation;
+mod names;
 mod pipeline;
 mod pretraining;
 mod rollouts;
@@ -126,9 +127,8 @@ impl JobWork<'_> {
 }
 
 /// A request in the form of its kind.
-fn parse<T: DeserializeOwned>(kind: &JobKind, request: &Value) -> Result<T, Error> {
-    T::deserialize(request)
-        .map_err(|err| Error::Content(format!("request of a job of kind {:?}: {err}", kind.name)))
+fn parse<T: DeserializeOwned>(kind: &str, request: &Value) -> Result<T, Error> {
+    T::deserialize(request).map_err(|err| Error::Content(format!("request of a job of kind {kind:?}: {err}")))
 }
 
 /// Everything that a job on `session` reads: its file and the takes that were accepted.

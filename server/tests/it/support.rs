@@ -315,7 +315,7 @@ pub(crate) async fn answer_of(app: &Router, request: Request<Body>) -> Answer {
 
 /// Status and content type of an answer are among those that the document gives for the route.
 fn foreseen(method: &str, path: &str, answer: &Answer) {
-    static DOCUMENT: LazyLock<serde_json::Value> = LazyLock::new(palpate_server::openapi);
+    static DOCUMENT: LazyLock<serde_json::Value> = LazyLock::new(palpate_server::openapi_document);
     let Some(path) = path.strip_prefix("/api/v1/") else { return };
     let parts: Vec<&str> = path.split('/').collect();
     let fits = |template: &str| {

@@ -1,12 +1,13 @@
 //! The tactile layout: streams, patches, taxels and the surface nodes that stand for the sensing skin.
 
+mod config;
 mod map;
 mod read;
 mod surface;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
-pub use read::AxesReading;
+pub use config::AxesReading;
 pub(crate) use read::taxel_axes;
 
 use crate::{ModelError, Robot};

@@ -7,9 +7,12 @@ use palpate_robot_model::Place;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{MOST_SOFTNESS_M, Response, SensorModel, SensorModelError, StreamTheta, Theta, unknown_effect};
+use super::{SensorModel, SensorModelError, unknown_effect};
 use crate::effects::{self, Effect};
+use crate::replay::MOST_SOFTNESS_M;
 use crate::replay::NEAR_M;
+use crate::response::Response;
+use crate::theta::{StreamTheta, Theta};
 
 /// The newest format.
 const FORMAT: u32 = 3;

@@ -246,7 +246,7 @@ fn a_moving_object_is_felt_live_as_it_is_replayed() {
     let scene = LiveScene::new(Arc::new(twice.station.clone()), &twice.object, &model, &[]).expect("a scene");
     let mut touch = LiveTouch::new(Arc::new(scene));
     let trace = twice.trace(&twice.by_object);
-    let replayed = palpate_sim::tactile::readings(&twice.station.layout, &trace, &model);
+    let replayed = palpate_sim::tactile::readings(&twice.station.layout, &trace, &model.thetas());
     for (frame, positions) in positions.chunks_exact(twice.station.robot.num_dofs()).enumerate() {
         let live = touch.feel(twice.times_s[frame], positions, &path.at(frame)).expect("a frame");
         assert_eq!(live.raw, replayed.raw_frame(frame), "frame {frame}");

@@ -78,8 +78,8 @@ proptest! {
     fn larger_lambda_con_never_deactivates(lambda in -0.005..0.04_f64, more in 0.0..0.009_f64) {
         let layout = layout(&robot());
         let trace = replay(&ball(), &base_from_object(), &path(61));
-        let tight = readings(&layout, &trace, &model(lambda, 100.0, 500.0));
-        let wide = readings(&layout, &trace, &model(lambda + more, 100.0, 500.0));
+        let tight = readings(&layout, &trace, &model(lambda, 100.0, 500.0).thetas());
+        let wide = readings(&layout, &trace, &model(lambda + more, 100.0, 500.0).thetas());
         for (was, is) in tight.active.iter().zip(&wide.active) {
             prop_assert!(!was || *is);
         }
@@ -89,8 +89,8 @@ proptest! {
     fn larger_lambda_pre_never_activates(lambda in 0.0..20000.0_f64, more in 0.0..20000.0_f64) {
         let layout = layout(&robot());
         let trace = replay(&ball(), &base_from_object(), &path(61));
-        let low = readings(&layout, &trace, &model(0.002, 100.0, lambda));
-        let high = readings(&layout, &trace, &model(0.002, 100.0, lambda + more));
+        let low = readings(&layout, &trace, &model(0.002, 100.0, lambda).thetas());
+        let high = readings(&layout, &trace, &model(0.002, 100.0, lambda + more).thetas());
         for (was, is) in low.active.iter().zip(&high.active) {
             prop_assert!(*was || !is);
         }
@@ -137,7 +137,7 @@ fn alpha_zero_makes_the_taxels_of_a_patch_equal() {
 fn readings_compare_raw_signals_with_thresholds() {
     let layout = layout(&robot());
     let model = model(0.003, 150.0, 2000.0);
-    let readings = readings(&layout, &replay(&ball(), &base_from_object(), &path(101)), &model);
+    let readings = readings(&layout, &replay(&ball(), &base_from_object(), &path(101)), &model.thetas());
     assert_eq!((readings.num_frames, readings.num_channels), (101, layout.num_channels()));
     let thresholds = thresholds(&layout, &model.thetas());
     assert_eq!(thresholds[..12], [2000.0; 12]);

@@ -29,7 +29,7 @@ await step("the operator takes control and starts a session", async () => {
 });
 
 const { session: id, steps } = await recording();
-assert.equal(steps.length, 9);
+assert.equal(steps.length, 4);
 
 /** Presses a key until the station has taken in what it does. */
 async function press(key, taken) {

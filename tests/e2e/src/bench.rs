@@ -3,7 +3,7 @@
 use std::{
     net::{IpAddr, Ipv4Addr},
     sync::{
-        Arc, RwLockWriteGuard,
+        Arc,
         atomic::{AtomicBool, Ordering},
         mpsc,
     },
@@ -18,7 +18,7 @@ use palpate_emulator::{
     serve_devices,
 };
 
-use crate::{alone, root};
+use crate::{Turn, root};
 
 /// One ms of the station's own time.
 pub const MS: u64 = 1_000_000;
@@ -35,13 +35,12 @@ pub struct Bench {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
     _links: tempfile::TempDir,
-    _alone: RwLockWriteGuard<'static, ()>,
+    _turn: Turn,
 }
 
 impl Bench {
-    /// The devices of the small emulated world, ready for whoever opens them.
-    pub fn start() -> anyhow::Result<Self> {
-        let alone = alone();
+    /// The devices of the small emulated world, ready for whoever opens them; they keep `turn` until they end.
+    pub fn start(turn: Turn) -> anyhow::Result<Self> {
         let links = tempfile::tempdir()?;
         let config = PortsConfig {
             dir: links.path().join("devices"),
@@ -64,7 +63,7 @@ impl Bench {
             }
         });
         let found = found.recv_timeout(PATIENCE).context("the emulated devices did not come up")?;
-        Ok(Self { control, found, stop, thread: Some(thread), _links: links, _alone: alone })
+        Ok(Self { control, found, stop, thread: Some(thread), _links: links, _turn: turn })
     }
 
     /// Arguments that name the station and say where its devices are.

@@ -5,18 +5,17 @@ use std::{
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::RwLockWriteGuard,
 };
 
 use anyhow::{Context as _, bail};
 use serde_json::Value;
 
-use crate::{Tools, alone, root};
+use crate::{Tools, Turn, beside_a_station, root};
 
 /// `palpate devices emulate`; it ends when this is dropped.
 pub struct Devices {
     process: Child,
-    _alone: RwLockWriteGuard<'static, ()>,
+    _turn: Turn,
     /// Link to the servos' line.
     pub u2d2: PathBuf,
     /// Links to the fingertips' boards.
@@ -33,7 +32,7 @@ impl Devices {
     ///
     /// `None` (with a message) where ports below 1024 may not be listened on.
     pub fn start(tools: &Tools, dir: &Path, host: u8) -> anyhow::Result<Option<Self>> {
-        let alone = alone();
+        let turn = beside_a_station();
         let xarm = IpAddr::V4(Ipv4Addr::new(127, 0, 5, host));
         if let Err(err) = TcpListener::bind((xarm, 502)) {
             if err.kind() != std::io::ErrorKind::PermissionDenied {
@@ -62,7 +61,7 @@ impl Devices {
             |value: &Value| value.as_str().map(PathBuf::from).with_context(|| format!("no path: {value}"));
         Ok(Some(Self {
             process,
-            _alone: alone,
+            _turn: turn,
             u2d2: link(&found["u2d2"])?,
             twintac: found["twintac"].as_array().into_iter().flatten().map(link).collect::<Result<_, _>>()?,
             fsr: link(&found["fsr"])?,

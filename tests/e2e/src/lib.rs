@@ -19,4 +19,4 @@ pub use devices::Devices;
 pub use operator::{Operator, Watcher, targets};
 pub use studio::{Studio, read_status};
 pub use tools::{Tools, demo_session, root, run_json};
-pub use turn::{alone, together};
+pub use turn::{Turn, alone, beside_a_station, together};

@@ -9,7 +9,7 @@ use crate::{
     route::{HelpPlace, Route, Screen},
     screens::{Subject, announced_ui, controls::name_button, words},
     store::{Connection, Loadable},
-    theme::Palette,
+    theme::{Palette, is_narrow},
 };
 
 /// Height of the bar's first row.
@@ -50,7 +50,7 @@ impl StudioApp {
 
     pub(super) fn rail_ui(&mut self, ui: &mut egui::Ui, go_to: &mut Option<Route>) {
         let palette = Palette::of(ui.ctx().theme());
-        let narrow = stop::is_narrow(ui.ctx());
+        let narrow = is_narrow(ui.ctx());
         let width = if narrow { NARROW_RAIL } else { RAIL };
         egui::Panel::left("rail").resizable(false).exact_size(width).show(ui, |ui| {
             if narrow {
@@ -151,7 +151,7 @@ impl StudioApp {
     pub(super) fn top_bar_ui(&mut self, ui: &mut egui::Ui, now_s: f64) {
         let palette = Palette::of(ui.ctx().theme());
         let commandable = self.store.is_commandable();
-        let narrow = stop::is_narrow(ui.ctx());
+        let narrow = is_narrow(ui.ctx());
         let height = match (commandable, narrow) {
             (false, _) => BAR_HEIGHT,
             (true, false) => stop::WIDE_BAR,

@@ -19,12 +19,12 @@ use self::{
     blocks::{Block, blocks},
     search::Hit,
 };
-use super::{StudioApp, is_narrow, overlays};
+use super::{StudioApp, overlays};
 use crate::{
     route::HelpPlace,
     screens::{announced_ui, for_people, heading_ui},
     store::{Loadable, Store},
-    theme::Palette,
+    theme::{Palette, is_narrow},
 };
 
 /// Widest dialog, points.

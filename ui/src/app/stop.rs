@@ -6,12 +6,10 @@
 use egui::{Align2, FontId, Id, Order, Rect, Sense, accesskit::Role, pos2, vec2};
 
 use super::StudioApp;
-use crate::theme::Palette;
+use crate::theme::{NARROW, Palette};
 
 /// Accessible name of STOP.
 pub(crate) const STOP_NAME: &str = "STOP (software)";
-/// Pages narrower than this show the station's state and STOP in the bar, and the rest behind a menu.
-pub(super) const NARROW: f32 = 900.0;
 /// Height of the bar on a wide page that commands a station: two rows.
 pub(super) const WIDE_BAR: f32 = 86.0;
 /// Height of the bar on a narrow page that commands a station.
@@ -22,11 +20,6 @@ const NARROW_STOP: egui::Vec2 = vec2(92.0, 48.0);
 /// From STOP to the edges of the window, and to what is beside it.
 pub(super) const GAP: f32 = 8.0;
 const TOP_GAP: f32 = 5.0;
-
-/// Whether the page at hand is narrow.
-pub(crate) fn is_narrow(ctx: &egui::Context) -> bool {
-    ctx.content_rect().width() < NARROW
-}
 
 /// Where STOP is in a window of `screen`.
 pub(super) fn stop_rect(screen: Rect) -> Rect {

@@ -40,9 +40,14 @@ struct MirrorDom {
 }
 
 /// Makes the root element; the answer applies changes to it.
-pub(super) fn sink(ctx: egui::Context, canvas: HtmlCanvasElement, inbox: MirrorInbox) -> MirrorSink {
+pub(super) fn sink(
+    ctx: egui::Context,
+    canvas: HtmlCanvasElement,
+    inbox: MirrorInbox,
+    stop_now: fn(),
+) -> MirrorSink {
     // Without a document there is nothing to mirror into, and nobody who could look.
-    if let Ok(dom) = MirrorDom::new(&ctx, canvas, &inbox) {
+    if let Ok(dom) = MirrorDom::new(&ctx, canvas, &inbox, stop_now) {
         DOM.with(|slot| *slot.borrow_mut() = Some(dom));
     }
     Box::new(move |changes, focus| {
@@ -60,7 +65,12 @@ pub(super) fn sink(ctx: egui::Context, canvas: HtmlCanvasElement, inbox: MirrorI
 }
 
 impl MirrorDom {
-    fn new(ctx: &egui::Context, canvas: HtmlCanvasElement, inbox: &MirrorInbox) -> Result<Self, JsValue> {
+    fn new(
+        ctx: &egui::Context,
+        canvas: HtmlCanvasElement,
+        inbox: &MirrorInbox,
+        stop_now: fn(),
+    ) -> Result<Self, JsValue> {
         let document = canvas.owner_document().ok_or(JsValue::NULL)?;
         let style = document.create_element("style")?;
         style.set_text_content(Some(STYLE));
@@ -85,7 +95,7 @@ impl MirrorDom {
         };
         for name in ["pointerdown", "pointerup", "mousemove", "wheel"] {
             let (canvas, root) = (canvas.clone(), root.clone());
-            listen(name, Box::new(move |event| hand_on(&event, &canvas, &root)))?;
+            listen(name, Box::new(move |event| hand_on(&event, &canvas, &root, stop_now)))?;
         }
         {
             let canvas = canvas.clone();
@@ -376,13 +386,13 @@ fn focus_canvas(canvas: &HtmlCanvasElement) {
 }
 
 /// Repeats a pointer's event on the canvas, out of the mirror's way.
-fn hand_on(event: &web_sys::Event, canvas: &HtmlCanvasElement, root: &HtmlElement) {
+fn hand_on(event: &web_sys::Event, canvas: &HtmlCanvasElement, root: &HtmlElement, stop_now: fn()) {
     if !event.is_trusted() {
         return;
     }
     // A page that draws slowly must not keep a stop waiting for its next frame.
     if event.type_() == "pointerdown" && is_stop(event) {
-        crate::web::stop_now();
+        stop_now();
     }
     event.stop_propagation();
     if event.type_() == "wheel" {

@@ -38,12 +38,12 @@ pub type MirrorInbox = Arc<Mutex<Vec<MirrorEvent>>>;
 /// Applies changes to whatever holds the elements.
 pub type MirrorSink = Box<dyn FnMut(&[Change], Option<u64>) + Send + Sync>;
 
-/// Starts the mirror over `canvas`.
+/// Starts the mirror over `canvas`. A press on STOP calls `stop_now` before a frame is drawn.
 #[cfg(target_arch = "wasm32")]
-pub(crate) fn install(ctx: &egui::Context, canvas: &web_sys::HtmlCanvasElement) {
+pub(crate) fn install(ctx: &egui::Context, canvas: &web_sys::HtmlCanvasElement, stop_now: fn()) {
     let inbox = MirrorInbox::default();
     ctx.enable_accesskit();
-    let sink = dom::sink(ctx.clone(), canvas.clone(), inbox.clone());
+    let sink = dom::sink(ctx.clone(), canvas.clone(), inbox.clone(), stop_now);
     ctx.add_plugin(MirrorPlugin::new(inbox, sink));
 }
 

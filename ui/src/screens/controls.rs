@@ -1,9 +1,9 @@
 //! Controls that more than one screen has: choices, buttons with symbols, the playing speed, the model to compare with.
 
 use egui::accesskit::Role;
-use palpate_wire::api::{JobState, Role as PersonRole, Run, Scope};
+use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Role as PersonRole, Run, Scope};
 
-use super::{ScreenContext, run_controls::OfSession};
+use super::ScreenContext;
 use crate::{
     api_client::segment,
     playback::{ModelRef, Playback},
@@ -99,6 +99,24 @@ fn saved_models(cx: &mut ScreenContext<'_>, with_effects: bool) -> Vec<ModelRef>
         .iter()
         .filter(|model| model.id != ModelRef::Nominal.key() && model.effects.is_empty() != with_effects);
     fitting.map(|model| ModelRef::Saved(model.id.clone())).collect()
+}
+
+/// A request about one session.
+pub trait OfSession {
+    /// Its id.
+    fn session(&self) -> &str;
+}
+
+impl OfSession for CalibrationRequest {
+    fn session(&self) -> &str {
+        &self.session
+    }
+}
+
+impl OfSession for DiagnosisRequest {
+    fn session(&self) -> &str {
+        &self.session
+    }
 }
 
 /// Ids of the finished runs of this session whose result was not saved.

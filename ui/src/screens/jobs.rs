@@ -4,7 +4,6 @@ mod curves;
 mod needs;
 mod start;
 
-pub use curves::Curves;
 use egui::RichText;
 use palpate_wire::api::{Job, JobState, RolloutsRequest};
 

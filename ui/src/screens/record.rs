@@ -23,9 +23,9 @@ use palpate_wire::{
 use self::interruptions::Interruptions;
 use super::{About, ScreenContext, Subject, View, empty_ui, failed_ui, hand::PlacementView, loading_ui};
 use crate::{
-    app::is_narrow,
     route::Screen,
     store::{Loadable, Store, control::Holder},
+    theme::is_narrow,
 };
 
 const LIST_WIDTH: f32 = 250.0;

@@ -3,33 +3,17 @@
 use std::{collections::BTreeSet, time::Duration};
 
 use egui::RichText;
-use palpate_wire::api::{CalibrationRequest, DiagnosisRequest, JobState, Run, SessionDetail, SessionSummary};
+use palpate_wire::api::{JobState, Run, SessionDetail, SessionSummary};
 
 use super::{
-    ScreenContext, announced_ui, controls::may_start_jobs_ui, duration_text, heading_ui, progress_bar, words,
+    ScreenContext, announced_ui,
+    controls::{OfSession, may_start_jobs_ui},
+    duration_text, heading_ui, progress_bar, words,
 };
 use crate::{
     route::{Route, Screen},
     store::Loadable,
 };
-
-/// A request about one session.
-pub trait OfSession {
-    /// Its id.
-    fn session(&self) -> &str;
-}
-
-impl OfSession for CalibrationRequest {
-    fn session(&self) -> &str {
-        &self.session
-    }
-}
-
-impl OfSession for DiagnosisRequest {
-    fn session(&self) -> &str {
-        &self.session
-    }
-}
 
 /// Opens the session that is chosen already, else the first that can be opened.
 pub fn open_a_session(cx: &mut ScreenContext<'_>, sessions: &[SessionSummary]) {

@@ -7,11 +7,8 @@ use palpate_wire::{
     proto::JobUpdate,
 };
 
-use super::{Loadable, ask, parse_json, reset, shared};
-use crate::{
-    api_client::{JobAct, Request},
-    screens::jobs::Curves,
-};
+use super::{Loadable, ask, curves::Curves, parse_json, reset, shared};
+use crate::api_client::{JobAct, Request};
 
 /// The newest jobs, older ones as far as they were asked for, and the log of those that were opened.
 #[derive(Debug, Default)]

@@ -9,7 +9,7 @@ use palpate_wire::proto::{Heartbeat, Stop, control_request};
 use prost::Message as _;
 use wasm_bindgen::{JsCast as _, closure::Closure};
 
-use super::fetch::{Socket, SocketEvents, open_socket};
+use super::socket::{Socket, SocketEvents, open_socket};
 use crate::api_client::{ApiEvent, ControlCounter};
 
 /// Twenty heartbeats a second.
@@ -59,7 +59,7 @@ impl Channel {
         let now_ms = js_sys::Date::now();
         if let Some(lease) = self.lease
             && (now_ms - self.last_beat_ms).abs() >= DUE_AFTER_MS
-            && super::window::is_watched()
+            && super::document::is_watched()
         {
             self.last_beat_ms = now_ms;
             self.send(lease, control_request::Request::Heartbeat(Heartbeat {}));

@@ -36,7 +36,7 @@ impl FileDialog {
     }
 
     pub(super) fn open(&mut self) {
-        let element = super::window::document().and_then(|document| document.create_element("input").ok());
+        let element = super::document::document().and_then(|document| document.create_element("input").ok());
         let Some(input) = element.and_then(|element| element.dyn_into::<web_sys::HtmlInputElement>().ok())
         else {
             return;

@@ -2,7 +2,7 @@
 
 use wasm_bindgen::{Clamped, JsCast as _, closure::Closure};
 
-use super::window::document;
+use super::document::document;
 
 /// Has the browser download `picture` as a PNG file; `false` where it cannot.
 pub(super) fn save(file_name: &str, picture: &egui::ColorImage) -> bool {

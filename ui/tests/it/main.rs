@@ -2,6 +2,7 @@
 //! made-up takes.
 
 mod calibrate;
+mod campaign_plan;
 mod diagnose;
 mod fixture;
 mod frame;

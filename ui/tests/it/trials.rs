@@ -13,6 +13,7 @@ use palpate_wire::{
     proto::{Changed, StreamMessage, stream_message},
 };
 use prost::Message as _;
+use serde_json::json;
 
 use crate::{
     fixture::{FakeWindow, SharedApi, full_api, page, page_of},
@@ -352,17 +353,6 @@ fn what_others_do_is_seen_without_reloading() {
     api.0.borrow_mut().events.push_back(ApiEvent::SocketMessage(message.encode_to_vec()));
     harness.run_steps(4);
     harness.get_by_role_and_label(Role::Button, "It has ended");
-}
-
-#[test]
-fn a_campaign_is_planned_and_what_is_missing_is_said() {
-    let api = full_api();
-    api.0.borrow_mut().answer(&Request::Campaigns, b"[]".to_vec());
-    let mut harness = page(&api, &FakeWindow::at("#/trials"));
-    harness.run_steps(3);
-    harness.get_by_role_and_label(Role::Button, "Plan a campaign").click();
-    harness.run_steps(3);
-    harness.get_by_label_contains("Give the campaign a name.");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use palpate_sim::effects::Effect;
 
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, loss_by_unit, share_left};
-use crate::rules::Fired;
+use crate::fired::Fired;
 
 use super::ActuatorDomain;
 use super::domain::SIGNALS;

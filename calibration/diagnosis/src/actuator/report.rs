@@ -15,7 +15,7 @@ use super::domain::SIGNAL_NAMES;
 use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy};
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, Naming, Round, refit};
-use crate::job::{in_doubt, interval};
+use crate::steps::{in_doubt, interval};
 
 /// Speed below which a joint holds, rad/s.
 const HOLDING_RAD_PER_S: f64 = 0.05;

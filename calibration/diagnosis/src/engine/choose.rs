@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::fit::refit;
 use super::linear::Linear;
-use super::name::{REFIT_STEPS, Round, SIMILAR_COUNT, Tried, founded};
+use super::naming::{REFIT_STEPS, Round, SIMILAR_COUNT, Tried, founded};
 use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;
 

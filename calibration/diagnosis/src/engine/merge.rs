@@ -7,7 +7,7 @@ use palpate_sim::effects::Effect;
 
 use super::fit::{fit, refit, refit_roughly};
 use super::linear::Linear;
-use super::name::{REFIT_STEPS, founded, stands_in};
+use super::naming::{REFIT_STEPS, founded, stands_in};
 use super::screen::{Hopeless, screen};
 use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;

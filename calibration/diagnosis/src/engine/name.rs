@@ -7,154 +7,23 @@ use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use super::choose::{apart, choose};
-use super::fit::{Fitted, Profile, fit, refit, refit_roughly};
+use super::fit::{Profile, fit, refit, refit_roughly};
 use super::linear::{Linear, predict};
 use super::merge::merge;
+use super::naming::{
+    FEW, Naming, NamingConfig, REFIT_STEPS, Round, Tried, evidence, joint_evidence, key, stands_in,
+};
 use super::reconsider::reconsider;
 use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
-use crate::rules::{Fired, Withheld};
 
-/// How to name.
-#[derive(Clone, Debug)]
-pub struct NamingConfig {
-    /// Most effects to name.
-    pub max_effects: usize,
-    /// Evidence that an effect must reach: how far its estimate lies beyond the smallest size that matters, in standard
-    /// errors, squared.
-    pub bar: f64,
-    /// Evidence that it must have beside all others in the end: what is barely founded while others are still missing is
-    /// often a part of them.
-    pub kept_bar: f64,
-    /// Share of the loss, in the kinds of rows that an effect changes, that it must remove on takes it was not fitted to.
-    pub least_share: f64,
-    /// Candidates that are fitted in each round.
-    pub num_fits: usize,
-    /// Effects to leave out, by id.
-    pub without: Vec<String>,
-}
-
-/// A candidate that was fitted.
-#[derive(Clone, Debug)]
-pub struct Tried {
-    /// The effect, fitted beside the model of its round.
-    pub effect: Effect,
-    /// The model's own parameters beside it.
-    pub base: Vec<f64>,
-    /// On the scale of [`NamingConfig::bar`].
-    pub evidence: f64,
-    /// Loss that it removes on takes that its own parameters were not fitted to; the model's other parameters are
-    /// projected out, or fitted beside it, on all of them.
-    pub held_out_gain: f64,
-    /// The same over the loss before, in the kinds of rows that the effect changes.
-    pub share: f64,
-    /// Takes on which it lowers the loss when fitted to the others.
-    pub takes_improved: usize,
-}
-
-impl Tried {
-    /// `effect` beside the base of `model`, which removes `gains` of the `loss` by take.
-    fn new(effect: Effect, model: &Model, evidence: f64, gains: &[f64], loss: f64) -> Self {
-        let held_out_gain = gains.iter().sum::<f64>();
-        Self {
-            effect,
-            base: model.base.clone(),
-            evidence,
-            held_out_gain,
-            share: held_out_gain / loss.max(f64::MIN_POSITIVE),
-            takes_improved: gains.iter().filter(|gain| **gain > 0.0).count(),
-        }
-    }
-}
-
-/// One round.
-#[derive(Clone, Debug)]
-pub struct Round {
-    /// The model that it began with.
-    pub before: Model,
-    /// What was fitted, best first.
-    pub tried: Vec<Tried>,
-    /// Index in `tried` of what was named.
-    pub named: Option<usize>,
-    /// Indices in `tried` of what explains the same nearly as well, the named one among them.
-    pub class: Vec<usize>,
-}
-
-/// What was named, and how.
-#[derive(Clone, Debug)]
-pub struct Naming {
-    /// The model with every named effect.
-    pub model: Model,
-    /// Standard errors of the effects' parameters, in the order of [`Domain::parameters`].
-    pub standard_errors: Vec<Vec<f64>>,
-    /// Evidence for each effect beside all others.
-    pub evidence: Vec<f64>,
-    /// The rounds, the last of which names nothing unless the limit was reached.
-    pub rounds: Vec<Round>,
-    /// Effects that were named and dropped again, because others account for them.
-    pub dropped: Vec<Effect>,
-    /// Effects that were named and taken back, because together they do not account for what is there.
-    pub withheld: Vec<Withheld>,
-}
-
-impl Naming {
-    /// The last round that named `effect`, and the index of its name there. A second look may have given that round, and no
-    /// earlier one, another name and class.
-    pub(crate) fn round_of(&self, effect: &Effect) -> Option<(&Round, usize)> {
-        self.rounds.iter().rev().find_map(|round| {
-            let named = round.named?;
-            (key(&round.tried[named].effect) == key(effect)).then_some((round, named))
-        })
-    }
-
-    /// Takes all names back, to what was there at the `start`.
-    pub fn withhold(&mut self, start: &Model, why: Fired) {
-        let known = start.effects.len();
-        let effects = self.model.effects.split_off(known).into_iter();
-        self.withheld.splice(..0, effects.map(|effect| Withheld { effect, why }));
-        self.model = start.clone();
-        self.evidence.truncate(known);
-        self.standard_errors.truncate(known);
-    }
-
-    /// Fits the model to the end, and assesses every effect anew: rounds take a few steps each, after the last of which a large
-    /// effect may be far from its size still.
-    pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {
-        self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
-        Ok(())
-    }
-
-    /// Takes the name of the effect `idx` back, and fits and assesses the others without it.
-    pub(crate) fn withhold_one<D: Domain>(
-        &mut self,
-        domain: &D,
-        idx: usize,
-        takes: &[usize],
-        why: Fired,
-    ) -> Result<(), DiagnosisError> {
-        self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
-        self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
-        Ok(())
-    }
-}
-
-/// Steps of a full fit after an addition.
-pub(super) const REFIT_STEPS: usize = 3;
-/// Steps of the last fit, which ends where one gains little.
-const SETTLE_STEPS: usize = 8;
 /// What still promises more than this share of what it did once the other is named explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
 /// Candidates that are screened again after the first round: those that promised most when they were last screened.
 const PROMISING: usize = 100;
 /// Rounds beyond the most effects: what is named and dropped again costs one each, and must not go on for ever.
 const MOST_DROPPED: usize = 2;
-/// Numbers of parameters up to this many apart count as equally simple.
-pub(super) const SIMILAR_COUNT: usize = 7;
-/// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
-pub(super) const FEW: usize = 2;
 /// Share of what removes most at a place that a trial beside thresholds of its own removes at least with its first step: no
 /// rival begins worse.
 const LEAST_BEGUN: f64 = 0.5;
@@ -167,9 +36,6 @@ const LEAST_CARRIED: f64 = 0.004;
 const PROFILED_ROUNDS: usize = 2;
 /// Candidates that are fitted in a round for the share of the loss in what they change.
 const FITS_BY_SHARE: usize = 2;
-/// An effect of many parameters must remove this share of all that it removes in at least a third as many units as it has
-/// parameters that the data sees.
-const NEARLY_ALL: f64 = 0.8;
 /// Places of one effect that are fitted in a round.
 const PLACES_PER_EFFECT: usize = 2;
 
@@ -344,11 +210,6 @@ fn fit_all<'c, D: Domain>(
     Ok(trials.collect())
 }
 
-/// What tells candidates apart.
-fn key(effect: &Effect) -> (String, Place) {
-    (effect.id.clone(), effect.place.clone())
-}
-
 /// Leaves in the class of `round` what is an alternative to the effect that was named: what promised to remove much
 /// `before` and no longer does `after`. What promises as much as ever acts elsewhere, and may be missing as well.
 fn keep_rivals(
@@ -426,24 +287,6 @@ fn finalists(screened: &[Screened], num_fits: usize) -> Vec<usize> {
     finalists
 }
 
-/// Whether an effect of many parameters does what it does in few places only: it then stands in for one that acts there.
-pub(super) fn stands_in(fitted: &Fitted) -> bool {
-    if fitted.parameters.len() <= SIMILAR_COUNT {
-        return false;
-    }
-    let mut removed: Vec<f64> =
-        fitted.removed_by_unit.iter().copied().filter(|removed| *removed > 0.0).collect();
-    removed.sort_unstable_by(|a, b| b.total_cmp(a));
-    let nearly_all = NEARLY_ALL * removed.iter().sum::<f64>();
-    let mut sum = 0.0;
-    let carriers = removed.iter().take_while(|removed| {
-        let before = sum;
-        sum += **removed;
-        before < nearly_all
-    });
-    carriers.count() < num_seen(&fitted.assessment.standard_errors) / 3
-}
-
 /// What a model loses without one of its effects.
 struct Carried {
     /// Loss that comes back.
@@ -512,17 +355,6 @@ fn finish<D: Domain>(
     Ok(())
 }
 
-/// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
-pub(super) fn founded<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
-    bar: f64,
-) -> Result<bool, DiagnosisError> {
-    let (evidence, _) = joint_evidence(domain, model, takes)?;
-    Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
-}
-
 /// Drops identified effects that lost their evidence to later ones, the weakest first. The first `known` effects were
 /// given with the model and stay: the takes at hand may not exercise them, which is no evidence against them.
 fn drop_one<D: Domain>(
@@ -541,59 +373,4 @@ fn drop_one<D: Domain>(
         *model = refit(domain, model, takes, REFIT_STEPS)?;
     }
     Ok(())
-}
-
-/// Evidence for each effect of `model` beside all others, and the standard errors of their parameters.
-pub(super) fn joint_evidence<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
-) -> Result<(Vec<f64>, Vec<Vec<f64>>), DiagnosisError> {
-    let linear = Linear::without_nuisances(domain, model, takes)?;
-    let assessment = linear.assess(&linear.nuisance_columns()?, &linear.residual);
-    let mut rest = &assessment.standard_errors[model.base.len()..];
-    let (mut all, mut errors) = (Vec::new(), Vec::new());
-    for effect in &model.effects {
-        let parameters = domain.parameters(effect);
-        let (own, others) = rest.split_at(parameters.len());
-        all.push(evidence(effect, &parameters, own));
-        errors.push(own.to_vec());
-        rest = others;
-    }
-    Ok((all, errors))
-}
-
-/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. For an effect of
-/// many parameters it is the geometric mean over the strongest third of those that the data sees: where fewer are out there it
-/// stands in for one that acts in fewer places. None for an effect that is driven to the end of its range: it stands in for
-/// one of another kind.
-pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
-    let at_end = |parameter: &Parameter| {
-        let value = effect.parameter(&parameter.name);
-        value != parameter.neutral && (value == parameter.lower || value == parameter.upper)
-    };
-    if parameters.iter().any(|parameter| parameter.is_size() && at_end(parameter)) {
-        return 0.0;
-    }
-    let mut strengths: Vec<f64> = parameters
-        .iter()
-        .zip(standard_errors)
-        .map(|(parameter, &error)| {
-            let size = (effect.parameter(&parameter.name) - parameter.neutral).abs();
-            let beyond = (size - parameter.smallest).max(0.0);
-            if error > 0.0 { (beyond / error).powi(2) } else { 0.0 }
-        })
-        .collect();
-    strengths.sort_unstable_by(|a, b| b.total_cmp(a));
-    if strengths.len() <= SIMILAR_COUNT {
-        return strengths.first().copied().unwrap_or(0.0);
-    }
-    let third = (num_seen(standard_errors) / 3).max(1);
-    let logarithms = strengths[..third].iter().map(|strength| strength.ln());
-    (logarithms.sum::<f64>() / third as f64).exp()
-}
-
-/// How many parameters the data sees: an error of nothing is that of a direction that it does not see.
-fn num_seen(standard_errors: &[f64]) -> usize {
-    standard_errors.iter().filter(|error| **error > 0.0).count()
 }

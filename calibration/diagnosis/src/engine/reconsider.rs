@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::choose::with_base_of;
 use super::fit::{BETWEEN_DOSES, refit, scaled};
 use super::linear::Linear;
-use super::name::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
+use super::naming::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
 use super::{Domain, Model};
 use crate::DiagnosisError;
 

@@ -199,7 +199,7 @@ fn an_effect_of_many_parameters_needs_a_third_of_those_that_the_data_sees() {
         let effect =
             Effect { parameters: sizes.collect(), ..sized("many", Place::Stream("all".to_owned()), 0.0) };
         let errors: Vec<f64> = (0..12).map(|idx| if idx < 12 - unseen { 0.01 } else { 0.0 }).collect();
-        super::name::evidence(&effect, &parameters, &errors)
+        super::naming::evidence(&effect, &parameters, &errors)
     };
     assert!((of(4, 0) - 100.0).abs() < 1e-9 && (of(12, 0) - 100.0).abs() < 1e-9);
     assert_eq!(of(3, 0), 0.0, "one of the strongest third is nothing");

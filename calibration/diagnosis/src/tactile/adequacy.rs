@@ -6,7 +6,7 @@ use super::judge::repeated;
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
-use crate::rules::{self, Fired, InForce};
+use crate::fired::{self, Fired, InForce};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,7 +32,7 @@ impl Adequacy {
     pub(crate) fn repeats_more(&self, before: &Self) -> Option<Fired> {
         if self.repeating > MOST_RAISED * before.repeating {
             let measured = self.repeating / before.repeating.max(TINY);
-            return Some(Fired { rule: rules::REPEATS_MORE, measured, limit: MOST_RAISED });
+            return Some(Fired { rule: fired::REPEATS_MORE, measured, limit: MOST_RAISED });
         }
         None
     }
@@ -104,7 +104,7 @@ pub(crate) fn account_where_they_act(
         (Left::sum(of.iter().map(|&idx| &left[idx])).loss() - COMPLETE_LOSS).max(0.0)
     };
     let (loss_before, loss_after) = (loss(before, &there), loss(after, &there));
-    let is_left = Fired::above(rules::LOSS_LEFT, loss_after / loss_before, MOST_LOSS_LEFT);
+    let is_left = Fired::above(fired::LOSS_LEFT, loss_after / loss_before, MOST_LOSS_LEFT);
     let is_left = rules.keep(is_left.filter(|_| loss_before >= MUCH_LOSS));
     if is_left.is_some() || is_part {
         return is_left;
@@ -113,9 +113,9 @@ pub(crate) fn account_where_they_act(
     let is_crumb = repeats > MUCH_REPEATING
         && repeating(after, &everywhere) > (1.0 - LEAST_OVERALL) * repeats
         && loss(after, &everywhere) > (1.0 - MUCH_OVERALL) * everything;
-    if is_crumb && !there.is_empty() && rules.has(rules::CRUMB) {
+    if is_crumb && !there.is_empty() && rules.has(fired::CRUMB) {
         let measured = repeating(after, &everywhere) / repeats;
-        return Some(Fired { rule: rules::CRUMB, measured, limit: 1.0 - LEAST_OVERALL });
+        return Some(Fired { rule: fired::CRUMB, measured, limit: 1.0 - LEAST_OVERALL });
     }
     let share = if loss_after <= LITTLE_LOSS_LEFT * loss_before {
         MOST_REPEATING_LEFT_WITH_LITTLE_LOSS
@@ -129,7 +129,7 @@ pub(crate) fn account_where_they_act(
     }
     let limit = share.max(little / of_before.max(TINY));
     let measured = of_after / of_before.max(TINY);
-    rules.keep(Some(Fired { rule: rules::REPEATING_LEFT, measured, limit }))
+    rules.keep(Some(Fired { rule: fired::REPEATING_LEFT, measured, limit }))
 }
 
 /// Loss of a row, in variances, of a model that misses nothing.
@@ -279,7 +279,7 @@ pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[
     let patch = *patches.iter().find(is_much)?;
     let before = before[patch].max(TINY);
     let limit = MOST_LEFT_AT_PATCH.max(MUCH_AT_PATCH / before);
-    Some(Fired { rule: rules::LEFT_AT_PATCH, measured: after[patch] / before, limit })
+    Some(Fired { rule: fired::LEFT_AT_PATCH, measured: after[patch] / before, limit })
 }
 
 /// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at
@@ -377,9 +377,9 @@ mod tests {
             account_where_they_act(&left, &after, &changed, &[0.0; Signal::COUNT], false, rules)
         };
         let why = fired(&[]).unwrap();
-        assert_eq!((why.rule, why.limit), (rules::LOSS_LEFT, MOST_LOSS_LEFT));
+        assert_eq!((why.rule, why.limit), (fired::LOSS_LEFT, MOST_LOSS_LEFT));
         assert!((why.measured - 0.5).abs() < 1e-9, "{why:?}");
-        assert_eq!(fired(&[rules::LOSS_LEFT.to_owned()]), None);
+        assert_eq!(fired(&[fired::LOSS_LEFT.to_owned()]), None);
     }
 
     #[test]

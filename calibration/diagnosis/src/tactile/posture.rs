@@ -14,7 +14,7 @@ use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model};
-use crate::rules::{self, Fired};
+use crate::fired::{self, Fired};
 
 /// How the size of a patch's response changes with a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl WithPosture {
     pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize]) -> Option<Fired> {
         let is_more = patches.contains(&self.patch) && self.evidence > MOST_OF_EVIDENCE * evidence;
         let measured = self.evidence / evidence.max(1e-9);
-        is_more.then_some(Fired { rule: rules::POSTURE, measured, limit: MOST_OF_EVIDENCE })
+        is_more.then_some(Fired { rule: fired::POSTURE, measured, limit: MOST_OF_EVIDENCE })
     }
 
     /// What it says, for people.

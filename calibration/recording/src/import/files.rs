@@ -11,7 +11,7 @@ use super::{
     columns::{Assignment, assign},
     config::{FileConfig, Mapping, TakeConfig, Takes},
     name_pattern::matched,
-    parquet, sheet,
+    parquet, rows,
     targets::{Names, Scope, Target},
 };
 use crate::{
@@ -237,7 +237,7 @@ fn read_table(path: &Path, config: &FileConfig) -> Result<Vec<u8>, RecordingErro
 fn open_plain(names: Names<'_>, path: PathBuf, scope: Scope) -> Result<Opened, RecordingError> {
     let config = FileConfig::plain();
     let bytes = read_table(&path, &config)?;
-    let header = sheet::first_row(&path, &bytes, &config)?;
+    let header = rows::first_row(&path, &bytes, &config)?;
     let prefix = match scope {
         Scope::Joints => Some('q'),
         Scope::Stream(_) => Some('v'),
@@ -279,7 +279,7 @@ fn open_mapped(
 ) -> Result<Opened, RecordingError> {
     let station = names.station;
     let bytes = read_table(&path, config)?;
-    let Some((line, cells)) = sheet::first_row(&path, &bytes, config)? else {
+    let Some((line, cells)) = rows::first_row(&path, &bytes, config)? else {
         let place = format!("line {}", config.skip_lines + 1);
         return Err(RecordingError::content(&path, place, "the file is empty, expected a row of values"));
     };

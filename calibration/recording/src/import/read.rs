@@ -12,13 +12,13 @@ use super::{
     columns::{Cell, TimeSource},
     config::Mapping,
     files::{self, Opened, OpenedColumns, TakeSource},
+    firmware::activations,
     name_pattern::nearest,
     poses::{self, POSE_WHAT},
     report::{ColumnReport, FileReport, IgnoredColumn, TakeReport},
     sheet, spans,
     table::{Columns, Table},
     targets::{Names, Scope, Target},
-    write::activations,
 };
 use crate::{
     RecordingError, Span, SpanKind, StreamLog, TakeMeta,

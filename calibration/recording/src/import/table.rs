@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
-use super::{config::FileConfig, sheet};
+use super::{
+    config::FileConfig,
+    rows::{LineCounter, csv_error, first_row},
+};
 use crate::RecordingError;
 
 /// One file: times and `num_rows x num_columns` values, row-major.
@@ -75,7 +78,7 @@ impl Table {
 
     /// Refuses a file whose header is not that of `columns`.
     pub(crate) fn check_header(path: &Path, bytes: &[u8], columns: &Columns) -> Result<(), RecordingError> {
-        match sheet::first_row(path, bytes, &FileConfig::plain())? {
+        match first_row(path, bytes, &FileConfig::plain())? {
             Some((line, cells)) => check_header(path, line, &csv::StringRecord::from(cells), columns),
             None => Self::parse(path, bytes, columns).map(drop),
         }
@@ -137,37 +140,6 @@ impl Table {
     }
 }
 
-/// Counts lines by bytes: the library's own count stops short of the line feed of a CRLF and of blank lines.
-pub(super) struct LineCounter<'a> {
-    bytes: &'a [u8],
-    position: usize,
-    line: u64,
-}
-
-impl<'a> LineCounter<'a> {
-    /// Counts in `bytes`, the first line of which is `first_line`.
-    pub(super) fn new(bytes: &'a [u8], first_line: u64) -> Self {
-        Self { bytes, position: 0, line: first_line }
-    }
-
-    /// Line of the record whose reading began at `byte`, which must not go back.
-    pub(super) fn line_of(&mut self, byte: u64) -> u64 {
-        let begin = usize::try_from(byte).unwrap_or(usize::MAX);
-        while let Some(&current) = self.bytes.get(self.position) {
-            let is_break = matches!(current, b'\n' | b'\r');
-            if self.position >= begin && !is_break {
-                break;
-            }
-            self.position += 1;
-            // A CRLF is one break; it counts at its line feed.
-            if current == b'\n' || (current == b'\r' && self.bytes.get(self.position) != Some(&b'\n')) {
-                self.line += 1;
-            }
-        }
-        self.line
-    }
-}
-
 fn header_of(columns: &Columns) -> String {
     match columns.ids.len() {
         0 => "t_s".to_owned(),
@@ -206,15 +178,6 @@ fn check_header(
         }
     }
     Ok(())
-}
-
-pub(super) fn csv_error(path: &Path, error: &csv::Error) -> RecordingError {
-    let place = error.position().map_or("file".to_owned(), |position| format!("line {}", position.line()));
-    let problem = match error.kind() {
-        csv::ErrorKind::Utf8 { .. } => "not UTF-8 text; save the file as CSV in UTF-8".to_owned(),
-        _ => error.to_string(),
-    };
-    RecordingError::content(path, place, problem)
 }
 
 #[cfg(test)]

@@ -2,9 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use palpate_robot_model::Station;
+use palpate_robot_model::{Station, ik::chain_dofs};
 
-use crate::motion::chain_dofs;
 use crate::secrets::{Secrets, Snag};
 
 /// Frequency of the mains: the grid is never exactly at 50 Hz.

@@ -6,6 +6,7 @@ use palpate_robot_model::StreamConfig;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+use crate::noise::gaussian;
 use crate::secrets::{ChannelSecrets, StreamSecrets};
 use crate::truth::StreamTruth;
 use crate::world::spans::Frozen;
@@ -181,10 +182,4 @@ impl Device {
     pub(crate) fn arrived(&mut self, now_ns: i64) -> Option<Arrival> {
         if self.queue.front()?.host_ns <= now_ns { self.queue.pop_front() } else { None }
     }
-}
-
-/// A standard normal deviate (Box and Muller).
-pub(crate) fn gaussian(rng: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }

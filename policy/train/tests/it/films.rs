@@ -52,11 +52,11 @@ fn a_film_is_a_session_whose_objects_are_felt_where_they_were() {
         let model = SensorModel::from_toml("nominal", &take.station.nominal_model_toml).expect("a model");
         let layout = &take.station.layout;
         let paired = PairedTake::from_take(take).expect("it can be replayed");
-        let replayed = readings(layout, &paired.contact, &model).active;
+        let replayed = readings(layout, &paired.contact, &model.thetas()).active;
         let mut still = take.clone();
         still.object_poses = palpate_recording::PoseLog::default();
         let stands = PairedTake::from_take(&still).expect("it can be replayed");
-        let stands = readings(layout, &stands.contact, &model).active;
+        let stands = readings(layout, &stands.contact, &model.thetas()).active;
         for ((&was, &is), &stood) in paired.real_active.iter().zip(&replayed).zip(&stands) {
             assert!(was || !is, "{}: a replay feels what the grasp world did not", take.id);
             num_felt += usize::from(is);

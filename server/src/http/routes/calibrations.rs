@@ -14,7 +14,7 @@ use super::accepted;
 use crate::{
     AppState,
     http::{
-        document::{CalibrationRunSchema, Refusal},
+        documented::{CalibrationRunSchema, Refusal},
         extract::{Body, Ids, Key, Owner, Page, Params, check_limit},
         pages::page_of,
         problem::Answer,

@@ -19,7 +19,7 @@ use crate::{
     AppState, Error,
     data::files,
     http::{
-        document::Refusal,
+        documented::Refusal,
         extract::{Asking, Body, Ids, Params, Peer},
         problem::{Answer, Problem},
     },

@@ -14,7 +14,7 @@ use super::accepted;
 use crate::{
     AppState,
     http::{
-        document::{DiagnosisRunSchema, Refusal},
+        documented::{DiagnosisRunSchema, Refusal},
         extract::{Body, Ids, Key, Owner, Page, Params, check_limit},
         pages::page_of,
         problem::Answer,

@@ -9,7 +9,7 @@ use palpate_wire::api::DocSummary;
 
 use crate::{
     http::{
-        document::{Binary, Refusal},
+        documented::{Binary, Refusal},
         extract::Ids,
         problem::Answer,
     },

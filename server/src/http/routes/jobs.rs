@@ -23,7 +23,7 @@ use crate::{
     AppState, Error,
     data::files,
     http::{
-        document::{Binary, JobEvent, Refusal},
+        documented::{Binary, JobEvent, Refusal},
         download::Download,
         extract::{Asking, Body, Ids, Key, Owner, Params, check_limit},
         identity,

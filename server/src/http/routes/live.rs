@@ -21,7 +21,7 @@ use serde::Deserialize;
 use crate::{
     AppState, Error, chain,
     http::{
-        document::Refusal,
+        documented::Refusal,
         extract::{Body, Lease, Params, Text},
         problem::{Answer, Problem},
     },

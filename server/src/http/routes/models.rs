@@ -13,7 +13,7 @@ use palpate_wire::api::ModelSummary;
 use crate::{
     AppState,
     data::store,
-    http::{document::Refusal, extract::Ids, problem::Answer},
+    http::{documented::Refusal, extract::Ids, problem::Answer},
     hub::List,
     work::Kind,
 };

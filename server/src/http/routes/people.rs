@@ -17,7 +17,7 @@ use palpate_wire::api::{
 use crate::{
     AppState, Error,
     http::{
-        document::Refusal,
+        documented::Refusal,
         extract::{Asking, Body, Ids, Peer},
         identity::{Client, Shown, set_cookie},
         problem::{Answer, Problem},

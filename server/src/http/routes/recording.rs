@@ -12,7 +12,7 @@ use crate::{
     AppState, Error,
     data::{files, objects},
     http::{
-        document::Refusal,
+        documented::Refusal,
         extract::{Body, Ids, Lease},
         problem::Answer,
     },

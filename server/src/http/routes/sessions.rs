@@ -27,7 +27,7 @@ use crate::{
         store, upload,
     },
     http::{
-        document::{Binary, Refusal},
+        documented::{Binary, Refusal},
         download::Download,
         extract::{Ids, Page, Params, USUAL_PAGE, check_limit},
         pages::{encode, page_of},

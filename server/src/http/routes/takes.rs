@@ -19,7 +19,7 @@ use crate::{
         library::{nominal_model, replay_trace, take_index, take_trace},
     },
     http::{
-        document::{Binary, Refusal},
+        documented::{Binary, Refusal},
         download::Download,
         extract::{Ids, Params},
         problem::Answer,

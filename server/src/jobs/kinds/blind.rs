@@ -33,7 +33,7 @@ const ANSWERS_FILE: &str = "answers.jsonl";
 const TRUTH: &str = "blind_report";
 
 fn check(_: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: BlindRequest = parse(&BLIND, request)?;
+    let request: BlindRequest = parse(BLIND.name, request)?;
     if request.seeds == 0 {
         return Err(Error::Argument("seeds = 0: no round, no score; ask for at least 1".to_owned()));
     }
@@ -45,11 +45,11 @@ fn check(_: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn count(request: &Value) -> Result<u64, Error> {
-    Ok(parse::<BlindRequest>(&BLIND, request)?.seeds)
+    Ok(parse::<BlindRequest>(BLIND.name, request)?.seeds)
 }
 
 fn shard(request: &Value, seed: u64, seeds: Range<u64>) -> Result<Shard, Error> {
-    let of_all: BlindRequest = parse(&BLIND, request)?;
+    let of_all: BlindRequest = parse(BLIND.name, request)?;
     let request = BlindRequest { seeds: seeds.end - seeds.start, ..of_all };
     shards::shard(&request, seed.saturating_add(seeds.start))
 }
@@ -79,7 +79,7 @@ fn take_over(cx: &JobWork<'_>, shard: &JobFolder) -> Result<(), Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: BlindRequest = parse(&BLIND, request)?;
+    let request: BlindRequest = parse(BLIND.name, request)?;
     let config = BlindConfig {
         world: World::A,
         without_rules: Vec::new(),

@@ -23,14 +23,14 @@ pub(crate) const CALIBRATE: JobKind = JobKind {
 };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: CalibrationRequest = parse(&CALIBRATE, request)?;
+    let request: CalibrationRequest = parse(CALIBRATE.name, request)?;
     let session = store.session(&request.session)?;
     config_of(&request, &session, 0)?;
     Ok(files_of(&session))
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: CalibrationRequest = parse(&CALIBRATE, request)?;
+    let request: CalibrationRequest = parse(CALIBRATE.name, request)?;
     let session = cx.store.session(&request.session)?;
     let config = config_of(&request, &session, cx.seed)?;
     let artifacts = calibrate_session(cx.library, &session, &config, cx.progress, cx.cancel)?;

@@ -49,7 +49,7 @@ struct Recorded<'a> {
 }
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: ComparisonRequest = parse(&COMPARISON, request)?;
+    let request: ComparisonRequest = parse(COMPARISON.name, request)?;
     let campaign = campaign(store, &request.campaign)?;
     if campaign.plan.is_blind && campaign.summary.closed.is_none() {
         return Err(Error::Conflict(format!(
@@ -76,7 +76,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: ComparisonRequest = parse(&COMPARISON, request)?;
+    let request: ComparisonRequest = parse(COMPARISON.name, request)?;
     let campaign = campaign(cx.store, &request.campaign)?;
     let (recorded, left_out) = recorded(cx.store, &campaign)?;
     let models = models(cx.store, &request.models)?;

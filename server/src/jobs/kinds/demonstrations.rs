@@ -8,17 +8,17 @@ use serde_json::Value;
 use super::{
     JobKind, JobWork,
     expert::EXPERT,
-    parse,
+    names, parse,
     training::{Arguments, DEMONSTRATIONS_DIR, PolicyOf, check_counts, check_start, model_file, training},
 };
 use crate::{Error, Store};
 
 /// Rolls a policy out and keeps what succeeds.
 pub(crate) const DEMONSTRATIONS: JobKind =
-    training("demonstrations", "demonstrations-", ArtifactSort::Demonstrations, check, work);
+    training(names::DEMONSTRATIONS, "demonstrations-", ArtifactSort::Demonstrations, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;
+    let request: DemonstrationsRequest = parse(DEMONSTRATIONS.name, request)?;
     check_counts(&[("count", Some(request.count)), ("shard_demos", request.shard_demos)])?;
     check_start(request.start_cm)?;
     let policy = PolicyOf::find(store, &request.policy)?;
@@ -34,7 +34,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: DemonstrationsRequest = parse(&DEMONSTRATIONS, request)?;
+    let request: DemonstrationsRequest = parse(DEMONSTRATIONS.name, request)?;
     let out = cx.folder.file(DEMONSTRATIONS_DIR);
     if !out.exists() {
         cx.forget_metrics()?;

@@ -32,7 +32,7 @@ pub(crate) const DIAGNOSE: JobKind = JobKind {
 };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: DiagnosisRequest = parse(&DIAGNOSE, request)?;
+    let request: DiagnosisRequest = parse(DIAGNOSE.name, request)?;
     let session = store.session(&request.session)?;
     let config = config_of(&request, &session, 0)?;
     check_diagnosis(&config, request.null_sessions)?;
@@ -44,7 +44,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: DiagnosisRequest = parse(&DIAGNOSE, request)?;
+    let request: DiagnosisRequest = parse(DIAGNOSE.name, request)?;
     let session = cx.store.session(&request.session)?;
     let config = config_of(&request, &session, cx.seed)?;
     let start = request.model.as_deref().map(|model| cx.store.model(model)).transpose()?;

@@ -25,7 +25,7 @@ pub(crate) const EMULATE: JobKind = JobKind {
 };
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: EmulateRequest = parse(&EMULATE, request)?;
+    let request: EmulateRequest = parse(EMULATE.name, request)?;
     check_truth_name(&request.truth)?;
     assets::truth(Path::new(&request.truth))?;
     store.free_session_dir(&request.session)?;
@@ -33,7 +33,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: EmulateRequest = parse(&EMULATE, request)?;
+    let request: EmulateRequest = parse(EMULATE.name, request)?;
     let (truth, _unpacked) = assets::truth(Path::new(&request.truth))?;
     let dir = cx.folder.file("recording");
     let takes = dir.join(&request.session);

@@ -25,7 +25,7 @@ pub(crate) const EVALUATION: JobKind = JobKind {
 const USUAL_OBJECTS: &str = "seen";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: EvaluationRequest = parse(&EVALUATION, request)?;
+    let request: EvaluationRequest = parse(EVALUATION.name, request)?;
     check_counts(&[("trials", request.trials)])?;
     check_start(request.start_cm)?;
     match &request.protocol {
@@ -61,7 +61,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn count(request: &Value) -> Result<u64, Error> {
-    let request: EvaluationRequest = parse(&EVALUATION, request)?;
+    let request: EvaluationRequest = parse(EVALUATION.name, request)?;
     let why = match (&request.protocol, &request.objects[..]) {
         (Some(_), [_, ..]) => return Ok(named_objects(&request.objects, USUAL_OBJECTS).len() as u64),
         (None, _) => "without a protocol an evaluation is of one object",
@@ -73,7 +73,7 @@ fn count(request: &Value) -> Result<u64, Error> {
 }
 
 fn shard(request: &Value, seed: u64, of_shard: Range<u64>) -> Result<Shard, Error> {
-    let of_all: EvaluationRequest = parse(&EVALUATION, request)?;
+    let of_all: EvaluationRequest = parse(EVALUATION.name, request)?;
     let objects = shards::some_of(named_objects(&of_all.objects, USUAL_OBJECTS), of_shard);
     shards::shard(&EvaluationRequest { objects, ..of_all }, seed)
 }
@@ -83,7 +83,7 @@ fn take_over(cx: &JobWork<'_>, shard: &JobFolder) -> Result<(), Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: EvaluationRequest = parse(&EVALUATION, request)?;
+    let request: EvaluationRequest = parse(EVALUATION.name, request)?;
     cx.forget_metrics()?;
     let file = |name: &str| request.protocol.is_some().then(|| cx.folder.file(name));
     let (out, trials) = (file("comparison.json"), file(TRIALS_DIR));

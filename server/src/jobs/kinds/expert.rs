@@ -6,7 +6,7 @@ use palpate_wire::api::{ArtifactSort, ExpertRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
+    JobKind, JobWork, names, parse,
     training::{
         Arguments, POLICY_FILE, SCRIPT_FILE, TRAINING_DIR, check_counts, check_object, check_preset,
         check_start, model_file, object, script_for, training,
@@ -15,10 +15,10 @@ use super::{
 use crate::{Error, Store};
 
 /// Learns to grasp one object.
-pub(crate) const EXPERT: JobKind = training("expert", "expert-", ArtifactSort::Policy, check, work);
+pub(crate) const EXPERT: JobKind = training(names::EXPERT, "expert-", ArtifactSort::Policy, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: ExpertRequest = parse(&EXPERT, request)?;
+    let request: ExpertRequest = parse(EXPERT.name, request)?;
     check_counts(&[("total_steps", request.total_steps)])?;
     check_start(request.start_cm)?;
     check_preset(request.preset.as_deref(), request.config.as_deref(), ["quick", "paper"])?;
@@ -34,7 +34,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: ExpertRequest = parse(&EXPERT, request)?;
+    let request: ExpertRequest = parse(EXPERT.name, request)?;
     let mut arguments = cx
         .learning("ppo", request.preset, request.config.as_deref())?
         .with("object", object(cx.store, &request.object))

@@ -7,7 +7,7 @@ use palpate_wire::api::{ArtifactSort, GatheringRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, Sharding, parse, shards,
+    JobKind, JobWork, Sharding, names, parse, shards,
     training::{
         Arguments, TRIALS_DIR, check_counts, check_objects, check_protocol, model_file, named_objects,
         objects, training,
@@ -18,14 +18,14 @@ use crate::{Error, Store};
 /// Keeps what the searching expert does.
 pub(crate) const GATHERING: JobKind = JobKind {
     sharding: Some(Sharding { parts: "objects", count, shard, take_over }),
-    ..training("gathering", "gathering-", ArtifactSort::Demonstrations, check, work)
+    ..training(names::GATHERING, "gathering-", ArtifactSort::Demonstrations, check, work)
 };
 
 /// Objects of a request that names none.
 const USUAL_OBJECTS: &str = "seen";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: GatheringRequest = parse(&GATHERING, request)?;
+    let request: GatheringRequest = parse(GATHERING.name, request)?;
     check_counts(&[("count", request.count)])?;
     if let Some(protocol) = &request.protocol {
         check_protocol(protocol)?;
@@ -36,12 +36,12 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn count(request: &Value) -> Result<u64, Error> {
-    let request: GatheringRequest = parse(&GATHERING, request)?;
+    let request: GatheringRequest = parse(GATHERING.name, request)?;
     Ok(named_objects(&request.objects, USUAL_OBJECTS).len() as u64)
 }
 
 fn shard(request: &Value, seed: u64, of_shard: Range<u64>) -> Result<Shard, Error> {
-    let of_all: GatheringRequest = parse(&GATHERING, request)?;
+    let of_all: GatheringRequest = parse(GATHERING.name, request)?;
     let objects = shards::some_of(named_objects(&of_all.objects, USUAL_OBJECTS), of_shard);
     shards::shard(&GatheringRequest { objects, ..of_all }, seed)
 }
@@ -51,7 +51,7 @@ fn take_over(cx: &JobWork<'_>, shard: &JobFolder) -> Result<(), Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: GatheringRequest = parse(&GATHERING, request)?;
+    let request: GatheringRequest = parse(GATHERING.name, request)?;
     // Objects whose trials are there already tell their points again.
     cx.forget_metrics()?;
     let mut arguments = Arguments::of("gather")

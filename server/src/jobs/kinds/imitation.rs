@@ -6,16 +6,17 @@ use palpate_wire::api::{ArtifactSort, ImitationRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
+    JobKind, JobWork, names, parse,
     training::{POLICY_FILE, TRAINING_DIR, check_counts, check_preset, learned_from, training, trials},
 };
 use crate::{Error, Store, data::files};
 
 /// Learns to do what an expert did.
-pub(crate) const IMITATION: JobKind = training("imitation", "imitation-", ArtifactSort::Policy, check, work);
+pub(crate) const IMITATION: JobKind =
+    training(names::IMITATION, "imitation-", ArtifactSort::Policy, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: ImitationRequest = parse(&IMITATION, request)?;
+    let request: ImitationRequest = parse(IMITATION.name, request)?;
     check_counts(&[("updates", request.updates)])?;
     check_preset(request.preset.as_deref(), request.config.as_deref(), ["small", "paper"])?;
     match request.head.as_deref() {
@@ -30,7 +31,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: ImitationRequest = parse(&IMITATION, request)?;
+    let request: ImitationRequest = parse(IMITATION.name, request)?;
     let mut arguments = cx
         .learning("clone", request.preset, request.config.as_deref())?
         .maybe("head", request.head)

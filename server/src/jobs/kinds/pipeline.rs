@@ -6,25 +6,26 @@ use palpate_wire::api::{ArtifactSort, PipelineRequest};
 use serde_json::Value;
 
 use super::{
-    HTML_FILE, JobKind, JobWork, parse,
+    HTML_FILE, JobKind, JobWork, names, parse,
     training::{Arguments, POLICY_FILE, check_preset, model_file, training},
 };
 use crate::{Error, Store, data::files};
 
 /// From a sensor model to policies that are scored. Its first policy is the job's.
-pub(crate) const PIPELINE: JobKind = training("pipeline", "pipeline-", ArtifactSort::Policy, check, work);
+pub(crate) const PIPELINE: JobKind =
+    training(names::PIPELINE, "pipeline-", ArtifactSort::Policy, check, work);
 
 /// Folder of everything that its stages leave.
 const PIPELINE_DIR: &str = "pipeline";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: PipelineRequest = parse(&PIPELINE, request)?;
+    let request: PipelineRequest = parse(PIPELINE.name, request)?;
     check_preset(request.preset.as_deref(), request.config.as_deref(), ["small", "paper"])?;
     Ok(model_file(store, request.model.as_deref())?.into_iter().collect())
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: PipelineRequest = parse(&PIPELINE, request)?;
+    let request: PipelineRequest = parse(PIPELINE.name, request)?;
     let out = cx.folder.file(PIPELINE_DIR);
     if !out.exists() {
         cx.forget_metrics()?;

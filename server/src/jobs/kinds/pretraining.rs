@@ -19,7 +19,7 @@ pub(crate) const PRETRAINING: JobKind =
     training("pretraining", "pretraining-", ArtifactSort::Encoder, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: PretrainingRequest = parse(&PRETRAINING, request)?;
+    let request: PretrainingRequest = parse(PRETRAINING.name, request)?;
     check_counts(&[("epochs", request.epochs)])?;
     check_preset(request.preset.as_deref(), request.config.as_deref(), ["quick", "paper"])?;
     if request.without_positions && request.silence_touch {
@@ -33,7 +33,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: PretrainingRequest = parse(&PRETRAINING, request)?;
+    let request: PretrainingRequest = parse(PRETRAINING.name, request)?;
     let mut arguments = cx
         .learning("encode", request.preset, request.config.as_deref())?
         .maybe("epochs", request.epochs)

@@ -42,7 +42,7 @@ const ENDING: &str = ".safetensors";
 pub(super) const RECORDS_DIR: &str = "rollout";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: RolloutsRequest = parse(&ROLLOUTS, request)?;
+    let request: RolloutsRequest = parse(ROLLOUTS.name, request)?;
     let campaign = campaign(store, &request.campaign)?;
     if campaign.summary.closed.is_some() {
         return Err(Error::Conflict(format!(
@@ -62,7 +62,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: RolloutsRequest = parse(&ROLLOUTS, request)?;
+    let request: RolloutsRequest = parse(ROLLOUTS.name, request)?;
     let campaign = campaign(cx.store, &request.campaign)?;
     let url = std::env::var(URL_VARIABLE).map_err(|_| {
         Error::Argument(format!(

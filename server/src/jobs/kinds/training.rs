@@ -13,10 +13,7 @@ use palpate_terminal::child::Listener;
 use palpate_wire::api::{ArtifactSort, ExpertRequest, JobSpec, JobState, Resources};
 use serde_json::Value;
 
-use super::{
-    JobKind, JobWork, LONG, demonstrations::DEMONSTRATIONS, expert::EXPERT, gathering::GATHERING,
-    imitation::IMITATION, pipeline::PIPELINE, tune::TUNE,
-};
+use super::{JobKind, JobWork, LONG, names};
 use crate::{Error, Store, assets, data::files, jobs::trainer::PROGRAM};
 
 /// What a training learns.
@@ -265,13 +262,13 @@ impl PolicyOf {
     pub(super) fn find(store: &Store, name: &str) -> Result<Self, Error> {
         files::check_id("policy", name)?;
         if let Some((folder, spec)) = job(store, name)? {
-            let many = [&IMITATION, &PIPELINE].into_iter().find(|kind| kind.name == spec.kind);
+            let many = [names::IMITATION, names::PIPELINE].into_iter().find(|&kind| kind == spec.kind);
             if let Some(kind) = many {
                 let file = outcome(&folder, &spec, name, kind, POLICY_FILE)?;
                 return Ok(Self::Imitation { file: Place::Own(file) });
             }
-            let file = outcome(&folder, &spec, name, &EXPERT, POLICY_FILE)?;
-            let request: ExpertRequest = super::parse(&EXPERT, &spec.request)?;
+            let file = outcome(&folder, &spec, name, names::EXPERT, POLICY_FILE)?;
+            let request: ExpertRequest = super::parse(names::EXPERT, &spec.request)?;
             let script = (!request.without_script).then(|| Place::Own(folder.file(SCRIPT_FILE)));
             return Ok(Self::Expert { file: Place::Own(file), object: request.object, script });
         }
@@ -336,17 +333,11 @@ fn job(store: &Store, id: &str) -> Result<Option<(JobFolder, JobSpec)>, Error> {
 }
 
 /// File `name` of the job `id`, which must be of `kind` and done.
-fn outcome(
-    folder: &JobFolder,
-    spec: &JobSpec,
-    id: &str,
-    kind: &JobKind,
-    name: &str,
-) -> Result<PathBuf, Error> {
-    if spec.kind != kind.name {
+fn outcome(folder: &JobFolder, spec: &JobSpec, id: &str, kind: &str, name: &str) -> Result<PathBuf, Error> {
+    if spec.kind != kind {
         return Err(Error::Argument(format!(
             "job {id:?} is of kind {:?}; give one of kind {:?}",
-            spec.kind, kind.name
+            spec.kind, kind
         )));
     }
     if folder.last_exit().is_none_or(|exit| exit.outcome != JobState::Done) {
@@ -365,20 +356,19 @@ fn outcome(
 
 /// The folder of the demonstrations of job `id`, and every file in it.
 pub(super) fn demonstrations(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
-    folder_of(store, id, &DEMONSTRATIONS, DEMONSTRATIONS_DIR)
+    folder_of(store, id, names::DEMONSTRATIONS, DEMONSTRATIONS_DIR)
 }
 
 /// The folder of the trials of job `id`, and every file in it.
 pub(super) fn trials(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
-    folder_of(store, id, &GATHERING, TRIALS_DIR)
+    folder_of(store, id, names::GATHERING, TRIALS_DIR)
 }
 
 /// Folder `name` of job `id`, which must be of `kind` and done, and every file in it.
-fn folder_of(store: &Store, id: &str, kind: &JobKind, name: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
+fn folder_of(store: &Store, id: &str, kind: &str, name: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
     let Some((folder, spec)) = job(store, id)? else {
         return Err(Error::Argument(format!(
-            "no job {id:?}; give jobs of kind {kind:?}, which GET /api/v1/jobs?kind={kind} lists",
-            kind = kind.name
+            "no job {id:?}; give jobs of kind {kind:?}, which GET /api/v1/jobs?kind={kind} lists"
         )));
     };
     let dir = outcome(&folder, &spec, id, kind, name)?;
@@ -422,7 +412,7 @@ pub(super) fn script_for(store: &Store, name: Option<&str>, object: &str) -> Res
         return Ok(at(if shipped.contains(&object) { object } else { USUAL_SCRIPT }));
     };
     if let Some((folder, spec)) = job(store, name)? {
-        return Ok(Place::Own(outcome(&folder, &spec, name, &TUNE, SCRIPT_FILE)?));
+        return Ok(Place::Own(outcome(&folder, &spec, name, names::TUNE, SCRIPT_FILE)?));
     }
     if !shipped.contains(&name) {
         return Err(Error::Argument(format!(

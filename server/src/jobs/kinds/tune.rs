@@ -6,7 +6,7 @@ use palpate_wire::api::{ArtifactSort, TuneRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
+    JobKind, JobWork, names, parse,
     training::{
         Arguments, SCRIPT_FILE, check_counts, check_object, check_start, model_file, object, script_for,
         training, usual_script,
@@ -15,10 +15,10 @@ use super::{
 use crate::{Error, Store};
 
 /// Tunes a closing script on one object.
-pub(crate) const TUNE: JobKind = training("tune", "tuning-", ArtifactSort::Script, check, work);
+pub(crate) const TUNE: JobKind = training(names::TUNE, "tuning-", ArtifactSort::Script, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
-    let request: TuneRequest = parse(&TUNE, request)?;
+    let request: TuneRequest = parse(TUNE.name, request)?;
     check_counts(&[
         ("generations", request.generations),
         ("candidates", request.candidates),
@@ -43,7 +43,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
-    let request: TuneRequest = parse(&TUNE, request)?;
+    let request: TuneRequest = parse(TUNE.name, request)?;
     // An attempt that was cut off begins from the start, and finds the same.
     cx.forget_metrics()?;
     let script = match &request.script {

@@ -15,6 +15,7 @@ use palpate_wire::{api::Source, proto::LiveFrame};
 use crate::{
     audit::{AuditFile, AuditLog},
     control_loop::{ControlLoop, Publish},
+    ending::Ending,
     error::ControlError,
     guided::{Guided, PlaceObject},
     handle::{Handle, Shared},
@@ -25,7 +26,6 @@ use crate::{
     refusals::Refusals,
     requests::Desk,
     senses::Senses,
-    shutdown::Ending,
     twin::{Twin, TwinModel},
     wanted::WantedFile,
 };

@@ -21,10 +21,11 @@ use palpate_wire::{
 
 use crate::{
     error::ControlError,
-    inbox::{Answer, Mailbox, Rejected, Urgent},
-    prepare::{AddedStep, Plans, Prepared},
+    inbox::{Mailbox, Rejected, Urgent},
+    message::{Answer, Message},
+    prepare::Plans,
+    prepared_take::{self, FindObject},
     requests::{Caller, Claim, is_stop, is_urgent},
-    taking::{self, FindObject, PreparedTake},
     twin::TwinModel,
     wanted::WantedFile,
 };
@@ -49,41 +50,6 @@ pub(crate) struct Shared {
     pub(crate) plans: Plans,
     pub(crate) wanted_file: WantedFile,
     pub(crate) twin_model: TwinModel,
-}
-
-/// A message to the loop that may wait behind others.
-pub(crate) enum Message {
-    Request {
-        caller: Caller,
-        request: ControlRequest,
-        received_ns: u64,
-        answer: Answer<ControlReply>,
-    },
-    ConnectionLost(u64),
-    Recording(SyncSender<RecordingDocument>),
-    /// Whether the claim is the operator's; `unless_free`: or nobody has control.
-    Authorise {
-        claim: Claim,
-        what: String,
-        unless_free: bool,
-        reply: SyncSender<Result<(), ControlError>>,
-    },
-    Begin(Claim, Box<Prepared>, SyncSender<Result<RecordingDocument, ControlError>>),
-    Act(Claim, RecordingAction, SyncSender<Result<RecordingDocument, ControlError>>),
-    /// A take for the next session.
-    Want(Claim, WantedTake, SyncSender<Result<RecordingDocument, ControlError>>),
-    /// A step for the session under way.
-    AddStep(Claim, Box<AddedStep>, SyncSender<Result<RecordingDocument, ControlError>>),
-    /// A take outside guided sessions.
-    BeginTake(Claim, Box<PreparedTake>, SyncSender<Result<RecordingDocument, ControlError>>),
-    ActOnTake(Claim, TakeAction, SyncSender<Result<RecordingDocument, ControlError>>),
-    /// What is wanted is not wanted any more.
-    Unwant {
-        claim: Claim,
-        object: String,
-        primitive: String,
-        reply: SyncSender<Result<RecordingDocument, ControlError>>,
-    },
 }
 
 impl Handle {
@@ -219,8 +185,12 @@ impl Handle {
                 "session {session:?} is being recorded; end that before a take is begun"
             )));
         }
-        let prepared =
-            taking::prepare(&self.shared.station, self.shared.plans.sessions_dir(), start, find_object)?;
+        let prepared = prepared_take::prepare(
+            &self.shared.station,
+            self.shared.plans.sessions_dir(),
+            start,
+            find_object,
+        )?;
         let claim = claim.clone();
         self.ask(|reply| Message::BeginTake(claim, Box::new(prepared), reply))?
     }

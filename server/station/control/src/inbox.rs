@@ -14,16 +14,16 @@ use std::{
 use crossbeam_channel::{Receiver, Select, Sender, bounded};
 use palpate_wire::proto::{ControlReply, ControlRequest};
 
-use crate::{handle::Message, requests::Caller};
+use crate::{
+    message::{Answer, Message},
+    requests::Caller,
+};
 
 /// Urgent messages that may wait. The loop empties the queue every 5 ms at least, and every connection is limited in what
 /// it sends, so that a full queue means thousands of connections.
 const MAX_URGENT: usize = 4096;
 /// Other messages that may wait. Each of them comes from a caller that waits for its answer before it sends another.
 const MAX_ORDINARY: usize = 4096;
-
-/// Receives the answer, on the control loop's thread: it must not wait.
-pub type Answer<T> = Box<dyn FnOnce(T) + Send>;
 
 /// A message that waits for nothing else.
 pub(crate) enum Urgent {

@@ -4,8 +4,10 @@
 //! the targets of whoever has control; the safety layer takes the sum as it takes any other targets.
 
 mod config;
+mod turn;
 
 pub(crate) use config::{DigitConfig, Gains, ReflexConfig};
+pub(crate) use turn::{Now, Reflex};
 
 /// What the reflex of a digit is up to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -15,6 +15,7 @@ mod present;
 mod registers;
 mod servo;
 mod setup;
+mod step;
 mod words;
 
 use std::path::PathBuf;
@@ -33,7 +34,8 @@ use order::{Decider, Order};
 use plan::BusPlan;
 use present::PresentReader;
 use servo::{Presence, Servo};
-use setup::{SetUp, read_condition};
+use setup::read_condition;
+use step::SetUp;
 
 /// Pings of a servo when the line is opened, and when it is looked for while others are driven.
 const FIRST_PINGS: usize = 4;

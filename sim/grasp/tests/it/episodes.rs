@@ -78,7 +78,7 @@ fn touch_is_that_of_a_kinematic_replay_of_the_same_poses() {
             env.positions(),
         )
         .expect("a frame");
-        let replayed = tactile::readings(&station.layout, &trace, &model);
+        let replayed = tactile::readings(&station.layout, &trace, &model.thetas());
         assert_eq!(env.readings().active, replayed.active, "at {} s", env.time_s());
         for (idx, channel) in station.layout.channels.iter().enumerate() {
             // Poses are chained in another order, so the last digits differ: of metres, and of them times stiffness.

@@ -1,27 +1,14 @@
 //! The flat map: palm and fingers unrolled, in millimetres, each patch seen from outside.
 
-use serde::Deserialize;
-
-use super::{SensorKind, read::PatchConfig};
+use super::{
+    SensorKind,
+    config::{MapConfig, PatchConfig},
+};
 
 /// Layout units of the map in a metre: the map is in millimetres.
 const UNITS_PER_M: f64 = 1000.0;
 /// Free space between two patches on the map.
 const GAP: f64 = 8.0;
-
-/// Where a patch goes on the map: its origin (and how far it is turned), or each taxel by itself.
-#[derive(Deserialize)]
-#[serde(untagged, deny_unknown_fields)]
-pub(super) enum MapConfig {
-    /// The patch's origin is drawn at `at`, its x axis up, turned left by `turn_rad`.
-    At {
-        at: [f64; 2],
-        #[serde(default)]
-        turn_rad: f64,
-    },
-    /// One position a taxel.
-    Positions { positions: Vec<[f64; 2]> },
-}
 
 /// Map positions of every taxel of every patch; patches that the file does not place stand in one column a group, in
 /// the order of the file, from the bottom up.

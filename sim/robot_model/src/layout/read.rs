@@ -2,89 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
     Channel, Patch, SensorKind, Stream, SurfaceNode, TactileLayout, TaxelAxes,
-    map::{self, MapConfig},
-    surface::Surface,
+    config::{AxesReading, LayoutConfig, LayoutStreamConfig, PatchConfig, SensorKindConfig},
+    map,
 };
 use crate::{
-    ModelError, PoseConfig, Robot,
+    ModelError, Robot,
     config::{Source, check_id, list, positive},
 };
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LayoutConfig {
-    name: String,
-    #[serde(default)]
-    stream: Vec<Spanned<LayoutStreamConfig>>,
-    #[serde(default)]
-    patch: Vec<Spanned<PatchConfig>>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LayoutStreamConfig {
-    id: String,
-    label: String,
-    kind: SensorKindConfig,
-    rate_hz: f64,
-    raw_unit: String,
-    /// How many numbers each taxel measures: 1 if left out.
-    axes: Option<usize>,
-    /// How several become one.
-    reading: Option<AxesReading>,
-    /// For `normal`: the axis along the outward normal, with a minus where pressing makes it fall.
-    normal_axis: Option<String>,
-}
-
-/// How the axes of a taxel become its one reading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AxesReading {
-    /// How far they are from where they are without touch.
-    Norm,
-    /// The one along the outward normal.
-    Normal,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum SensorKindConfig {
-    Proximity,
-    Pressure,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct PatchConfig {
-    id: String,
-    label: String,
-    pub(super) group: String,
-    stream: String,
-    link: String,
-    pose: PoseConfig,
-    pub(super) shape: Surface,
-    node_spacing_m: f64,
-    stiffness_pa_per_m: Option<f64>,
-    /// Taxel positions as seen down the patch's z axis; they are moved along z onto the surface.
-    #[serde(default)]
-    pub(super) taxels_m: Vec<[f64; 2]>,
-    pub(super) map: Option<MapConfig>,
-}
-
-impl PatchConfig {
-    /// Taxels, with the one in the middle that a patch with a single reading need not spell out.
-    pub(super) fn taxels(&self, kind: SensorKind) -> Vec<[f64; 2]> {
-        match kind {
-            SensorKind::Proximity if self.taxels_m.is_empty() => vec![[0.0, 0.0]],
-            SensorKind::Proximity | SensorKind::Pressure => self.taxels_m.clone(),
-        }
-    }
-}
 
 pub(super) fn layout(file: &str, text: &str, robot: &Robot) -> Result<TactileLayout, ModelError> {
     let source = Source { file, text };

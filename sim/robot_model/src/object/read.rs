@@ -4,7 +4,10 @@ use nalgebra::Point3;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{ObjectGroup, ObjectModel, ObjectShape, mesh, revolved};
+use super::{
+    ObjectGroup, ObjectModel, ObjectShape, mesh,
+    revolved::{self, RevolvedConfig},
+};
 use crate::{
     ModelError, PoseConfig,
     config::{Source, check_id, positive},
@@ -102,23 +105,6 @@ enum ShapeConfig {
 
 fn one() -> f64 {
     1.0
-}
-
-/// A convex profile turned about z.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct RevolvedConfig {
-    /// Corners of the profile as `[distance from z, z]`, m.
-    pub(super) profile_m: Vec<[f64; 2]>,
-    /// Flat sides that stand for the curve.
-    pub(super) segments: u32,
-    /// How far it is turned from x towards y; a full turn if left out.
-    #[serde(default = "full_turn_rad")]
-    pub(super) sweep_rad: f64,
-}
-
-fn full_turn_rad() -> f64 {
-    std::f64::consts::TAU
 }
 
 #[derive(Deserialize)]

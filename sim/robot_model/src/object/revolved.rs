@@ -3,12 +3,29 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::Point3;
+use serde::Deserialize;
 
-use super::read::RevolvedConfig;
 use crate::config::finite;
 
 /// Fewer sides are no curve, more are no longer told apart by touch.
 const SEGMENTS: std::ops::RangeInclusive<u32> = 3..=256;
+
+/// A convex profile turned about z.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RevolvedConfig {
+    /// Corners of the profile as `[distance from z, z]`, m.
+    pub(super) profile_m: Vec<[f64; 2]>,
+    /// Flat sides that stand for the curve.
+    pub(super) segments: u32,
+    /// How far it is turned from x towards y; a full turn if left out.
+    #[serde(default = "full_turn_rad")]
+    pub(super) sweep_rad: f64,
+}
+
+fn full_turn_rad() -> f64 {
+    std::f64::consts::TAU
+}
 
 /// The points of each convex part: one part where a full turn leaves no hole, else one for each segment. Parts of one
 /// solid share faces and do not overlap. The profile counts as the hull of its corners.

@@ -152,7 +152,7 @@ fn no_effects_are_the_papers_model() {
         let trace =
             contact_trace(&station.robot, &station.layout, &object, &take.base_from_object, &take.measured)
                 .expect("valid");
-        let paper = tactile::readings(&station.layout, &trace, &model);
+        let paper = tactile::readings(&station.layout, &trace, &model.thetas());
         let active: Vec<bool> = chain
             .sense(&scene)
             .expect("valid")
@@ -198,7 +198,7 @@ fn a_model_with_effects_reads_what_its_chain_senses() {
         let pose = &take.base_from_object;
         let contact =
             contact_trace(&station.robot, &station.layout, &object, pose, &take.measured).expect("valid");
-        let paper = tactile::readings(&station.layout, &contact, &plain);
+        let paper = tactile::readings(&station.layout, &contact, &plain.thetas());
         assert!(plain.readings(&scene, &contact).expect("fits") == paper);
         let on_time = delay(0.0).readings(&scene, &contact).expect("fits");
         assert!(on_time.active == paper.active);

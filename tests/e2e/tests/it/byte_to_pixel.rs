@@ -3,7 +3,7 @@
 use std::{fs, process::Command};
 
 use anyhow::Context as _;
-use e2e::{Bench, Board, Studio, Tools};
+use e2e::{Bench, Board, Studio, Tools, alone};
 use palpate_robot_model::DeviceKind;
 use serde_json::{Value, json};
 
@@ -35,7 +35,7 @@ fn a_jump_of_a_reading_is_seen_in_the_picture() {
 }
 
 fn measure(tools: &Tools) -> anyhow::Result<Value> {
-    let bench = Bench::start()?;
+    let bench = Bench::start(alone())?;
     let station = bench.control.station();
     let device =
         station.devices.iter().find(|device| device.id == BOARD).context("the station has the board")?;

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use e2e::{Bench, Tools};
+use e2e::{Bench, Tools, beside_a_station};
 use serde_json::Value;
 
 /// Its document, and whether it ended well.
@@ -23,7 +23,7 @@ fn device<'a>(document: &'a Value, id: &str) -> &'a Value {
 #[test]
 fn devices_that_are_there_are_told_and_so_is_what_is_missing() {
     let Some(tools) = Tools::find() else { return };
-    let bench = Bench::start().unwrap();
+    let bench = Bench::start(beside_a_station()).unwrap();
     // Where the machine has much else to do, answers are late: that is warned of.
     let (found, code) = check(&tools, &bench);
     assert_eq!((&found["ok"], code), (&Value::Bool(true), Some(0)), "{found}");

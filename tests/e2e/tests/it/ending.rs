@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use e2e::{Bench, Operator, Studio, Tools, Watcher};
+use e2e::{Bench, Operator, Studio, Tools, Watcher, beside_a_station};
 use serde_json::Value;
 
 use crate::scene::{all_ready, set_in_motion};
@@ -65,7 +65,7 @@ fn a_signal_while_moving_ends_with_torque_off_and_a_true_last_word() {
     let Some(tools) = Tools::find() else { return };
     let rounds =
         std::env::var("PALPATE_ROUNDS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(ROUNDS);
-    let bench = Bench::start().unwrap();
+    let bench = Bench::start(beside_a_station()).unwrap();
     let mut slowest = Duration::ZERO;
     for round in 0..rounds {
         let data = tempfile::tempdir().unwrap();
@@ -94,7 +94,7 @@ fn a_signal_while_moving_ends_with_torque_off_and_a_true_last_word() {
 #[test]
 fn a_second_signal_is_heard_and_an_end_without_confirmation_says_so() {
     let Some(tools) = Tools::find() else { return };
-    let bench = Bench::start().unwrap();
+    let bench = Bench::start(beside_a_station()).unwrap();
     let data = tempfile::tempdir().unwrap();
     let mut studio = Studio::serve(&tools, data.path(), bench.station_args()).unwrap();
     let (_operator, _watcher) = armed(&studio).unwrap();
@@ -116,7 +116,7 @@ fn a_second_signal_is_heard_and_an_end_without_confirmation_says_so() {
 #[test]
 fn a_terminal_that_stands_still_holds_up_neither_motion_nor_its_end() {
     let Some(tools) = Tools::find() else { return };
-    let bench = Bench::start().unwrap();
+    let bench = Bench::start(beside_a_station()).unwrap();
     let data = tempfile::tempdir().unwrap();
     // Nobody reads its standard error.
     let mut studio = Studio::serve_unread(&tools, data.path(), bench.station_args()).unwrap();

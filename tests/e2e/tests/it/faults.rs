@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::Context as _;
-use e2e::{Bench, MS, Operator, Studio, Tools, Watcher, still_from_ns, targets};
+use e2e::{Bench, MS, Operator, Studio, Tools, Watcher, beside_a_station, still_from_ns, targets};
 use palpate_wire::proto::{
     ClearFault, DeviceStatus, Heartbeat, Targets, control_request::Request, control_state::Phase,
     device_status::Link,
@@ -57,7 +57,7 @@ impl Drop for Client {
 /// What the robot did after its operator's process got `signal`, in ms of the devices' time: until no goal changed any
 /// more, until all joints stood, until no motor had torque.
 fn after_the_clients_end(tools: &Tools, signal: &str) -> anyhow::Result<[u64; 3]> {
-    let bench = Bench::start()?;
+    let bench = Bench::start(beside_a_station())?;
     let data = tempfile::tempdir()?;
     let studio = Studio::serve(tools, data.path(), bench.station_args())?;
     let watcher = Watcher::connect(&studio)?;

@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use e2e::{MS, Studio, Tools, demo_session, read_status};
+use e2e::{MS, Studio, Tools, alone, demo_session, read_status};
 use palpate_wire::proto::{Stop, control_request::Request, control_state::Phase};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
@@ -223,7 +223,7 @@ fn a_flood_of_clients_is_refused_or_bounded_and_the_loop_keeps_its_rate() {
     let files = getrlimit(Resource::Nofile);
     setrlimit(Resource::Nofile, Rlimit { current: files.maximum, maximum: files.maximum }).unwrap();
     let recorded = demo_session(&tools).unwrap().join("sessions/demo");
-    let scene = Scene::armed_with(|data, station| {
+    let scene = Scene::armed_with(alone(), |data, station| {
         let session = data.join("sessions/demo");
         std::fs::create_dir_all(&session)?;
         for entry in std::fs::read_dir(&recorded)? {

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use e2e::{MS, Operator, Studio, Tools, run_json, targets};
+use e2e::{MS, Operator, Studio, Tools, beside_a_station, run_json, targets};
 use palpate_wire::proto::control_state::Phase;
 use serde_json::{Value, json};
 
@@ -41,9 +41,10 @@ fn record_to_the_end(scene: &Scene) -> anyhow::Result<Option<(u64, String)>> {
 #[test]
 fn a_disk_that_is_full_ends_the_take_and_nothing_else() {
     let Some(tools) = Tools::find() else { return };
-    let scene =
-        Scene::armed_with(|data, station| Studio::serve_on_little_space(&tools, data, station, MOST_KIB))
-            .unwrap();
+    let scene = Scene::armed_with(beside_a_station(), |data, station| {
+        Studio::serve_on_little_space(&tools, data, station, MOST_KIB)
+    })
+    .unwrap();
     scene.begin_session().unwrap();
     scene.bench.control.log_motion(120_000);
     let (begun_ns, told) =

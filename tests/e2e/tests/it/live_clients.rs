@@ -11,7 +11,7 @@ use std::{
 };
 
 use anyhow::{Context as _, bail};
-use e2e::{Tools, root};
+use e2e::{Studio, Tools, alone, root};
 use palpate_recording::Take;
 use palpate_wire::proto::{LiveFrame, StreamMessage, control_state::Phase, stream_message};
 use prost::Message as _;
@@ -242,7 +242,7 @@ fn page_script_and_foxglove_watch_while_a_session_is_recorded_and_nothing_is_los
     let Some(tools) = Tools::find() else { return };
     let minutes = std::env::var("PALPATE_MINUTES").ok().and_then(|minutes| minutes.parse::<f64>().ok());
     let seconds = minutes.map_or(WATCH_S, |minutes| (minutes * 60.0).ceil() as u64);
-    let scene = Scene::armed(&tools).unwrap();
+    let scene = Scene::armed_with(alone(), |data, station| Studio::serve(&tools, data, station)).unwrap();
     scene.begin_session().unwrap();
     let url = scene.studio.url.as_str();
     let (mut script, mut output) = start_python(&tools, url, seconds).unwrap();

@@ -59,7 +59,7 @@ fn station_test(script: &str, truth: &Path) {
 fn station_with_short_takes() -> anyhow::Result<(tempfile::TempDir, PathBuf)> {
     let dir = tempfile::tempdir()?;
     copy_folder(&root().join("assets"), dir.path())?;
-    let plan = "nine_short_takes.toml";
+    let plan = "four_short_takes.toml";
     fs::copy(root().join("tests/e2e/plans").join(plan), dir.path().join("plans").join(plan))?;
     let truth = dir.path().join("truth/demo.toml");
     for (file, list) in [("truth/demo.toml", "plan = "), ("stations/xarm6_leap.toml", "plans = [")] {
@@ -145,7 +145,7 @@ fn stop_is_free_at_every_size_and_zoom() {
 }
 
 #[test]
-fn operator_records_nine_takes_by_the_wizard_and_calibrates_on_them() {
+fn operator_records_a_session_by_the_wizard_and_calibrates_on_it() {
     let (_dir, truth) = station_with_short_takes().expect("a station with a plan of its own");
     station_test("record.mjs", &truth);
 }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use anyhow::{Context as _, bail};
-use e2e::{Bench, MS, Studio, Tools, Watcher, root, still_from_ns};
+use e2e::{Bench, MS, Studio, Tools, Watcher, beside_a_station, root, still_from_ns};
 use palpate_wire::proto::{ControlState, control_state::Phase};
 use serde_json::{Value, json};
 
@@ -55,7 +55,7 @@ struct Rollout {
 
 impl Scene {
     fn start(tools: &Tools) -> anyhow::Result<Self> {
-        let bench = Bench::start()?;
+        let bench = Bench::start(beside_a_station())?;
         let data = tempfile::tempdir()?;
         let studio = Studio::serve(tools, data.path(), bench.station_args())?;
         let watcher = Watcher::connect(&studio)?;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
-use e2e::{Bench, Operator, Studio, Tools, Watcher, targets};
+use e2e::{Bench, Operator, Studio, Tools, Turn, Watcher, beside_a_station, targets};
 use palpate_wire::proto::{ControlState, RecordingStatus, control_state::Phase, device_status::Link};
 use serde_json::{Value, json};
 
@@ -18,15 +18,17 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
+    /// A station with an operator who has armed it, beside another one.
     pub(crate) fn armed(tools: &Tools) -> anyhow::Result<Self> {
-        Self::armed_with(|data, station| Studio::serve(tools, data, station))
+        Self::armed_with(beside_a_station(), |data, station| Studio::serve(tools, data, station))
     }
 
     /// The same with a studio that `serve` starts on a data folder, with the arguments that name the station.
     pub(crate) fn armed_with(
+        turn: Turn,
         serve: impl FnOnce(&Path, Vec<String>) -> anyhow::Result<Studio>,
     ) -> anyhow::Result<Self> {
-        let bench = Bench::start()?;
+        let bench = Bench::start(turn)?;
         let data = tempfile::tempdir()?;
         let studio = serve(data.path(), bench.station_args())?;
         let watcher = Watcher::connect(&studio)?;

@@ -1,5 +1,6 @@
 //! The rules of `ARCHITECTURE.md` as tests.
 
+mod circles;
 mod dependencies;
 mod sources;
 

@@ -8,14 +8,14 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use crate::{root, rust_files, shown};
 
 /// Folder of every crate of the workspace.
-fn crates() -> Vec<PathBuf> {
+pub(crate) fn crates() -> Vec<PathBuf> {
     let metadata = MetadataCommand::new().current_dir(root()).no_deps().exec().expect("cargo metadata");
     let folder = |package: &cargo_metadata::Package| package.manifest_path.parent().map(|path| path.into());
     metadata.packages.iter().filter_map(folder).collect()
 }
 
 /// The tokens of a file, without what is compiled for tests only.
-fn tokens(path: &PathBuf) -> Vec<TokenTree> {
+pub(crate) fn tokens(path: &PathBuf) -> Vec<TokenTree> {
     let text = std::fs::read_to_string(path).unwrap_or_else(|err| panic!("{}: {err}", shown(path)));
     let stream = TokenStream::from_str(&text).unwrap_or_else(|err| panic!("{}: {err}", shown(path)));
     without_tests(stream)

@@ -55,12 +55,11 @@ use super::{
     empty_ui, ensure_take_ui, failed_ui, loading_ui, words,
 };
 use crate::{
-    app::is_narrow,
     playback::{HandSource, ModelRef},
     route::Screen,
     store::Loadable,
     take_data::TakeData,
-    theme::taxel_scale,
+    theme::{is_narrow, taxel_scale},
 };
 
 const SIDE_WIDTH: f32 = 360.0;

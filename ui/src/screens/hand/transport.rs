@@ -3,14 +3,13 @@
 use egui::RichText;
 
 use crate::{
-    app::is_narrow,
     playback::Playback,
     screens::{
         controls::{name_button, speed_ui},
         duration_text,
     },
     take_data::TakeData,
-    theme::Palette,
+    theme::{Palette, is_narrow},
 };
 
 /// One row of controls; on a narrow page the slider has a row of its own. Keys for the same: space, comma, full stop.

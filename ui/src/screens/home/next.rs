@@ -4,7 +4,7 @@ use palpate_wire::api::{CampaignSummary, JobState, ModelSummary, Role, Run, Sess
 
 use crate::{
     route::{Route, Screen},
-    screens::{jobs::waits_text, run_controls::OfSession},
+    screens::{controls::OfSession, jobs::waits_text},
 };
 
 /// What the decision needs to know.

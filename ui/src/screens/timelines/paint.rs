@@ -10,7 +10,7 @@ use super::{
     lanes::{Mismatch, TakeLanes},
     view::{TimeView, tick_text, ticks},
 };
-use crate::{app::is_narrow, take_data::TakeData};
+use crate::{take_data::TakeData, theme::is_narrow};
 
 /// Width of the names left of the lanes, points.
 const NAMES_WIDTH: f32 = 216.0;

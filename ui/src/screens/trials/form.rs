@@ -4,9 +4,15 @@ use std::collections::BTreeSet;
 
 use egui::RichText;
 use palpate_reports::wording::counted;
-use palpate_wire::api::{CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder};
+use palpate_wire::api::{ArtifactSort, CampaignObject, CampaignPlan, CampaignPolicy, TrialOrder};
 
-use crate::{screens::ScreenContext, store::Loadable};
+use crate::{
+    screens::{
+        ScreenContext,
+        controls::{combo_ui, option_ui},
+    },
+    store::Loadable,
+};
 
 /// What has been filled in.
 #[derive(Debug)]
@@ -63,7 +69,7 @@ pub(super) fn form_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut 
         );
         ui.add_space(6.0);
         text_ui(ui, "Name", &mut form.name, "e.g. Pretraining, November");
-        policies_ui(ui, form);
+        policies_ui(ui, cx, form);
         let groups = objects_ui(ui, cx, form);
         numbers_ui(ui, form);
         text_ui(ui, "A success is", &mut form.criterion, "what scorers go by");
@@ -116,9 +122,52 @@ fn text_ui(ui: &mut egui::Ui, name: &str, text: &mut String, hint: &str) {
     });
 }
 
-fn policies_ui(ui: &mut egui::Ui, form: &mut FormState) {
+/// Where a policy may come from.
+struct KnownSource {
+    source: String,
+    /// A name for it in the plan.
+    id: String,
+    words: String,
+}
+
+/// What can be tried: policies that jobs have learned or that come with the program, and scripts.
+fn known_sources(cx: &mut ScreenContext<'_>) -> Vec<KnownSource> {
+    let (lineage, objects) = (cx.store.lineage(), cx.store.objects());
+    let artifacts = lineage.ready().map_or(&[][..], |lineage| lineage.artifacts.as_slice());
+    let of_one_object =
+        |id: &str| objects.ready().is_some_and(|objects| objects.iter().any(|object| object.id == id));
+    let mut known = Vec::new();
+    let mut add = |source: &str, id: &str, words: String| {
+        known.push(KnownSource { source: source.to_owned(), id: id.to_owned(), words });
+    };
+    for artifact in artifacts.iter().filter(|artifact| artifact.key.sort == ArtifactSort::Policy) {
+        let id = &artifact.key.id;
+        match artifact.is_shipped {
+            // Those of one object each are tried together, below.
+            true if of_one_object(id) => {}
+            true => add(id, id, format!("{id}, comes with the program")),
+            false => add(id, id, artifact.name.clone()),
+        }
+    }
+    if artifacts.iter().any(|artifact| artifact.is_shipped && of_one_object(&artifact.key.id)) {
+        add("{object}", "experts", "the expert that comes with the program for each object".to_owned());
+    }
+    add("script:{object}", "script", "the script of each object, which feels nothing".to_owned());
+    for artifact in artifacts.iter().filter(|artifact| artifact.key.sort == ArtifactSort::Script) {
+        let id = &artifact.key.id;
+        add(&format!("script:{id}"), id, format!("script {id}, which feels nothing"));
+    }
+    known
+}
+
+fn policies_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, form: &mut FormState) {
     ui.add_space(6.0);
     ui.strong("Policies");
+    let known = known_sources(cx);
+    if let Loadable::Failed(error) = cx.store.lineage() {
+        let text = format!("\u{26a0} The list of policies did not arrive: {error}");
+        ui.colored_label(cx.palette.mismatch, text);
+    }
     let mut removed = None;
     let num_rows = form.policies.len();
     for (idx, row) in form.policies.iter_mut().enumerate() {
@@ -130,6 +179,19 @@ fn policies_ui(ui: &mut egui::Ui, form: &mut FormState) {
                 .hint_text("policy file or script:NAME")
                 .desired_width(230.0);
             ui.add(source).accessible_name(format!("Source of policy {number}"));
+            let mut chosen = known.iter().position(|known| known.source == row.source);
+            let before = chosen;
+            combo_ui(ui, &format!("Choose policy {number}"), "Choose", 90.0, |ui| {
+                for (idx, known) in known.iter().enumerate() {
+                    option_ui(ui, &mut chosen, Some(idx), &known.words);
+                }
+            });
+            if let Some(known) = chosen.filter(|_| chosen != before).map(|idx| &known[idx]) {
+                row.source.clone_from(&known.source);
+                if row.id.is_empty() {
+                    row.id.clone_from(&known.id);
+                }
+            }
             ui.checkbox(&mut row.is_silenced, "touch silenced");
             if num_rows > 1 && ui.button("Remove").clicked() {
                 removed = Some(idx);

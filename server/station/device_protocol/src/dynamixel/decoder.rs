@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 
 use crate::{DecodeCounters, crc16::crc16};
 
+use super::code;
 use super::packet::{BROADCAST_ID, HEADER, MAX_ID, PREFIX_LEN, Packet, is_fast_status, unstuff};
-use super::request::code;
 
 /// The largest length field that a decoder believes unless told otherwise. A joint answer of 16 servos to a read of 10
 /// bytes has 225; one of 60 servos to a read of the whole table would need more.

@@ -6,8 +6,8 @@
 
 use crate::crc16::crc16;
 
+use super::code;
 use super::packet::{BROADCAST_ID, HEADER, PREFIX_LEN, Packet, PacketError, prefix};
-use super::request::code;
 use super::status::ErrorByte;
 
 /// One device's part of a joint answer.

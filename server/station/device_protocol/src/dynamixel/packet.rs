@@ -2,7 +2,7 @@
 
 use crate::crc16::crc16;
 
-use super::request::code;
+use super::code;
 
 /// Addresses every device on the line.
 pub const BROADCAST_ID: u8 = 0xFE;

@@ -1,7 +1,7 @@
 //! What a servo answers.
 
+use super::code;
 use super::packet::{Packet, PacketError};
-use super::request::code;
 
 /// The answer of one device.
 #[derive(Debug, Clone, PartialEq, Eq)]

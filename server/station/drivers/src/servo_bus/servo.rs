@@ -4,7 +4,7 @@ use palpate_device_protocol::dynamixel::{HardwareError, PingReply};
 
 use super::plan::ServoPlan;
 use super::registers::Condition;
-use super::setup::SetUp;
+use super::step::SetUp;
 use super::words;
 
 /// No joint of the hand turns faster, rad/s: the no-load speed of its servos is 8.5.

@@ -14,46 +14,13 @@ use super::line::{Line, RequestError};
 use super::plan::BusPlan;
 use super::registers::{self, Condition};
 use super::servo::{Presence, Servo};
+use super::step::{SetUp, Step};
 use super::words;
 
 /// Answers to everything.
 const ANSWER_ALL: i64 = 2;
 /// Times that a request of the set-up is sent before the servo counts as gone again.
 const TRIES: usize = 8;
-
-/// How far the set-up of one servo has got.
-#[derive(Clone, Debug)]
-pub(crate) struct SetUp {
-    /// What is asked next.
-    step: Step,
-    /// How often it may be asked.
-    tries_left: usize,
-}
-
-impl SetUp {
-    /// Begins with looking whether the servo is there, by at most so many pings.
-    pub(crate) fn looking(pings: usize) -> Self {
-        Self { step: Step::Ping, tries_left: pings }
-    }
-}
-
-/// One request of the set-up.
-#[derive(Clone, Debug)]
-enum Step {
-    Ping,
-    TorqueOff,
-    ReadEeprom,
-    /// The EEPROM wears out by writing, so only what differs is written.
-    WriteEeprom(Vec<(&'static Register, i64)>),
-    Gains,
-    NoProfile,
-    /// Off until it is armed; this also clears a trip, after which it would refuse goals.
-    WatchdogOff,
-    Current,
-    Condition,
-    Position,
-    ClearTurns,
-}
 
 /// Sends the next request of the servo's set-up, if it has one under way. In the end the servo is ready, unusable with the
 /// reason, or as its presence says because it is silent; an error is one of the port.
