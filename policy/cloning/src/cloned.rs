@@ -134,9 +134,26 @@ impl Cloned {
         Shape { features, ..self.robot.shape() }
     }
 
-    /// A window in which nothing has been seen yet.
-    pub fn history(&self) -> History {
-        History::new(self.config.observation.clone(), self.shape())
+    /// A window in which nothing has been seen yet, in a trial whose object begins within `half_width_m` of the middle, along
+    /// both axes, m; `None` where nobody knows.
+    ///
+    /// # Errors
+    /// A policy that sees the region, and a region that is unknown or no length.
+    pub fn history(&self, half_width_m: Option<f64>) -> Result<History, CloneError> {
+        let problem = match half_width_m {
+            _ if !self.config.observation.region => None,
+            None => Some("nobody says how wide that is".to_owned()),
+            Some(half_width_m) => (!(half_width_m.is_finite() && half_width_m >= 0.0)).then(|| {
+                format!("its half-width is {half_width_m} m, expected a finite number, not negative")
+            }),
+        };
+        if let Some(problem) = problem {
+            return Err(CloneError::Shape(format!(
+                "the policy sees the region that the object begins in (observation.region), but {problem}"
+            )));
+        }
+        let half_width_m = half_width_m.map(|half_width_m| half_width_m as f32);
+        Ok(History::new(self.config.observation.clone(), self.shape(), half_width_m))
     }
 
     /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws
@@ -191,9 +208,13 @@ pub struct Run {
 }
 
 impl Run {
-    /// A trial begins. Diffusion draws other chunks in a trial with another number.
-    pub fn new(policy: Arc<Cloned>, trial: u64) -> Self {
-        Self { history: policy.history(), policy, plan: Vec::new(), trial, step: 0 }
+    /// A trial begins, in a region of `half_width_m` ([`Cloned::history`]). Diffusion draws other chunks in a trial with
+    /// another number.
+    ///
+    /// # Errors
+    /// See [`Cloned::history`].
+    pub fn new(policy: Arc<Cloned>, trial: u64, half_width_m: Option<f64>) -> Result<Self, CloneError> {
+        Ok(Self { history: policy.history(half_width_m)?, policy, plan: Vec::new(), trial, step: 0 })
     }
 
     /// What the robot does in the control step that begins now. Each step has to be asked for.

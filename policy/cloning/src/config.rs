@@ -83,6 +83,14 @@ pub struct ObservationConfig {
     /// The features that a pretrained encoder makes of each frame; no. They are made of what `touch` and `tracking` let the
     /// policy see, and the episodes have to come with them.
     pub features: bool,
+    /// Half the edge length of the square that the object begins in, which whoever starts a trial knows; no. The episodes have
+    /// to say it. Left out of files where it is not seen, so that policies of before keep their bytes.
+    #[serde(skip_serializing_if = "is_false")]
+    pub region: bool,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// A gated recurrent unit (Cho et al. 2014).
@@ -134,7 +142,7 @@ impl Default for CloneConfig {
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        Self { frames: 16, stride: 8, touch: true, tracking: true, features: false }
+        Self { frames: 16, stride: 8, touch: true, tracking: true, features: false, region: false }
     }
 }
 
@@ -182,7 +190,7 @@ impl CloneConfig {
         Ok(config)
     }
 
-    /// This configuration as a file with every field.
+    /// This configuration as a file with every field, but for those that say where they are left out.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("numbers, tables and names are TOML")
     }
@@ -288,6 +296,17 @@ mod tests {
             assert_eq!(CloneConfig::from_toml("again", &config.to_toml()).expect("its own file"), config);
         }
         assert_eq!(CloneConfig::preset("small").expect("a preset"), CloneConfig::default());
+    }
+
+    #[test]
+    fn the_region_is_part_of_a_file_only_where_it_is_seen() {
+        let mut config = CloneConfig::default();
+        assert!(!config.to_toml().contains("region"), "files of before keep their bytes");
+        config.observation.region = true;
+        assert!(config.to_toml().contains("region = true"));
+        assert_eq!(CloneConfig::from_toml("again", &config.to_toml()).expect("its own file"), config);
+        let differs = palpate_training::difference(&CloneConfig::default(), &config);
+        assert_eq!(differs, Some(("observation.region".to_owned(), "null".to_owned(), "true".to_owned())));
     }
 
     #[test]

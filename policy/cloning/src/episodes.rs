@@ -32,6 +32,8 @@ pub struct Episode {
     pub targets: Vec<f32>,
     /// `[steps]`: time since the trial began, s.
     pub times_s: Vec<f32>,
+    /// Half the edge length of the square that the object began in, m; `None` where nobody kept it.
+    pub half_width_m: Option<f32>,
 }
 
 impl Episode {
@@ -64,7 +66,7 @@ impl Episode {
             frames.extend_from_slice(&self.frames[step * frame_len..][..frame_len]);
             frames.extend_from_slice(&features[step * num_features..][..num_features]);
         }
-        Self { frames, targets: self.targets.clone(), times_s: self.times_s.clone() }
+        Self { frames, ..self.clone() }
     }
 
     /// Steps.
@@ -157,6 +159,11 @@ impl Episodes {
         self.shape
     }
 
+    /// Half the edge lengths of the squares that objects began in, m, by episode; `None` where nobody kept it.
+    pub(crate) fn half_widths_m(&self) -> impl Iterator<Item = Option<f32>> {
+        self.episodes.iter().map(|episode| episode.half_width_m)
+    }
+
     /// How many there are.
     pub fn len(&self) -> usize {
         self.episodes.len()
@@ -197,7 +204,7 @@ impl Episodes {
         let (frame_len, action_len) = (self.shape.frame_len(), self.shape.action_len());
         let frame = |back: usize| &episode.frames[step.saturating_sub(back) * frame_len..][..frame_len];
         let time_s = f64::from(episode.times_s[step]);
-        let input = observation(&config.observation, self.shape, time_s, frame);
+        let input = observation(&config.observation, self.shape, (time_s, episode.half_width_m), frame);
         let commands = &frame(0)[..self.shape.dofs];
         let mut chunk = Vec::with_capacity(config.predicted * action_len);
         for ahead in 0..config.predicted {
@@ -263,6 +270,14 @@ pub(crate) mod tests {
         Episodes::new(shape, episodes).and_then(|all| all.encoded_by(encoder(name))).expect("they fit")
     }
 
+    impl Episodes {
+        /// The same, all of one region.
+        pub(crate) fn in_one_region(mut self, half_width_m: f32) -> Self {
+            self.episodes.iter_mut().for_each(|episode| episode.half_width_m = Some(half_width_m));
+            self
+        }
+    }
+
     #[test]
     fn a_chunk_is_where_the_expert_went_from_the_last_command() {
         let episodes = reaching(&[0.25], 6);
@@ -280,7 +295,7 @@ pub(crate) mod tests {
             ObservationConfig { frames: 2, stride: 5, touch: false, ..ObservationConfig::default() },
         ] {
             let config = CloneConfig { observation: observation.clone(), ..CloneConfig::default() };
-            let mut history = History::new(observation, episodes.shape());
+            let mut history = History::new(observation, episodes.shape(), None);
             let mut command = 0.0;
             for step in 0..40 {
                 history.see(&Moment {

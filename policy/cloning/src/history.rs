@@ -6,6 +6,8 @@ use crate::ObservationConfig;
 
 /// Time that counts as 1, s.
 const TIME_UNIT_S: f64 = 10.0;
+/// Half-width of a region that counts as 1, m.
+const REGION_UNIT_M: f32 = 0.1;
 
 /// Sizes of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,9 +47,9 @@ impl Shape {
         self.dofs + 1
     }
 
-    /// Numbers of an observation: the frames, the newest first, then the time.
+    /// Numbers of an observation: the frames, the newest first, then the time, then the region if it is seen.
     pub(crate) fn input_len(self, config: &ObservationConfig) -> usize {
-        config.frames * self.frame_len() + 1
+        config.frames * self.frame_len() + 1 + usize::from(config.region)
     }
 }
 
@@ -74,12 +76,14 @@ pub struct History {
     /// The newest first.
     frames: VecDeque<Vec<f32>>,
     time_s: f64,
+    half_width_m: Option<f32>,
 }
 
 impl History {
-    /// Nothing has been seen yet.
-    pub fn new(config: ObservationConfig, shape: Shape) -> Self {
-        Self { config, shape, frames: VecDeque::new(), time_s: 0.0 }
+    /// Nothing has been seen yet in a trial whose object began within `half_width_m` of the middle, along both axes. That has
+    /// to be known where `config` shows the region.
+    pub(crate) fn new(config: ObservationConfig, shape: Shape, half_width_m: Option<f32>) -> Self {
+        Self { config, shape, frames: VecDeque::new(), time_s: 0.0, half_width_m }
     }
 
     /// Sees the moment of the next control step. Each step must be seen, whether the policy plans in it or not.
@@ -99,15 +103,16 @@ impl History {
     /// If nothing has been seen: a caller's bug.
     pub fn observation(&self) -> Vec<f32> {
         let last = self.frames.len().checked_sub(1).expect("something has been seen");
-        observation(&self.config, self.shape, self.time_s, |back| &self.frames[back.min(last)][..])
+        let told = (self.time_s, self.half_width_m);
+        observation(&self.config, self.shape, told, |back| &self.frames[back.min(last)][..])
     }
 }
 
-/// The observation at `time_s`, of frames that lie some steps back.
+/// The observation at `time_s` in a region of `half_width_m`, of frames that lie some steps back.
 pub(crate) fn observation<'a>(
     config: &ObservationConfig,
     shape: Shape,
-    time_s: f64,
+    (time_s, half_width_m): (f64, Option<f32>),
     frame: impl Fn(usize) -> &'a [f32],
 ) -> Vec<f32> {
     let mut observation = Vec::with_capacity(shape.input_len(config));
@@ -125,6 +130,8 @@ pub(crate) fn observation<'a>(
         observation.extend_from_slice(features);
     }
     observation.push((time_s / TIME_UNIT_S) as f32);
+    observation
+        .extend(half_width_m.filter(|_| config.region).map(|half_width_m| half_width_m / REGION_UNIT_M));
     observation
 }
 
@@ -149,7 +156,7 @@ mod tests {
     #[test]
     fn a_window_holds_every_stride_th_frame_and_begins_with_the_first() {
         let config = ObservationConfig { frames: 3, stride: 2, ..ObservationConfig::default() };
-        let mut history = History::new(config, SHAPE);
+        let mut history = History::new(config, SHAPE, None);
         see(&mut history, 0);
         assert_eq!(
             history.observation(),
@@ -167,16 +174,29 @@ mod tests {
     fn what_is_hidden_is_zero() {
         let hidden = ObservationConfig { touch: false, tracking: false, ..ObservationConfig::default() };
         let config = ObservationConfig { frames: 1, stride: 1, ..hidden };
-        let mut history = History::new(config, SHAPE);
+        let mut history = History::new(config, SHAPE, None);
         see(&mut history, 2);
         assert_eq!(history.observation(), [2.0, 0.0, 0.0, 0.0, 0.2]);
+    }
+
+    #[test]
+    fn the_region_is_the_last_number_where_it_is_seen() {
+        let seen = |region: bool| {
+            let config = ObservationConfig { frames: 1, stride: 1, region, ..ObservationConfig::default() };
+            let mut history = History::new(config.clone(), SHAPE, Some(0.08));
+            see(&mut history, 2);
+            assert_eq!(history.observation().len(), SHAPE.input_len(&config));
+            history.observation()
+        };
+        assert_eq!(seen(true), [2.0, 0.5, 1.0, 0.0, 0.2, 0.08_f32 / 0.1]);
+        assert_eq!(seen(false), [2.0, 0.5, 1.0, 0.0, 0.2]);
     }
 
     #[test]
     fn features_are_the_last_numbers_of_each_frame() {
         let config =
             ObservationConfig { frames: 2, stride: 1, features: true, ..ObservationConfig::default() };
-        let mut history = History::new(config, Shape { features: 3, ..SHAPE });
+        let mut history = History::new(config, Shape { features: 3, ..SHAPE }, None);
         for step in [1.0, 2.0] {
             let features = [10.0 * step, 0.1, -7.0].map(|value| value as f32);
             history.see(&Moment {

@@ -116,6 +116,7 @@ impl Trainer {
         config.validate()?;
         let shape = episodes.shape();
         check_features(&config, episodes)?;
+        check_region(&config, episodes)?;
         if robot.shape() != (Shape { features: 0, ..shape }) {
             let Robot { joints, channels, .. } = &robot;
             return Err(CloneError::Shape(format!(
@@ -402,6 +403,25 @@ fn check_features(config: &CloneConfig, episodes: &Episodes) -> Result<(), Clone
         _ => return Ok(()),
     };
     Err(CloneError::Shape(problem))
+}
+
+/// Whether `episodes` say in which region they began, and not all in the same one, if `config` lets the policy see it.
+fn check_region(config: &CloneConfig, episodes: &Episodes) -> Result<(), CloneError> {
+    if !config.observation.region {
+        return Ok(());
+    }
+    let half_widths: Option<Vec<f32>> = episodes.half_widths_m().collect();
+    let problem = match half_widths {
+        None => "the episodes do not all say in which region their object began".to_owned(),
+        Some(all) => match all.first() {
+            Some(first) if all.iter().all(|one| one == first) => format!(
+                "all episodes began within {first} m of the middle, so that the region says nothing; add episodes of \
+                 another region"
+            ),
+            _ => return Ok(()),
+        },
+    };
+    Err(CloneError::Shape(format!("observation.region is true, but {problem}")))
 }
 
 /// At most `most` of `moments`, evenly spread.

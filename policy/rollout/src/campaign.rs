@@ -13,7 +13,7 @@ use palpate_wire::api::{
 };
 use serde_json::json;
 
-use crate::fit::{self, FitArgs, Fitted, SCRIPTS};
+use crate::fit::{self, FitArgs, Fitted, Region, SCRIPTS};
 use crate::journal::{Journal, Stage};
 use crate::link::{Link, switch_reflex_on};
 use crate::operator::Operator;
@@ -103,7 +103,8 @@ pub(crate) fn run(args: &RolloutArgs, studio: &Studio, options: &Options<'_>) ->
     let mut reflex = None;
     for (policy, source) in campaign.plan.policies.iter().zip(&sources) {
         for object in &campaign.plan.objects {
-            let mut fitted = fit_arm(studio, &args.fit, source, &object.id)
+            let region = Region::HalfWidthM(campaign.plan.half_width_m);
+            let mut fitted = fit_arm(studio, &args.fit, source, &object.id, region)
                 .with_context(|| format!("policy {:?} on the object {:?}", policy.id, object.id))?;
             if let Some(path) = &args.reflex {
                 reflex = Some(fit::reflex(path, &mut fitted)?);
@@ -538,17 +539,23 @@ fn first_id(plan: &CampaignPlan) -> &str {
 }
 
 /// Reads the policy that `source` names, for the object with this id, and checks that everything belongs together.
-fn fit_arm(studio: &Studio, shared: &FitArgs, source: &str, object: &str) -> anyhow::Result<Fitted> {
+fn fit_arm(
+    studio: &Studio,
+    shared: &FitArgs,
+    source: &str,
+    object: &str,
+    region: Region,
+) -> anyhow::Result<Fitted> {
     let source = source.replace(OBJECT, object);
     let mut args = shared.clone();
     object.clone_into(&mut args.object);
     if let Some(script) = source.strip_prefix(SCRIPT) {
         args.script = Some(script.to_owned());
-        return fit::fit(studio, None, &args);
+        return fit::fit(studio, None, &args, region);
     }
     let path = policy_path(&source)?;
     args.without_script = fit::is_without_script(&path)?;
-    fit::fit(studio, Some(&path), &args)
+    fit::fit(studio, Some(&path), &args, region)
 }
 
 /// A file or folder, or a file of the shipped policies by its name.

@@ -44,6 +44,10 @@ pub struct FitArgs {
     /// Actions and observations of a learned policy
     #[arg(long, default_value = "assets/grasp/xarm6_leap_learning.toml")]
     pub learning: PathBuf,
+    /// What a policy that sees it is told of the region that objects begin in: half the edge length of the square, cm
+    /// [default: that of the campaign, or that an emulated station's operator is asked for]
+    #[arg(long, value_name = "CM", conflicts_with_all = ["campaign", "start_cm"])]
+    pub region_cm: Option<f64>,
 }
 
 /// What belongs together.
@@ -64,6 +68,8 @@ pub struct Fitted {
     pub sources: Vec<Source>,
     /// What an operator should know, though it keeps nobody from trying.
     pub warnings: Vec<String>,
+    /// Half the edge length of the square that objects begin in, m, where somebody knows.
+    pub half_width_m: Option<f64>,
 }
 
 /// Files in the order in which they were read.
@@ -85,13 +91,35 @@ impl Sources {
     }
 }
 
+/// What is known of the square that objects begin in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Region {
+    /// Half its edge length, m.
+    HalfWidthM(f64),
+    /// It is that of the world file.
+    OfTheWorld,
+    /// Whoever places objects has not said.
+    Unknown,
+}
+
+impl Region {
+    /// Half its edge length, m, where that is known.
+    pub fn half_width_m(self, world: &GraspConfig) -> Option<f64> {
+        match self {
+            Self::HalfWidthM(half_width_m) => Some(half_width_m),
+            Self::OfTheWorld => Some(world.task.half_width_m),
+            Self::Unknown => None,
+        }
+    }
+}
+
 /// Reads everything, `policy` (a training's folder, a checkpoint or an exported file; `clone:PATH` for one that
 /// imitates an expert; without one the script alone runs) among it, and refuses what does not belong together by the
 /// name of what differs.
 ///
 /// # Errors
 /// A studio without a station, files that cannot be read or do not fit the station's robot, a policy of another task.
-pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Result<Fitted> {
+pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs, region: Region) -> anyhow::Result<Fitted> {
     let sources = Sources::default();
     let document: Value = studio.get("/station")?;
     let station = Arc::new(station(&document, &sources)?);
@@ -128,7 +156,9 @@ pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Re
         }
         (Some(path), script) => {
             let script = script.map(|(_, script)| script);
-            let learned = learned(args, path, &station, &world, script, &object.id, &sources)?;
+            let half_width_m = region.half_width_m(&world);
+            let scene = Scene { station: &station, world: &world, half_width_m };
+            let learned = learned(args, path, &scene, script, &object.id, &sources)?;
             warnings.push(
                 "the policy does not say which sensor model it was trained with; touch is the station's own"
                     .to_owned(),
@@ -137,9 +167,26 @@ pub fn fit(studio: &Studio, policy: Option<&Path>, args: &FitArgs) -> anyhow::Re
         }
         (None, None) => bail!("there is nothing to run: give --policy or --script"),
     };
-    let sources = sources.0.into_inner();
-    let id = object.id.clone();
-    Ok(Fitted { station, world, policy, policy_name, object: id, object_model: object, sources, warnings })
+    Ok(Fitted {
+        half_width_m: region.half_width_m(&world),
+        object: object.id.clone(),
+        object_model: object,
+        sources: sources.0.into_inner(),
+        station,
+        world,
+        policy,
+        policy_name,
+        warnings,
+    })
+}
+
+/// Where a learned policy is rolled out.
+#[cfg_attr(not(feature = "learned"), expect(dead_code, reason = "without learned policies nobody looks"))]
+struct Scene<'a> {
+    station: &'a Arc<Station>,
+    world: &'a GraspConfig,
+    /// Half the edge length of the square that objects begin in, m, where somebody knows.
+    half_width_m: Option<f64>,
 }
 
 /// Whether the policy at `path` says that it was learned without a script.
@@ -155,8 +202,7 @@ pub fn is_without_script(path: &Path) -> anyhow::Result<bool> {
 fn learned(
     _args: &FitArgs,
     path: &Path,
-    _station: &Arc<Station>,
-    _world: &GraspConfig,
+    _scene: &Scene<'_>,
     _script: Option<Script>,
     _object: &str,
     _sources: &Sources,
@@ -209,8 +255,7 @@ fn actor(path: &Path) -> anyhow::Result<(PathBuf, Vec<u8>, palpate_ppo::Actor)> 
 fn learned(
     args: &FitArgs,
     path: &Path,
-    station: &Arc<Station>,
-    world: &GraspConfig,
+    &Scene { station, world, half_width_m }: &Scene<'_>,
     script: Option<Script>,
     object: &str,
     sources: &Sources,
@@ -228,7 +273,13 @@ fn learned(
             .robot()
             .check(&robot)
             .with_context(|| format!("{file:?} does not fit the station {:?}", station.id))?;
-        let policy = ClonedPolicy::new(Arc::new(cloned), Arc::clone(station), world);
+        if cloned.config().observation.region && half_width_m.is_none() {
+            bail!(
+                "{file:?} sees the region that objects begin in (observation.region), and nobody says how wide that is; give \
+                 --region-cm, half the edge length of the square that objects are placed in"
+            );
+        }
+        let policy = ClonedPolicy::new(Arc::new(cloned), Arc::clone(station), world, half_width_m);
         return Ok(Box::new(policy.with_context(|| format!("{file:?} does not fit"))?));
     }
     let text = sources.text("learning", &args.learning)?;

@@ -17,7 +17,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::campaign;
-use crate::fit::{self, FitArgs, Fitted};
+use crate::fit::{self, FitArgs, Fitted, Region};
 use crate::inject::Injected;
 use crate::link::{Frame, Link, switch_reflex_on};
 use crate::operator::Operator;
@@ -199,7 +199,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
             bail!("--policy is there {} times; one is tried at a time outside a campaign", args.policy.len())
         }
     };
-    let mut fitted = fit::fit(&studio, policy, &args.fit)?;
+    let mut fitted = fit::fit(&studio, policy, &args.fit, region(args)?)?;
     let reflex = args.reflex.as_deref().map(|path| fit::reflex(path, &mut fitted)).transpose()?;
     let is_free = std::fs::read_dir(&args.out).map_or(true, |mut entries| entries.next().is_none());
     if !is_free {
@@ -219,6 +219,21 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     hold(&link, &fitted.station);
     link.release();
     done
+}
+
+/// What is known of the region that objects begin in, outside a campaign.
+fn region(args: &RolloutArgs) -> anyhow::Result<Region> {
+    let half_width_m = |flag: &str, cm: f64| match cm.is_finite() && cm >= 0.0 {
+        true => Ok(Region::HalfWidthM(0.01 * cm)),
+        false => bail!("{flag} is {cm}, expected a finite number, not negative"),
+    };
+    match (args.fit.region_cm, args.start_cm, &args.operator) {
+        (Some(cm), ..) => half_width_m("--region-cm", cm),
+        (None, Some(cm), _) => half_width_m("--start-cm", cm),
+        // The operator places objects where the world file has them begin.
+        (None, None, Some(_)) => Ok(Region::OfTheWorld),
+        (None, None, None) => Ok(Region::Unknown),
+    }
 }
 
 /// Control of the station, and whether somebody wants to stop.
@@ -381,6 +396,9 @@ pub(crate) fn make(
         "channels": station.layout.channels.iter().map(|channel| channel.id.as_str()).collect::<Vec<_>>(),
         "begins_at": begins.positions,
     });
+    if let Some(half_width_m) = fitted.half_width_m {
+        head["half_width_m"] = json!(half_width_m);
+    }
     if let Some(campaign) = campaign {
         head["campaign"] = json!(campaign);
         head["attempt"] = json!(attempt);

@@ -133,7 +133,7 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
     while ours.policy.len() < args.inferences {
         for _ in 0..BLOCK.min(args.inferences - ours.policy.len()) {
             let began = Instant::now();
-            let mut seen = policy.history();
+            let mut seen = policy.history(None)?;
             seen.see(&Moment {
                 time_s: 1.0,
                 positions: &positions,

@@ -66,6 +66,9 @@ pub(crate) struct CloneArgs {
     /// policy's file
     #[arg(long, value_name = "FILE")]
     encoder: Option<PathBuf>,
+    /// The policy sees how wide the region is that objects begin in; the trials have to be of several regions
+    #[arg(long)]
+    region: bool,
     /// Learn from the trials that were won, and not from the others
     #[arg(long)]
     only_won: bool,
@@ -124,6 +127,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     config.observation.touch &= !args.silence_touch;
     config.observation.tracking &= !args.hide_tracking;
     config.observation.features |= args.features;
+    config.observation.region |= args.region;
     config.validate()?;
     let encoder = encoder(args, &config)?;
     files::start_threads(args.threads)?;
@@ -132,6 +136,14 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         _ => TrainingDevice::cpu(),
     };
     let gathered = gather::read_all(&args.data)?;
+    if config.observation.region
+        && let Some((path, _)) = gathered.iter().find(|(_, one)| one.record.half_width_m().is_none())
+    {
+        bail!(
+            "{path} does not say how wide the region was that its objects began in, which earlier versions did not keep, and \
+             observation.region is true; the `palpate-train gather` that made it, given once more, adds that"
+        );
+    }
     let encoding = match encoder {
         // Refused before minutes are spent on features, and not after.
         Some(_) if !args.resume && args.out.join(CHECKPOINT_FILE).exists() => {
@@ -272,9 +284,15 @@ pub(crate) struct Imitator {
 }
 
 impl Imitator {
-    pub(crate) fn new(imitation: &Imitation, station: Arc<Station>, trial: u64) -> Self {
-        let run = Run::new(Arc::clone(&imitation.policy), trial);
-        Self { run, features: imitation.features.clone().map(FeatureRun::new), station, problem: None }
+    /// In a trial whose object begins within `half_width_m` of the middle, along both axes.
+    pub(crate) fn new(
+        imitation: &Imitation,
+        station: Arc<Station>,
+        trial: u64,
+        half_width_m: f64,
+    ) -> anyhow::Result<Self> {
+        let run = Run::new(Arc::clone(&imitation.policy), trial, Some(half_width_m))?;
+        Ok(Self { run, features: imitation.features.clone().map(FeatureRun::new), station, problem: None })
     }
 
     fn plan(&mut self, now: &Observation<'_>) -> anyhow::Result<Plan> {

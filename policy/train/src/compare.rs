@@ -437,7 +437,8 @@ impl Ready {
                 Ok((ending, searcher.beliefs))
             }
             Self::Cloned(policy) => {
-                let mut imitator = Imitator::new(policy, Arc::clone(scene.station()), trial);
+                let half_width_m = scene.config().task.half_width_m;
+                let mut imitator = Imitator::new(policy, Arc::clone(scene.station()), trial, half_width_m)?;
                 let ending = conduct(&mut imitator, see)?;
                 imitator.problem.map_or(Ok((ending, Vec::new())), Err)
             }

@@ -47,6 +47,10 @@ pub(crate) struct GatherArgs {
     /// learned from
     #[arg(long, default_value_t = 101)]
     seed: u64,
+    /// Whose trials are kept: "search", or one that feels less: "search:touch", "search:tracking", "repetition", which feels
+    /// nothing and goes by the time alone. What it may not feel is kept all the same
+    #[arg(long, default_value = "search", value_parser = expert_kind)]
+    expert: ExpertKind,
     /// How the searching expert tries to grasp
     #[arg(long, default_value = SEARCH)]
     search: PathBuf,
@@ -58,11 +62,44 @@ pub(crate) struct GatherArgs {
     out: PathBuf,
 }
 
+/// A searching expert by the senses that it has, as `palpate-train evaluate` names it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ExpertKind {
+    name: &'static str,
+    senses: Senses,
+}
+
+const EXPERTS: [ExpertKind; 4] = [
+    ExpertKind { name: "search", senses: Senses::BOTH },
+    ExpertKind { name: "search:touch", senses: Senses { touch: true, tracking: false } },
+    ExpertKind { name: "search:tracking", senses: Senses { touch: false, tracking: true } },
+    ExpertKind { name: "repetition", senses: Senses::NONE },
+];
+
+fn expert_kind(text: &str) -> Result<ExpertKind, String> {
+    let names = EXPERTS.map(|kind| kind.name).join(", ");
+    let found = EXPERTS.into_iter().find(|kind| kind.name == text);
+    found.ok_or_else(|| format!("{text:?} is none of {names}"))
+}
+
+impl ExpertKind {
+    /// As files name it; the expert that has both senses needs no name.
+    fn in_files(self) -> Option<String> {
+        (self.senses != Senses::BOTH).then(|| self.name.to_owned())
+    }
+}
+
 /// What a file says of itself.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub(crate) struct Record {
     object: String,
     protocol: String,
+    /// Half the edge length of the square that objects began in, m; files of earlier versions do not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    half_width_m: Option<f64>,
+    /// Whose trials these are; nothing for the searching expert that has both senses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    expert: Option<String>,
     seed: u64,
     count: u64,
     joints: Vec<String>,
@@ -75,7 +112,14 @@ pub(crate) struct Record {
 impl Record {
     /// What tells these trials from others.
     pub(crate) fn name(&self) -> String {
-        format!("{} trials on {}, protocol {}, seed {}", self.count, self.object, self.protocol, self.seed)
+        let Self { object, protocol, seed, count, .. } = self;
+        let by = self.expert.as_ref().map(|expert| format!(", by {expert}")).unwrap_or_default();
+        format!("{count} trials on {object}, protocol {protocol}, seed {seed}{by}")
+    }
+
+    /// Half the edge length of the square that objects began in, m, if the file says it.
+    pub(crate) fn half_width_m(&self) -> Option<f64> {
+        self.half_width_m
     }
 
     /// Object, seed and protocol: files that share these have trials in common.
@@ -131,7 +175,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     let mut world = files::open_world(&args.scene, &sources)?;
     protocol.apply(&mut world.config);
     let expert = Expert::open(&args.search, &args.closings, &world.station, &world.config, &sources)?;
-    let experience = expert.experience(Senses::BOTH)?;
+    let experience = expert.experience(args.expert.senses)?;
     let (bar, cancel, done) = (Bar::new(), cancel_on_ctrl_c(), AtomicU64::new(0));
     let all = args.count * objects.len() as u64;
     let mut report = Report::default();
@@ -143,6 +187,8 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         let record = Record {
             object: scene.object().id.clone(),
             protocol: protocol_name.clone(),
+            half_width_m: Some(protocol.half_width_m),
+            expert: args.expert.in_files(),
             seed: args.seed,
             count: args.count,
             joints: robot.joints.clone(),
@@ -152,8 +198,15 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         };
         let path = args.out.join(format!("{}{ENDING}", record.object));
         if path.exists() {
-            let found = read(&path)?;
-            if found.record != record {
+            let mut found = read(&path)?;
+            let earlier = Record { half_width_m: None, ..record.clone() };
+            if found.has_poses && found.record == earlier {
+                // The same trials, as a version kept them that did not say how wide their region was.
+                keep_half_width(&mut found, protocol.half_width_m);
+                files::write_in_one_move(&path, &to_bytes(&found.record, &found.trials)?)?;
+                bar.line(&format!("{}: the file says now how wide the region is", record.object));
+            }
+            if found.record != record && found.record != earlier {
                 bail!(
                     "{path:?} holds other trials (another count, seed, protocol or file); take another --out"
                 );
@@ -169,7 +222,9 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             }
             let prior = Prior { half_width_m: protocol.half_width_m, shape: None };
             let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(&experience), &prior);
-            let mut recorder = Recorder { controller: searcher, robot: &robot, episode: Episode::default() };
+            let controller = Blinded { controller: searcher, senses: args.expert.senses };
+            let episode = Episode { half_width_m: Some(protocol.half_width_m as f32), ..Episode::default() };
+            let mut recorder = Recorder { controller, robot: &robot, episode };
             let mut object_poses = Vec::new();
             let mut see = |env: &GraspEnv| object_poses.extend(pose(&env.world().base_from_object()));
             let ending = conduct_seen(&scene, &mut recorder, Known::ROBOT, args.seed, trial, &mut see)?;
@@ -248,6 +303,30 @@ const POSE: usize = 7;
 fn pose(pose: &Isometry3<f64>) -> [f32; POSE] {
     let (t, q) = (pose.translation, pose.rotation);
     [t.x, t.y, t.z, q.w, q.i, q.j, q.k].map(|value| value as f32)
+}
+
+/// Makes trials say in how wide a region they began.
+fn keep_half_width(gathered: &mut Gathered, half_width_m: f64) {
+    gathered.record.half_width_m = Some(half_width_m);
+    let episodes = gathered.trials.iter_mut().map(|trial| &mut trial.episode);
+    episodes.for_each(|episode| episode.half_width_m = Some(half_width_m as f32));
+}
+
+/// Keeps from a controller what it has no sense for, as a trial does that is told so.
+struct Blinded<C> {
+    controller: C,
+    senses: Senses,
+}
+
+impl<C: Controller> Controller for Blinded<C> {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        let nothing = vec![false; now.active.len()];
+        self.controller.control(&Observation {
+            positions: if self.senses.tracking { now.positions } else { now.commands },
+            active: if self.senses.touch { now.active } else { &nothing },
+            ..*now
+        })
+    }
 }
 
 /// Writes down what a controller knows and does.
@@ -370,6 +449,7 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
             frames: frames[pair[0] * frame_len..pair[1] * frame_len].to_vec(),
             targets: targets[pair[0] * action_len..pair[1] * action_len].to_vec(),
             times_s: times_s[pair[0]..pair[1]].to_vec(),
+            half_width_m: record.half_width_m.map(|half_width_m| half_width_m as f32),
         };
         let object_poses = object_poses[pair[0] * pose_len..pair[1] * pose_len].to_vec();
         trials.push(Trial { outcome: *outcome, episode, object_poses });

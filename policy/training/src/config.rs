@@ -81,10 +81,16 @@ pub fn difference<C: Serialize>(left: &C, right: &C) -> Option<(String, String, 
 
 fn first_difference(path: &str, left: &Value, right: &Value) -> Option<(String, String, String)> {
     match (left, right) {
-        (Value::Object(left), Value::Object(right)) => left.iter().find_map(|(field, value)| {
-            let path = if path.is_empty() { field.clone() } else { format!("{path}.{field}") };
-            first_difference(&path, value, right.get(field).unwrap_or(&Value::Null))
-        }),
+        (Value::Object(left), Value::Object(right)) => {
+            // Fields that are left out of either count as null.
+            let added = right.keys().filter(|field| !left.contains_key(*field));
+            left.keys().chain(added).find_map(|field| {
+                let path = if path.is_empty() { field.clone() } else { format!("{path}.{field}") };
+                let of =
+                    |side: &serde_json::Map<String, Value>| side.get(field).cloned().unwrap_or(Value::Null);
+                first_difference(&path, &of(left), &of(right))
+            })
+        }
         _ => (left != right).then(|| (path.to_owned(), left.to_string(), right.to_string())),
     }
 }

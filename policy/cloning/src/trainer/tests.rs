@@ -51,7 +51,8 @@ fn trained(head: Head) -> Trainer {
 
 /// Where the joint is after `steps` of the policy, and whether it claims to be there.
 fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
-    let (mut run, mut command, mut claims) = (Run::new(Arc::new(policy), 0), 0.0, false);
+    let (mut run, mut command, mut claims) =
+        (Run::new(Arc::new(policy), 0, None).expect("it sees no region"), 0.0, false);
     for step in 0..steps {
         let time_s = 0.05 * step as f64;
         let (positions, active) = ([command - 0.1 * pace], [command >= 0.99]);
@@ -247,7 +248,7 @@ fn a_policy_learns_from_features_with_either_memory_and_head() {
         let policy = trainer.cloned();
         assert_eq!(policy.shape().features, 3);
         let planned = |active: bool| {
-            let mut seen = policy.history();
+            let mut seen = policy.history(None).expect("it sees no region");
             let features = features_of(1.0, active);
             seen.see(&Moment {
                 time_s: 1.0,
@@ -323,6 +324,72 @@ fn features_and_configuration_belong_together() {
     );
 }
 
+/// Twenty episodes of a robot of one joint that goes up where the region is wide, and down where it is not.
+fn told_the_region() -> Episodes {
+    let shape = Shape { dofs: 1, channels: 1, features: 0 };
+    let episode = |is_wide: bool| {
+        let half_width_m = Some(if is_wide { 0.08 } else { 0.02 });
+        let mut episode = Episode { half_width_m, ..Episode::default() };
+        for step in 0..5 {
+            let time_s = 0.05 * step as f64;
+            let moment =
+                Moment { time_s, positions: &[0.0], commands: &[0.0], active: &[false], features: &[] };
+            let target = if is_wide { 0.3 } else { -0.3 };
+            episode.push(shape, &Step { moment, targets: &[target], claims_held: false });
+        }
+        episode
+    };
+    Episodes::new(shape, (0..20).map(|idx| episode(idx % 2 == 0)).collect()).expect("they fit")
+}
+
+#[test]
+fn a_policy_that_is_told_its_region_does_what_is_right_there() {
+    let episodes = told_the_region();
+    for memory in [Memory::Window, Memory::Recurrent] {
+        let told = CloneConfig { predicted: 1, executed: 1, memory, ..config(Head::Regression) };
+        let observation = ObservationConfig { region: true, ..told.observation.clone() };
+        let told = CloneConfig { observation, ..told };
+        let mut trainer = Trainer::new(told, robot(), &episodes, BTreeMap::new()).expect("it fits");
+        while trainer.updates() < trainer.config().updates {
+            trainer.update(&episodes).expect("an update");
+        }
+        let bytes = trainer.cloned().to_bytes().expect("a file");
+        let policy = Cloned::from_bytes(Path::new("policy"), &bytes).expect("the policy");
+        let [wide, narrow] = [0.08, 0.02].map(|half_width_m| {
+            let mut seen = policy.history(Some(half_width_m)).expect("it is told");
+            let (positions, active) = ([0.0], [false]);
+            seen.see(&Moment {
+                time_s: 0.0,
+                positions: &positions,
+                commands: &positions,
+                active: &active,
+                features: &[],
+            });
+            policy.plan(&seen, &[0.0], [0, 0]).expect("a plan")[0].targets[0]
+        });
+        assert!((wide - 0.3).abs() < 0.05 && (narrow + 0.3).abs() < 0.05, "went to {wide} and {narrow}");
+        let problem = policy.history(None).expect_err("nobody knows").to_string();
+        assert!(problem.contains("observation.region") && problem.contains("nobody says"), "{problem}");
+        assert!(policy.history(Some(f64::NAN)).is_err());
+    }
+}
+
+#[test]
+fn episodes_that_say_nothing_of_their_region_are_refused_where_it_is_seen() {
+    let observation = ObservationConfig { region: true, ..config(Head::Regression).observation };
+    let config = CloneConfig { observation, ..config(Head::Regression) };
+    let refused = |episodes: &Episodes| {
+        let trainer = Trainer::new(config.clone(), robot(), episodes, BTreeMap::new());
+        trainer.expect_err("it does not fit").to_string()
+    };
+    let problem = refused(&reaching(&paces(), 25));
+    assert!(problem.contains("do not all say in which region"), "{problem}");
+    let [wide, _] = told_the_region().split(&CloneConfig { held_out_share: 0.5, ..config.clone() });
+    let wide = wide.in_one_region(0.08);
+    let problem = refused(&wide);
+    assert!(problem.contains("all episodes began within 0.08 m of the middle"), "{problem}");
+}
+
 /// Twenty episodes of a robot of one joint that waits for four steps and then goes up if it felt something in the first
 /// step, down if not.
 fn told_at_the_beginning() -> Episodes {
@@ -363,7 +430,7 @@ fn a_recurrent_policy_does_what_it_was_told_some_frames_ago() {
         }
         let policy = trainer.cloned();
         [true, false].map(|is_up| {
-            let mut seen = policy.history();
+            let mut seen = policy.history(None).expect("it sees no region");
             for step in 0..5 {
                 let active = [is_up && step == 0];
                 seen.see(&Moment {
@@ -396,7 +463,7 @@ fn what_a_policy_may_not_feel_changes_nothing() {
     let policy =
         Trainer::new(config, robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits").cloned();
     let planned = |position: f64, active: bool| {
-        let mut history = policy.history();
+        let mut history = policy.history(None).expect("it sees no region");
         history.see(&Moment {
             time_s: 0.1,
             positions: &[position],

@@ -249,13 +249,15 @@ fn policy_with(file: EncoderFile, station: &Station, world: &GraspConfig) -> Clo
 fn a_rollout_plans_with_the_features_of_the_policys_own_encoder() {
     let (station, world) = world();
     let policy = Arc::new(policy_with(encoder(&station), &station, &world));
-    let mut rolled = ClonedPolicy::new(Arc::clone(&policy), Arc::clone(&station), &world).expect("it fits");
+    let mut rolled =
+        ClonedPolicy::new(Arc::clone(&policy), Arc::clone(&station), &world, None).expect("it fits");
     let features = Features::of_policy(&policy, &station, &world).expect("it fits").expect("it has some");
     let (start, _, _) = moment(&station, &world, 0);
     // Twice, because a trial remembers nothing of the one before.
     for trial in 1..=2 {
         rolled.begin(&start);
-        let (mut run, mut history) = (FeatureRun::new(Arc::clone(&features)), policy.history());
+        let (mut run, mut history) =
+            (FeatureRun::new(Arc::clone(&features)), policy.history(None).expect("no region"));
         let mut commands = vec![start.clone()];
         let mut seen = VecDeque::new();
         let mut num_seen = 0;
@@ -289,7 +291,7 @@ fn a_rollout_plans_with_the_features_of_the_policys_own_encoder() {
         }
     }
     let other = Arc::new(policy_with(encoder_of(3, 2), &station, &world));
-    let problem = ClonedPolicy::new(other, Arc::clone(&station), &world);
+    let problem = ClonedPolicy::new(other, Arc::clone(&station), &world, None);
     let problem = format!("{:#}", problem.err().expect("another hand"));
     assert!(
         problem.contains("the policy's encoder does not fit") && problem.contains("3 channels"),

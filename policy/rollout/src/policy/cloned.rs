@@ -19,19 +19,28 @@ pub struct ClonedPolicy {
     features: Option<FeatureRun>,
     /// Where the robot was sent in each step that the history has not seen yet; the last is where it was sent last.
     commands: VecDeque<Vec<f64>>,
+    /// Half the edge length of the square that objects begin in, m, as far as somebody knows.
+    half_width_m: Option<f64>,
     trial: u64,
     num_seen: u64,
 }
 
 impl ClonedPolicy {
-    /// `policy` for the robot of `station` in `world`.
+    /// `policy` for the robot of `station` in `world`, where objects begin within `half_width_m` of the middle, along both
+    /// axes, as far as somebody knows.
     ///
     /// # Errors
-    /// A policy whose encoder is for another hand, by the name of what differs.
-    pub fn new(policy: Arc<Cloned>, station: Arc<Station>, world: &GraspConfig) -> anyhow::Result<Self> {
+    /// A policy whose encoder is for another hand, by the name of what differs, or that sees a region which nobody knows.
+    pub fn new(
+        policy: Arc<Cloned>,
+        station: Arc<Station>,
+        world: &GraspConfig,
+        half_width_m: Option<f64>,
+    ) -> anyhow::Result<Self> {
         let features = Features::of_policy(&policy, &station, world)?.map(FeatureRun::new);
-        let history = policy.history();
-        Ok(Self { policy, station, history, features, commands: VecDeque::new(), trial: 0, num_seen: 0 })
+        let history = policy.history(half_width_m)?;
+        let commands = VecDeque::new();
+        Ok(Self { policy, station, history, features, commands, half_width_m, trial: 0, num_seen: 0 })
     }
 }
 
@@ -42,7 +51,10 @@ impl Policy for ClonedPolicy {
     }
 
     fn begin(&mut self, positions: &[f64]) {
-        self.history = self.policy.history();
+        // Refused when it was made, if at all.
+        if let Ok(history) = self.policy.history(self.half_width_m) {
+            self.history = history;
+        }
         if let Some(features) = &mut self.features {
             features.begin();
         }

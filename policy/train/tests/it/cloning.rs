@@ -162,6 +162,58 @@ fn a_policy_takes_the_features_of_an_encoder_that_learned_from_the_same_trials()
     assert!(said.contains("both hold trials on cube, protocol wide, seed 101; leave one out"), "{said}");
 }
 
+/// The file of gathered trials at `path` as a version wrote it that did not keep how wide their region was.
+fn without_half_width(path: &Path) -> Vec<u8> {
+    let bytes = zstd::decode_all(&*std::fs::read(path).expect("a file")).expect("compressed");
+    let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
+    let mut metadata = header.metadata().clone().expect("a record");
+    let mut record: Value = serde_json::from_str(&metadata["gathered"]).expect("JSON");
+    assert!(record.as_object_mut().expect("a record").remove("half_width_m").is_some());
+    metadata.insert("gathered".to_owned(), record.to_string());
+    let file = safetensors::SafeTensors::deserialize(&bytes).expect("tensors");
+    let bytes = safetensors::serialize(file.tensors(), Some(metadata)).expect("a file");
+    zstd::encode_all(&*bytes, 3).expect("compressed")
+}
+
+#[test]
+fn a_policy_is_told_its_region_by_trials_of_several_and_by_the_protocol() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let (wide, paper, out) = (path("wide"), path("paper"), path("run"));
+    let gather = |out: &Path, more: &[&str]| {
+        let fixed = ["gather", "--objects", "cube", "--count", "2", "--out", text(out)];
+        printed(&[&fixed[..], more].concat())
+    };
+    gather(&wide, &[]);
+    gather(&paper, &["--protocol", "paper", "--expert", "repetition"]);
+    let config = path("tiny.toml");
+    std::fs::write(&config, CONFIG).expect("a file");
+    let clone = |data: &[&Path]| -> Vec<String> {
+        let fixed = ["clone", "--region", "--config", text(&config), "--out", text(&out), "--data"];
+        fixed.iter().copied().chain(data.iter().map(|path| text(path))).map(str::to_owned).collect()
+    };
+    let refuse = |args: &[String]| refused(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let said = refuse(&clone(&[&wide]));
+    assert!(said.contains("all episodes began within 0.08 m of the middle"), "{said}");
+
+    // Trials of earlier versions are there all the same, and the command that made them adds what they lack.
+    let cube = wide.join("cube.safetensors.zst");
+    let whole = std::fs::read(&cube).expect("a file");
+    std::fs::write(&cube, without_half_width(&cube)).expect("a file");
+    let said = refuse(&clone(&[&wide, &paper]));
+    assert!(said.contains("does not say how wide the region was") && said.contains("gather"), "{said}");
+    gather(&wide, &[]);
+    assert!(std::fs::read(&cube).expect("a file") == whole, "what is added is what is kept now");
+
+    printed(&clone(&[&wide, &paper]).iter().map(String::as_str).collect::<Vec<_>>());
+    let policy = format!("clone:{}", text(&out));
+    for protocol in ["paper", "wide"] {
+        let args = ["evaluate", "--protocol", protocol, "--trials", "1", "--json", "--policy", &policy];
+        let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
+        assert_eq!(compared["overall"]["trials"], 1);
+    }
+}
+
 #[test]
 fn the_shipped_policy_fits_the_shipped_station() {
     let policy = "clone:assets/policies/imitation/searching.safetensors";
