@@ -130,8 +130,8 @@ impl Cloned {
 
     /// Sizes of what it sees.
     pub fn shape(&self) -> Shape {
-        let features = self.encoder.as_ref().map_or(0, |encoder| encoder.num_features);
-        Shape { features, ..self.robot.shape() }
+        let encoded = self.encoder.as_ref().map_or(0, |encoder| encoder.num_features);
+        self.robot.shape().seen(&self.config.observation, encoded)
     }
 
     /// A window in which nothing has been seen yet, in a trial whose object begins within `half_width_m` of the middle, along
@@ -169,9 +169,14 @@ impl Cloned {
             Tensor::<2>::from_data(TensorData::new(values, [1, len]), &device)
         };
         let input = self.inputs.apply(&seen.observation()).collect();
-        let features = self.network.trunk(&self.tensors, row(input));
+        let input = row(input);
+        let features = self.network.trunk(&self.tensors, input.clone());
         let chunk = match self.network.head() {
             Head::Regression => values(self.network.regress(&self.tensors, features)),
+            Head::Act => {
+                let style = self.network.usual_style(1, &device);
+                values(self.network.chunks_in_style(&self.tensors, features, input, style))
+            }
             Head::Diffusion => {
                 let mut chunk = vec![0.0; self.network.chunk_len()];
                 fill_normal(&mut generator(self.config.seed, DRAWN, draw[0], draw[1]), &mut chunk);

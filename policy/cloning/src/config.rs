@@ -13,6 +13,18 @@ pub enum Head {
     Regression,
     /// Draws from what the expert does: a one-dimensional U-Net with FiLM that predicts noise.
     Diffusion,
+    /// Predicts what the expert does in the commonest style: a conditional variational autoencoder of Transformers.
+    Act,
+}
+
+/// What is made small between a chunk and what is predicted of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActLoss {
+    /// The mean absolute error.
+    Absolute,
+    /// The mean squared error.
+    Squared,
 }
 
 /// What makes one observation of a window of frames, before the head.
@@ -66,6 +78,10 @@ pub struct CloneConfig {
     pub head: Head,
     /// What only diffusion needs.
     pub diffusion: DiffusionConfig,
+    /// What only action chunking with Transformers needs; absent for the defaults of [`ActConfig`], and in the files of policies
+    /// with another head, so that those of before keep their bytes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub act: Option<ActConfig>,
 }
 
 /// What a policy sees.
@@ -83,6 +99,10 @@ pub struct ObservationConfig {
     /// The features that a pretrained encoder makes of each frame; no. They are made of what `touch` and `tracking` let the
     /// policy see, and the episodes have to come with them.
     pub features: bool,
+    /// Of each frame where every channel's taxel is in the hand's frame and whether it is on; no. The episodes have to come with
+    /// that, as they do with features, and it goes without these. Left out of files where it is not seen.
+    #[serde(skip_serializing_if = "is_false")]
+    pub points: bool,
     /// Half the edge length of the square that the object begins in, which whoever starts a trial knows; no. The episodes have
     /// to say it. Left out of files where it is not seen, so that policies of before keep their bytes.
     #[serde(skip_serializing_if = "is_false")]
@@ -115,6 +135,43 @@ pub struct DiffusionConfig {
     pub sampled_steps: usize,
 }
 
+/// Action chunking with Transformers (Zhao et al. 2023).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ActConfig {
+    /// Numbers of a token, at least 1; 128.
+    pub width: usize,
+    /// Heads of an attention, a divisor of `width`; 4.
+    pub heads: usize,
+    /// Hidden numbers of a feed-forward part, at least 1; 512.
+    pub feed_forward: usize,
+    /// Layers of the decoder, at least 1; 2.
+    pub layers: usize,
+    /// Layers of the encoder that reads the style off a chunk, at least 1; 2.
+    pub style_layers: usize,
+    /// Numbers of the style, at least 1; 16.
+    pub style: usize,
+    /// Beta: what the divergence of the style from its prior counts beside the error, 0 or more; 10.
+    pub divergence_weight: f64,
+    /// What the error is; absolute.
+    pub loss: ActLoss,
+}
+
+impl Default for ActConfig {
+    fn default() -> Self {
+        Self {
+            width: 128,
+            heads: 4,
+            feed_forward: 512,
+            layers: 2,
+            style_layers: 2,
+            style: 16,
+            divergence_weight: 10.0,
+            loss: ActLoss::Absolute,
+        }
+    }
+}
+
 impl Default for CloneConfig {
     fn default() -> Self {
         Self {
@@ -136,13 +193,22 @@ impl Default for CloneConfig {
             trunk: vec![512, 512, 256],
             head: Head::Regression,
             diffusion: DiffusionConfig::default(),
+            act: None,
         }
     }
 }
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        Self { frames: 16, stride: 8, touch: true, tracking: true, features: false, region: false }
+        Self {
+            frames: 16,
+            stride: 8,
+            touch: true,
+            tracking: true,
+            features: false,
+            points: false,
+            region: false,
+        }
     }
 }
 
@@ -192,7 +258,23 @@ impl CloneConfig {
 
     /// This configuration as a file with every field, but for those that say where they are left out.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("numbers, tables and names are TOML")
+        toml::to_string(&self.spelled_out()).expect("numbers, tables and names are TOML")
+    }
+
+    /// This configuration as its file has it: with all of `act` where that is the head, and without it elsewhere.
+    pub(crate) fn spelled_out(&self) -> Self {
+        let act = (self.head == Head::Act).then(|| self.act());
+        Self { act, ..self.clone() }
+    }
+
+    /// What action chunking with Transformers needs.
+    pub fn act(&self) -> ActConfig {
+        self.act.clone().unwrap_or_default()
+    }
+
+    /// Whether the loss is the mean absolute error and not the mean squared one.
+    pub(crate) fn is_loss_absolute(&self) -> bool {
+        self.head == Head::Act && self.act().loss == ActLoss::Absolute
     }
 
     /// Whether every value makes sense.
@@ -217,7 +299,7 @@ impl CloneConfig {
             holds: (1..=most).contains(&value),
             expected,
         };
-        let diffusion = &self.diffusion;
+        let (diffusion, act) = (&self.diffusion, self.act());
         vec![
             count(&["updates"], self.updates),
             count(&["batch_size"], self.batch_size as u64),
@@ -231,12 +313,18 @@ impl CloneConfig {
             Expectation {
                 path: &["predicted"],
                 value: self.predicted.to_string(),
-                holds: self.head == Head::Regression || self.predicted.is_multiple_of(2),
+                holds: self.head != Head::Diffusion || self.predicted.is_multiple_of(2),
                 expected: "an even number for diffusion",
             },
             within(&["executed"], self.executed, self.predicted, "1 to predicted"),
             count(&["observation", "frames"], self.observation.frames as u64),
             count(&["observation", "stride"], self.observation.stride as u64),
+            Expectation {
+                path: &["observation", "points"],
+                value: self.observation.points.to_string(),
+                holds: !(self.observation.points && self.observation.features),
+                expected: "false where observation.features is true: an encoder is told the points",
+            },
             count(&["recurrent", "width"], self.recurrent.width as u64),
             Expectation {
                 path: &["trunk"],
@@ -268,6 +356,18 @@ impl CloneConfig {
                 diffusion.steps,
                 "1 to diffusion.steps",
             ),
+            count(&["act", "width"], act.width as u64),
+            Expectation {
+                path: &["act", "heads"],
+                value: act.heads.to_string(),
+                holds: act.heads >= 1 && act.width.is_multiple_of(act.heads),
+                expected: "a divisor of act.width",
+            },
+            count(&["act", "feed_forward"], act.feed_forward as u64),
+            count(&["act", "layers"], act.layers as u64),
+            count(&["act", "style_layers"], act.style_layers as u64),
+            count(&["act", "style"], act.style as u64),
+            Expectation::not_negative(&["act", "divergence_weight"], act.divergence_weight),
         ]
     }
 }
@@ -287,15 +387,32 @@ mod tests {
         assert_eq!((paper.learning_rate, paper.weight_decay, paper.warmup_updates), (1e-4, 1e-6, 2000));
         assert_eq!((paper.batch_size, paper.diffusion.channels), (512, [256, 512]));
         assert_eq!((paper.head, paper.observation.stride), (Head::Diffusion, 1));
+        let act = paper.act();
+        assert_eq!((act.layers, act.width, act.heads, act.feed_forward), (4, 512, 8, 2048));
+        assert_eq!(act.loss, ActLoss::Squared);
     }
 
     #[test]
     fn presets_survive_their_own_file_and_the_small_one_is_what_is_left_out() {
         for name in ["small", "paper"] {
             let config = CloneConfig::preset(name).expect("a preset");
-            assert_eq!(CloneConfig::from_toml("again", &config.to_toml()).expect("its own file"), config);
+            let again = CloneConfig::from_toml("again", &config.to_toml()).expect("its own file");
+            assert_eq!(again, config.spelled_out());
         }
         assert_eq!(CloneConfig::preset("small").expect("a preset"), CloneConfig::default());
+    }
+
+    #[test]
+    fn what_act_needs_is_part_of_a_file_only_where_it_is_the_head() {
+        let mut config = CloneConfig {
+            act: Some(ActConfig { width: 8, ..ActConfig::default() }),
+            ..CloneConfig::default()
+        };
+        assert!(!config.to_toml().contains("[act]"), "files of before keep their bytes");
+        config = CloneConfig { head: Head::Act, act: None, ..config };
+        let again = CloneConfig::from_toml("again", &config.to_toml()).expect("its own file");
+        assert_eq!(again.act, Some(ActConfig::default()), "all of it, should a default ever change");
+        assert_eq!(again.spelled_out(), config.spelled_out());
     }
 
     #[test]
@@ -329,6 +446,14 @@ mod tests {
                 "[diffusion]\nsampled_steps = 51",
                 "diffusion.sampled_steps is 51, expected 1 to diffusion.steps",
             ),
+            (
+                "[observation]\nfeatures = true\npoints = true",
+                "run.toml:3: observation.points is true, expected false",
+            ),
+            ("[act]\nwidth = 10", "act.heads is 4, expected a divisor of act.width"),
+            ("[act]\nheads = 0", "run.toml:2: act.heads is 0, expected a divisor of act.width"),
+            ("[act]\nstyle = 0", "run.toml:2: act.style is 0, expected 1 or more"),
+            ("[act]\nloss = \"huber\"", "unknown variant `huber`"),
             ("[observation]\nframe = 3", "unknown field `frame`"),
             ("[observation]\nfeatures = 96", "run.toml:2: invalid type: integer `96`, expected a boolean"),
             ("head = \"transformer\"", "unknown variant `transformer`"),

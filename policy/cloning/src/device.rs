@@ -5,7 +5,7 @@ use palpate_training::AdamRates;
 
 use crate::episodes::{Episodes, Sample};
 use crate::network::values;
-use crate::trainer::{NOISE, Trainer};
+use crate::trainer::{NOISE, Predicted, Trainer};
 use crate::{CloneConfig, CloneError};
 
 /// What a training computes on.
@@ -133,15 +133,22 @@ impl OnCard {
         }
     }
 
-    /// Gradients of the mean squared error of `samples`, one for each of the network's arrays, and that error.
+    /// Gradients of the loss of `samples`, one for each of the network's arrays, and that loss.
     fn gradients(&self, trainer: &Trainer, samples: &[Sample]) -> (Vec<Tensor<2>>, Tensor<1>) {
         let device = self.device.clone().autodiff();
         let leaves: Vec<Tensor<2>> =
             self.parameters.iter().map(|tensor| tensor.clone().autodiff().require_grad()).collect();
         let numbers = [trainer.updates(), 0];
-        let (rows, wanted) = trainer.predictions(&trainer.network, &leaves, samples, NOISE, numbers, &device);
+        let Predicted { rows, wanted, divergence } =
+            trainer.predictions(&trainer.network, &leaves, samples, NOISE, numbers, &device);
         let wanted = Tensor::from_data(TensorData::new(wanted, rows.dims()), &device);
-        let loss = (rows - wanted).square().mean();
+        let off = rows - wanted;
+        let is_absolute = trainer.config().is_loss_absolute();
+        let mut loss = if is_absolute { off.abs().mean() } else { off.square().mean() };
+        if let Some(divergence) = divergence {
+            let weight = trainer.config().act().divergence_weight;
+            loss = loss + divergence * (weight / samples.len() as f64);
+        }
         let mut gradients = loss.backward();
         let of_leaf = |leaf: &Tensor<2>| {
             leaf.grad_remove(&mut gradients).expect("every parameter is part of the predictions")

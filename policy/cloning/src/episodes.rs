@@ -271,6 +271,15 @@ pub(crate) mod tests {
     }
 
     impl Episodes {
+        /// The same with `count` more numbers in each frame.
+        pub(crate) fn with_numbers(self, count: usize) -> Self {
+            let shape = self.shape;
+            let numbers = |steps: usize| (0..steps * count).map(|idx| (idx as f32).sin()).collect::<Vec<_>>();
+            let episodes = self.episodes.iter();
+            let episodes = episodes.map(|one| one.with_features(shape, count, &numbers(one.len()))).collect();
+            Self::new(Shape { features: count, ..shape }, episodes).expect("they fit")
+        }
+
         /// The same, all of one region.
         pub(crate) fn in_one_region(mut self, half_width_m: f32) -> Self {
             self.episodes.iter_mut().for_each(|episode| episode.half_width_m = Some(half_width_m));

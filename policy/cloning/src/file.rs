@@ -18,7 +18,7 @@ use crate::cloned::{Cloned, Robot};
 use crate::episodes::{EncoderFile, Episodes};
 use crate::network::Network;
 use crate::trainer::{Scaling, Trainer};
-use crate::{CloneConfig, CloneError, Shape};
+use crate::{CloneConfig, CloneError};
 
 /// The policy that came out of a training, in its folder.
 pub const POLICY_FILE: &str = "policy.safetensors";
@@ -123,7 +123,9 @@ impl Trainer {
             let problem = "it holds a policy alone, without the training to go on with";
             return Err(file.error(problem.to_owned()).into());
         };
-        if let Some((field, found, expected)) = palpate_training::difference(&read_config(&file)?, &config) {
+        if let Some((field, found, expected)) =
+            palpate_training::difference(&read_config(&file)?.spelled_out(), &config.spelled_out())
+        {
             let problem = format!("{field} is {found}, that of the configuration is {expected}");
             return Err(file.error(problem).into());
         }
@@ -198,8 +200,8 @@ impl Cloned {
             let holds = if encoder.is_some() { "it holds an encoder" } else { "it holds no encoder" };
             return Err(file.error(format!("observation.features is {features}, but {holds}")).into());
         }
-        let features = encoder.as_ref().map_or(0, |encoder| encoder.num_features);
-        let shape = Shape { features, ..robot.shape() };
+        let encoded = encoder.as_ref().map_or(0, |encoder| encoder.num_features);
+        let shape = robot.shape().seen(&config.observation, encoded);
         let mut network = Network::new(&config, shape);
         for Array { name, shape, values } in &mut network.arrays {
             *values = match file.state.training {

@@ -8,6 +8,8 @@ use crate::ObservationConfig;
 const TIME_UNIT_S: f64 = 10.0;
 /// Half-width of a region that counts as 1, m.
 const REGION_UNIT_M: f32 = 0.1;
+/// Numbers of a point: x, y, z, and whether its channel is on.
+const POINT: usize = 4;
 
 /// Sizes of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,11 +18,22 @@ pub struct Shape {
     pub dofs: usize,
     /// Touch channels.
     pub channels: usize,
-    /// Numbers that an encoder makes of a moment; 0 without one.
+    /// Numbers that an encoder makes of a moment, or those of its points; 0 without either.
     pub features: usize,
 }
 
 impl Shape {
+    /// The same robot, seen as `config` has it, where an encoder makes `encoded` features.
+    pub(crate) fn seen(self, config: &ObservationConfig, encoded: usize) -> Self {
+        let features = if config.points { self.num_points_numbers() } else { encoded };
+        Self { features, ..self }
+    }
+
+    /// Numbers of the points of all channels.
+    pub(crate) fn num_points_numbers(self) -> usize {
+        POINT * self.channels
+    }
+
     /// Numbers of one frame: commands, how far joints are from them, channels, features.
     pub fn frame_len(self) -> usize {
         2 * self.dofs + self.channels + self.features
@@ -64,7 +77,7 @@ pub struct Moment<'a> {
     pub commands: &'a [f64],
     /// Whether each channel is on.
     pub active: &'a [bool],
-    /// What an encoder makes of this moment and those before it; none where the policy has no encoder.
+    /// What an encoder makes of this moment and those before it, or its points; none where the policy sees neither.
     pub features: &'a [f32],
 }
 

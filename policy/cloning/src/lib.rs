@@ -1,4 +1,5 @@
-//! Policies that imitate an expert: regression (behaviour cloning) and diffusion (Chi et al. 2023).
+//! Policies that imitate an expert: regression (behaviour cloning), diffusion (Chi et al. 2023) and action chunking with
+//! Transformers (Zhao et al. 2023).
 //!
 //! A policy sees a window of what the robot knew lately ([`History`]) and predicts a chunk of the next commands, of
 //! which it carries out a few before it looks again. [`Episodes`] are what an expert did; [`CloneConfig`] is the file
@@ -13,6 +14,7 @@
 //! fixed size whose gradients are added in order. On a graphics card (feature `gpu`) a training
 //! gets other bits. Nothing here knows a robot or a simulator.
 
+mod act;
 mod cloned;
 mod config;
 mod device;
@@ -22,17 +24,21 @@ mod file;
 mod gru;
 mod history;
 mod network;
+mod policies;
 mod run;
 mod schedule;
 mod trainer;
 
 pub use cloned::{Cloned, Plan, Robot, Run};
-pub use config::{CloneConfig, DiffusionConfig, Head, Memory, ObservationConfig, RecurrentConfig};
+pub use config::{
+    ActConfig, ActLoss, CloneConfig, DiffusionConfig, Head, Memory, ObservationConfig, RecurrentConfig,
+};
 pub use device::TrainingDevice;
 pub use episodes::{EncoderFile, Episode, Episodes, Step};
 pub use error::CloneError;
 pub use file::POLICY_FILE;
 pub use history::{History, Moment, Shape};
 pub use palpate_training::{CHECKPOINT_FILE, Finish, METRICS_FILE, Progress, Start};
+pub use policies::PaperPolicy;
 pub use run::{CONFIG_FILE, Data, train};
 pub use trainer::Trainer;

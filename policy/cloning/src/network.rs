@@ -3,6 +3,7 @@
 use burn_tensor::{Device, Tensor, TensorData, activation, module};
 use palpate_training::{Array, ArrayBuilder};
 
+use crate::act::Act;
 use crate::gru::Gru;
 use crate::{CloneConfig, Head, Memory, Shape};
 
@@ -32,6 +33,9 @@ pub(crate) struct Network {
     action_len: usize,
     channels: [usize; 2],
     kernel: usize,
+    act: Act,
+    /// Of the trunk and of what is needed at work; those of the encoder of styles come after.
+    num_arrays_at_work: usize,
 }
 
 impl Network {
@@ -56,6 +60,7 @@ impl Network {
         }
         let num_trunk_arrays = builder.len();
         let (action_len, predicted) = (shape.action_len(), config.predicted);
+        let act = Act::new(config, shape, width);
         match config.head {
             Head::Regression => output(&mut builder, "head", width, predicted * action_len),
             Head::Diffusion => {
@@ -64,9 +69,16 @@ impl Network {
                 let unet = UNet { condition: width + STEP_DIM, kernel: config.diffusion.kernel };
                 unet.build(&mut builder, action_len, config.diffusion.channels);
             }
+            Head::Act => act.build_decoder(&mut builder),
+        }
+        let num_arrays_at_work = builder.len();
+        if config.head == Head::Act {
+            act.build_encoder(&mut builder);
         }
         Self {
             arrays: builder.into_arrays(),
+            act,
+            num_arrays_at_work,
             num_trunk_arrays,
             head: config.head,
             gru,
@@ -137,6 +149,39 @@ impl Network {
         pass.linear(last).reshape([samples, self.predicted * self.action_len])
     }
 
+    /// Chunks `[samples, predicted * action_len]`, normalised, of features, of the inputs that these were made of, and of a
+    /// style each.
+    pub(crate) fn chunks_in_style(
+        &self,
+        tensors: &[Tensor<2>],
+        features: Tensor<2>,
+        inputs: Tensor<2>,
+        style: Tensor<2>,
+    ) -> Tensor<2> {
+        let mut pass = Pass::new(&tensors[self.num_trunk_arrays..self.num_arrays_at_work]);
+        self.act.decode(&mut pass, features, inputs, style)
+    }
+
+    /// Mean and logarithm of the variance of the style, `[samples, style]` each, of normalised chunks.
+    pub(crate) fn styles(
+        &self,
+        tensors: &[Tensor<2>],
+        features: Tensor<2>,
+        chunks: Tensor<2>,
+    ) -> [Tensor<2>; 2] {
+        self.act.encode(&mut Pass::new(&tensors[self.num_arrays_at_work..]), features, chunks)
+    }
+
+    /// The style of `samples` at work: the mean of its prior.
+    pub(crate) fn usual_style(&self, samples: usize, device: &Device) -> Tensor<2> {
+        Tensor::zeros([samples, self.act.style], device)
+    }
+
+    /// Numbers of a style.
+    pub(crate) fn style_len(&self) -> usize {
+        self.act.style
+    }
+
     /// What this network predicts with.
     pub(crate) fn head(&self) -> Head {
         self.head
@@ -148,7 +193,7 @@ impl Network {
     }
 }
 
-fn output(builder: &mut ArrayBuilder, name: &str, inputs: usize, outputs: usize) {
+pub(crate) fn output(builder: &mut ArrayBuilder, name: &str, inputs: usize, outputs: usize) {
     builder.normal(format!("{name}.weight"), [inputs, outputs], OUTPUT_SCALE / (inputs as f32).sqrt());
     builder.constant(format!("{name}.bias"), outputs, 0.0);
 }
@@ -268,7 +313,7 @@ impl<'a> Pass<'a> {
         rows.matmul(self.next()) + self.next()
     }
 
-    fn norm(&mut self, rows: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn norm(&mut self, rows: Tensor<2>) -> Tensor<2> {
         let (gain, bias) = (self.next(), self.next());
         let [_, width] = gain.dims();
         module::layer_norm(rows, gain.reshape([width]), Some(bias.reshape([width])), NORM_EPSILON)

@@ -7,6 +7,7 @@ use burn_tensor::{Device, Tensor, TensorData};
 use palpate_training::{Adam, clip_norm, fill_normal, generator, permutation};
 use rayon::prelude::*;
 
+use crate::act::divergence;
 use crate::cloned::{Cloned, Robot};
 use crate::episodes::{EncoderFile, Episodes, Sample};
 use crate::network::{CHUNK_SAMPLES, Network, values};
@@ -69,6 +70,16 @@ impl Scaling {
         let scaled = values.iter().zip(&self.mean).zip(&self.factor);
         scaled.map(|((&value, mean), factor)| f64::from(value) / factor + mean)
     }
+}
+
+/// What is predicted of samples.
+pub(crate) struct Predicted {
+    /// `[samples, predicted * action_len]`: chunks, or the noise in them; normalised.
+    pub(crate) rows: Tensor<2>,
+    /// What they should be.
+    pub(crate) wanted: Vec<f32>,
+    /// How far the styles of all samples together are from their prior, where the network learns styles.
+    pub(crate) divergence: Option<Tensor<1>>,
 }
 
 /// Held-out steps that are predicted together, and their number, which their noise follows from.
@@ -137,7 +148,7 @@ impl Trainer {
         let measured: Vec<Sample> =
             spread(&moments, MAX_MEASURED).par_iter().map(|&at| episodes.sample(&config, at)).collect();
         let mut inputs = Scaling::of(measured.iter().map(|sample| &sample.input), MIN_INPUT_STD);
-        if config.memory == Memory::Recurrent {
+        if config.memory == Memory::Recurrent || config.head == Head::Act {
             inputs = inputs.with_equal_frames(config.observation.frames, shape.frame_len());
         }
         let network = Network::new(&config, shape);
@@ -181,8 +192,8 @@ impl Trainer {
         0.5 * learning_rate * (1.0 + (std::f64::consts::PI * share).cos())
     }
 
-    /// Learns from the next batch of `episodes`, those that it was made with; gives its loss (the mean squared error of
-    /// what is predicted, normalised) and the norm of the gradient.
+    /// Learns from the next batch of `episodes`, those that it was made with; gives its loss (the mean error of what is
+    /// predicted, normalised, and with styles their weighted divergence) and the norm of the gradient.
     ///
     /// # Errors
     /// Predictions or gradients that are no numbers. Parameters are then those before.
@@ -281,7 +292,8 @@ impl Trainer {
     ) -> Result<f64, CloneError> {
         let samples: Vec<Sample> = part.moments.iter().map(|&at| episodes.sample(&self.config, at)).collect();
         let numbers = [0, part.number];
-        let (rows, wanted) = self.predictions(network, tensors, &samples, HELD_OUT_NOISE, numbers, device);
+        let Predicted { rows, wanted, .. } =
+            self.predictions(network, tensors, &samples, HELD_OUT_NOISE, numbers, device);
         self.errors(&values(rows), &wanted, samples.len()).map(|(_, loss)| loss * samples.len() as f64)
     }
 
@@ -308,7 +320,7 @@ impl Trainer {
         network
     }
 
-    /// What is predicted of `samples`, and what is wanted: chunks, or the noise in them.
+    /// What is predicted of `samples`. Of held-out ones nobody reads the style off the chunk: it is the one at work.
     pub(crate) fn predictions(
         &self,
         network: &Network,
@@ -317,18 +329,37 @@ impl Trainer {
         purpose: u64,
         [first, second]: [u64; 2],
         device: &Device,
-    ) -> (Tensor<2>, Vec<f32>) {
+    ) -> Predicted {
         let rows = |values: Vec<f32>| {
             let len = values.len() / samples.len();
             Tensor::<2>::from_data(TensorData::new(values, [samples.len(), len]), device)
         };
         let inputs = samples.iter().flat_map(|sample| self.inputs.apply(&sample.input)).collect();
         let chunks: Vec<f32> = samples.iter().flat_map(|sample| self.chunks.apply(&sample.chunk)).collect();
-        let features = network.trunk(tensors, rows(inputs));
-        if self.config.head == Head::Regression {
-            return (network.regress(tensors, features), chunks);
-        }
+        let inputs = rows(inputs);
+        let features = network.trunk(tensors, inputs.clone());
         let mut rng = generator(self.config.seed, purpose, first, second);
+        match self.config.head {
+            Head::Diffusion => {}
+            Head::Regression => {
+                let rows = network.regress(tensors, features);
+                return Predicted { rows, wanted: chunks, divergence: None };
+            }
+            Head::Act => {
+                let mut styles = (network.usual_style(samples.len(), device), None);
+                if purpose != HELD_OUT_NOISE {
+                    let [mean, log_variance] =
+                        network.styles(tensors, features.clone(), rows(chunks.clone()));
+                    let mut noise = vec![0.0; samples.len() * network.style_len()];
+                    fill_normal(&mut rng, &mut noise);
+                    let drawn = mean.clone() + (log_variance.clone() * 0.5).exp() * rows(noise);
+                    styles = (drawn, Some(divergence(mean, log_variance)));
+                }
+                let (style, divergence) = styles;
+                let rows = network.chunks_in_style(tensors, features, inputs, style);
+                return Predicted { rows, wanted: chunks, divergence };
+            }
+        }
         let steps: Vec<usize> =
             samples.iter().map(|_| palpate_training::below(&mut rng, self.schedule.len())).collect();
         let mut noise = vec![0.0; chunks.len()];
@@ -339,10 +370,10 @@ impl Trainer {
             (signal_share * f64::from(chunk) + noise_share * f64::from(noise)) as f32
         });
         let noisy = rows(noisy.collect());
-        (network.noise(tensors, features, noisy, &steps), noise)
+        Predicted { rows: network.noise(tensors, features, noisy, &steps), wanted: noise, divergence: None }
     }
 
-    /// Slopes of the mean squared error of a batch of `batch_size`, and this part's share of it.
+    /// Slopes of the mean error, squared or absolute, of a batch of `batch_size`, and this part's share of it.
     fn errors(
         &self,
         predicted: &[f32],
@@ -354,9 +385,14 @@ impl Trainer {
         }
         let count = (batch_size * self.network.chunk_len()) as f64;
         let off = |(&found, &wanted): (&f32, &f32)| f64::from(found) - f64::from(wanted);
-        let loss = predicted.iter().zip(wanted).map(|pair| off(pair).powi(2)).sum::<f64>() / count;
-        let slopes = predicted.iter().zip(wanted).map(|pair| (2.0 * off(pair) / count) as f32);
-        Ok((slopes.collect(), loss))
+        let pairs = predicted.iter().zip(wanted);
+        if self.config.is_loss_absolute() {
+            let loss = pairs.clone().map(|pair| off(pair).abs()).sum::<f64>() / count;
+            let sign = |off: f64| if off == 0.0 { 0.0 } else { off.signum() };
+            return Ok((pairs.map(|pair| (sign(off(pair)) / count) as f32).collect(), loss));
+        }
+        let loss = pairs.clone().map(|pair| off(pair).powi(2)).sum::<f64>() / count;
+        Ok((pairs.map(|pair| (2.0 * off(pair) / count) as f32).collect(), loss))
     }
 
     /// Gradients of the loss of `samples`, a part of a batch of `batch_size`, so that those of all parts add up to the
@@ -370,12 +406,19 @@ impl Trainer {
     ) -> Result<(Vec<Vec<f32>>, f64), CloneError> {
         let device = Device::flex().autodiff();
         let tensors = self.network.tensors(&device);
-        let (rows, wanted) = self.predictions(&self.network, &tensors, samples, purpose, numbers, &device);
-        let (slopes, loss) = self.errors(&values(rows.clone().inner()), &wanted, batch_size)?;
+        let Predicted { rows, wanted, divergence } =
+            self.predictions(&self.network, &tensors, samples, purpose, numbers, &device);
+        let (slopes, mut loss) = self.errors(&values(rows.clone().inner()), &wanted, batch_size)?;
         // The loss' gradient in the predictions is known: what has that gradient is as good as the loss.
         let slopes =
             Tensor::from_data(TensorData::new(slopes, [samples.len(), self.network.chunk_len()]), &device);
-        let mut gradients = (rows * slopes).sum().backward();
+        let mut weighted = (rows * slopes).sum();
+        if let Some(divergence) = divergence {
+            let divergence = divergence * (self.config.act().divergence_weight / batch_size as f64);
+            loss += f64::from(values(divergence.clone().inner().reshape([1, 1]))[0]);
+            weighted = weighted + divergence;
+        }
+        let mut gradients = weighted.backward();
         let gradients = tensors
             .iter()
             .map(|tensor| {
@@ -390,7 +433,16 @@ impl Trainer {
 
 /// Whether `episodes` have features if `config` lets the policy see some, and say who made them.
 fn check_features(config: &CloneConfig, episodes: &Episodes) -> Result<(), CloneError> {
-    let problem = match (config.observation.features, episodes.shape().features) {
+    let shape = episodes.shape();
+    if config.observation.points {
+        let (found, expected) = (shape.features, shape.num_points_numbers());
+        return (found == expected).then_some(()).ok_or_else(|| {
+            CloneError::Shape(format!(
+                "observation.points is true, but the episodes have {found} numbers of points in each step, expected {expected}"
+            ))
+        });
+    }
+    let problem = match (config.observation.features, shape.features) {
         (true, 0) => {
             "observation.features is true, but the episodes have no features of an encoder".to_owned()
         }

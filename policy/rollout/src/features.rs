@@ -18,6 +18,9 @@ use palpate_robot_model::{Robot, Station};
 
 use crate::task::sha256;
 
+/// Numbers of a point: x, y, z, and whether its channel is on.
+const POINT: usize = 4;
+
 /// Where the taxel of each channel is, as encoders are told it.
 #[derive(Clone, Debug)]
 pub struct Taxels {
@@ -63,15 +66,16 @@ impl Taxels {
     }
 }
 
-/// An encoder and the robot that it makes features for.
+/// What makes features for a robot: an encoder, or nothing but where the taxels are.
 #[derive(Debug)]
 pub struct Features {
-    encoder: Encoder,
+    /// Nothing where a policy sees the points themselves.
+    encoder: Option<Encoder>,
     station: Arc<Station>,
     taxels: Taxels,
     /// Of a frame without features.
     shape: Shape,
-    /// Whether the encoder is told what the policy may see.
+    /// Whether what the policy may see is told.
     touch: bool,
     tracking: bool,
 }
@@ -108,6 +112,18 @@ impl Features {
             let (found, expected) = (encoder.width(), file.num_features);
             bail!("the encoder makes {found} features, the policy expects {expected}");
         }
+        Ok(Self { encoder: Some(encoder), ..Self::points(observation, station, world)? })
+    }
+
+    /// Of each channel where its taxel is in the hand's frame and whether it is on, as far as `observation` lets the policy see.
+    ///
+    /// # Errors
+    /// A world whose hand is none of the station's links.
+    pub fn points(
+        observation: &ObservationConfig,
+        station: Arc<Station>,
+        world: &GraspConfig,
+    ) -> anyhow::Result<Self> {
         let hand_root = station.robot.link_index(&world.hand_root).with_context(|| {
             format!(
                 "the world's hand_root is {:?}, which is no link of the station {:?}",
@@ -118,7 +134,12 @@ impl Features {
             Shape { dofs: station.robot.num_dofs(), channels: station.layout.num_channels(), features: 0 };
         let taxels = Taxels::new(&station, hand_root);
         let (touch, tracking) = (observation.touch, observation.tracking);
-        Ok(Self { encoder, station, taxels, shape, touch, tracking })
+        Ok(Self { encoder: None, station, taxels, shape, touch, tracking })
+    }
+
+    /// Numbers of a moment.
+    pub fn num_features(&self) -> usize {
+        self.encoder.as_ref().map_or(POINT * self.shape.channels, Encoder::width)
     }
 
     /// What makes the features that `policy` wants; nothing if it wants none.
@@ -130,8 +151,12 @@ impl Features {
         station: &Arc<Station>,
         world: &GraspConfig,
     ) -> anyhow::Result<Option<Arc<Self>>> {
+        let observation = &policy.config().observation;
+        if observation.points {
+            return Ok(Some(Arc::new(Self::points(observation, Arc::clone(station), world)?)));
+        }
         let Some(file) = policy.encoder() else { return Ok(None) };
-        let features = Self::new(file, &policy.config().observation, Arc::clone(station), world);
+        let features = Self::new(file, observation, Arc::clone(station), world);
         Ok(Some(Arc::new(features.context("the policy's encoder does not fit")?)))
     }
 }
@@ -147,7 +172,7 @@ pub struct FeatureRun {
 impl FeatureRun {
     /// A trial begins.
     pub fn new(features: Arc<Features>) -> Self {
-        Self { frames: VecDeque::with_capacity(features.encoder.history()), features }
+        Self { frames: VecDeque::new(), features }
     }
 
     /// Another trial begins.
@@ -170,21 +195,28 @@ impl FeatureRun {
     /// # Errors
     /// Numbers that are none.
     pub fn see_frame(&mut self, frame: &[f32]) -> anyhow::Result<Vec<f32>> {
-        let input = self.input(frame);
-        self.features.encoder.encode(&input).context("the encoder cannot look at what was read of the hand")
+        let newest = self.points(frame);
+        let features = Arc::clone(&self.features);
+        let Some(encoder) = &features.encoder else { return Ok(newest) };
+        let input = self.window(newest, encoder.history());
+        encoder.encode(&input).context("the encoder cannot look at what was read of the hand")
     }
 
-    /// What the encoder looks at when the moment of this `frame` has come: before the first frame comes that one again.
-    fn input(&mut self, frame: &[f32]) -> Vec<f32> {
-        let Features { encoder, station, taxels, shape, touch, tracking } = &*self.features;
+    /// Where the taxels are in the moment of this `frame`, and which channels are on.
+    fn points(&self, frame: &[f32]) -> Vec<f32> {
+        let Features { station, taxels, shape, touch, tracking, .. } = &*self.features;
         let (commands, rest) = frame.split_at(shape.dofs);
         let (errors, active) = rest.split_at(shape.dofs);
         let read = commands.iter().zip(errors).map(|(command, error)| command - error);
         let positions: Vec<f32> = if *tracking { read.collect() } else { commands.to_vec() };
         let active = active.iter().map(|&active| *touch && active > 0.0);
-        let mut newest = Vec::with_capacity(4 * shape.channels);
+        let mut newest = Vec::with_capacity(POINT * shape.channels);
         taxels.push_frame(&station.robot, &positions, active, &mut newest);
-        let history = encoder.history();
+        newest
+    }
+
+    /// What the encoder looks at when the moment of the `newest` points has come: before the first comes that one again.
+    fn window(&mut self, newest: Vec<f32>, history: usize) -> Vec<f32> {
         if self.frames.len() == history {
             self.frames.pop_front();
         }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
     CHECKPOINT_FILE, CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Memory, Moment, POLICY_FILE,
-    Plan, Progress, Robot, Run, Start, TrainingDevice,
+    PaperPolicy, Plan, Progress, Robot, Run, Start, TrainingDevice,
 };
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
@@ -40,7 +40,10 @@ pub(crate) struct CloneArgs {
     /// The same from a file
     #[arg(long, conflicts_with = "preset")]
     config: Option<PathBuf>,
-    /// What predicts: "regression" or "diffusion" [default: the configuration's]
+    /// A policy of the paper, as `docs/learning.md` lists them: how it sees touch, and what predicts
+    #[arg(long, conflicts_with_all = ["head", "features"])]
+    policy: Option<PaperPolicy>,
+    /// What predicts: "regression", "diffusion" or "act", action chunking with Transformers [default: the configuration's]
     #[arg(long, value_parser = head)]
     head: Option<Head>,
     /// How the frames of a window are joined: "window", side by side, or "recurrent", by a GRU [default: the
@@ -59,7 +62,7 @@ pub(crate) struct CloneArgs {
     /// The policy does not see how far joints are from where they were sent
     #[arg(long)]
     hide_tracking: bool,
-    /// The policy sees the features that --encoder makes
+    /// The policy sees the features that --encoder makes; those of the paper that do so by themselves need no such flag
     #[arg(long)]
     features: bool,
     /// What makes features: a file of `export --encoder`, or a pretraining's folder or checkpoint. It becomes part of the
@@ -93,7 +96,8 @@ fn head(text: &str) -> Result<Head, String> {
     match text {
         "regression" => Ok(Head::Regression),
         "diffusion" => Ok(Head::Diffusion),
-        other => Err(format!("{other:?} is neither regression nor diffusion")),
+        "act" => Ok(Head::Act),
+        other => Err(format!("{other:?} is none of regression, diffusion and act")),
     }
 }
 
@@ -111,7 +115,7 @@ struct Report {
     episodes: usize,
     steps: usize,
     held_out_episodes: usize,
-    /// Mean squared error of the averaged policy on held-out episodes, normalised.
+    /// Mean error of the averaged policy on held-out episodes, normalised: squared, or absolute where it learned that.
     held_out_loss: f64,
 }
 
@@ -120,6 +124,9 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         Some(path) => CloneConfig::from_toml(&files::shown(path), &files::text(path)?)?,
         None => CloneConfig::preset(&args.preset)?,
     };
+    if let Some(policy) = args.policy {
+        policy.apply(&mut config);
+    }
     config.head = args.head.unwrap_or(config.head);
     config.memory = args.memory.unwrap_or(config.memory);
     config.seed = args.seed.unwrap_or(config.seed);
@@ -150,6 +157,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
             return Err(TrainingError::RunExists(args.out.clone()).into());
         }
         Some(path) => Some(Encoding::open(path, &config, &gathered)?),
+        None if config.observation.points => Some(Encoding::points(&config, &gathered)?),
         None => None,
     };
     let (robot, episodes, mut sources) = learned_from(args, gathered)?;
@@ -157,7 +165,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     let episodes = match &encoding {
         None => Episodes::new(robot.shape(), episodes)?,
         Some(encoding) => {
-            sources.insert(ENCODER.to_owned(), encoding.sha256().to_owned());
+            sources.extend(encoding.sha256().map(|sha256| (ENCODER.to_owned(), sha256.to_owned())));
             let Some(encoded) = encoding.encode(&robot, episodes, &bar, &cancel)? else {
                 drop(bar);
                 eprintln!("stopped before anything was learned");

@@ -59,7 +59,7 @@ enum Command {
     Demos(demos::DemosArgs),
     /// Let the searching expert grasp, and keep every trial as files to learn from
     Gather(gather::GatherArgs),
-    /// Learn to do what an expert did: by regression or by diffusion
+    /// Learn to do what an expert did: by regression, by diffusion or by action chunking with Transformers
     Clone(clone::CloneArgs),
     /// From a sensor model to policies that are scored: closings, gathered trials, trainings, evaluations, a report
     Pipeline(pipeline::PipelineArgs),

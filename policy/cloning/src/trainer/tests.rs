@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::*;
 use crate::episodes::tests::{encoded, encoder, features_of, reaching};
 use crate::{
-    Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig, Run, Shape, Start,
-    Step, TrainingDevice, train,
+    ActConfig, ActLoss, Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig,
+    Run, Shape, Start, Step, TrainingDevice, train,
 };
 
 fn robot() -> Robot {
@@ -28,7 +28,21 @@ fn config(head: Head) -> CloneConfig {
         trunk: vec![32, 24],
         head,
         diffusion: DiffusionConfig { channels: [8, 12], kernel: 3, steps: 12, sampled_steps: 6 },
+        act: Some(act(ActLoss::Absolute)),
         ..CloneConfig::default()
+    }
+}
+
+fn act(loss: ActLoss) -> ActConfig {
+    ActConfig {
+        width: 12,
+        heads: 2,
+        feed_forward: 16,
+        layers: 1,
+        style_layers: 1,
+        style: 3,
+        divergence_weight: 0.5,
+        loss,
     }
 }
 
@@ -65,8 +79,8 @@ fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
 }
 
 #[test]
-fn both_heads_learn_to_reach_and_to_say_so() {
-    for head in [Head::Regression, Head::Diffusion] {
+fn all_heads_learn_to_reach_and_to_say_so() {
+    for head in [Head::Regression, Head::Diffusion, Head::Act] {
         let trainer = trained(head);
         let [_, held_out] = reaching(&paces(), 25).split(&config(head));
         let untrained =
@@ -80,13 +94,24 @@ fn both_heads_learn_to_reach_and_to_say_so() {
 
 #[test]
 fn gradients_are_those_of_finite_differences() {
-    let configs = [config(Head::Regression), config(Head::Diffusion), recurrent(Head::Regression)];
+    let squared = CloneConfig { act: Some(act(ActLoss::Squared)), ..config(Head::Act) };
+    let configs = [
+        config(Head::Regression),
+        config(Head::Diffusion),
+        recurrent(Head::Regression),
+        config(Head::Act),
+        squared,
+    ];
     for config in configs {
         let (head, memory) = (config.head, config.memory);
         let episodes = reaching(&paces(), 25);
         let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
         // First predictions are small on purpose; slopes of early layers would be too.
-        let of_head = trainer.network.arrays.iter_mut().filter(|array| array.name == "head.weight");
+        let is_output = |name: &str| {
+            ["head.weight", "decoder.action.weight", "style.mean.weight", "style.log_variance.weight"]
+                .contains(&name)
+        };
+        let of_head = trainer.network.arrays.iter_mut().filter(|array| is_output(&array.name));
         of_head.flat_map(|array| &mut array.values).for_each(|value| *value *= 10.0);
         let samples: Vec<Sample> =
             [(0, 3), (4, 9), (7, 20)].map(|at| episodes.sample(trainer.config(), at)).into();
@@ -105,7 +130,9 @@ fn gradients_are_those_of_finite_differences() {
                 trainer.network.arrays[idx].values[at] += by;
                 loss(&trainer)
             };
-            let found = (moved(1e-2) - moved(-1e-2)) / 2e-2;
+            // Absolute errors have kinks, and a longer step would cross some.
+            let step = if head == Head::Act { 1e-3 } else { 1e-2 };
+            let found = (moved(step) - moved(-step)) / (2.0 * f64::from(step));
             let expected = f64::from(slope);
             assert!(
                 (found - expected).abs() < 0.05 * expected.abs() + 1e-4,
@@ -116,6 +143,9 @@ fn gradients_are_those_of_finite_differences() {
         }
         assert!(checked.len() >= 6, "{head:?}, {memory:?}: {checked:?}");
         let num_of_gru = checked.iter().filter(|name| name.starts_with("gru.")).count();
+        let num_of_act =
+            checked.iter().filter(|name| name.starts_with("decoder.") || name.starts_with("style."));
+        assert_eq!(num_of_act.count() > 20, head == Head::Act, "{checked:?}");
         assert_eq!(num_of_gru, if memory == Memory::Recurrent { 4 } else { 0 }, "{checked:?}");
     }
 }
@@ -134,15 +164,20 @@ fn any_number_of_threads_gives_the_same_bits() {
             trainer.to_checkpoint()
         })
     };
-    for config in [config(Head::Diffusion), recurrent(Head::Diffusion)] {
+    for config in [config(Head::Diffusion), recurrent(Head::Diffusion), config(Head::Act)] {
         assert!(run(&config, 1) == run(&config, 3), "{:?}", config.memory);
     }
 }
 
 #[test]
 fn a_training_that_was_stopped_goes_on_to_the_same_bits() {
-    for config in [config(Head::Diffusion), recurrent(Head::Diffusion), featured(recurrent(Head::Diffusion))]
-    {
+    let configs = [
+        config(Head::Diffusion),
+        recurrent(Head::Diffusion),
+        featured(recurrent(Head::Diffusion)),
+        config(Head::Act),
+    ];
+    for config in configs {
         goes_on_to_the_same_bits(&CloneConfig { updates: 60, ..config });
     }
 }
@@ -175,6 +210,54 @@ fn goes_on_to_the_same_bits(config: &CloneConfig) {
     assert_eq!(lines("parts").lines().count(), 3);
 }
 
+/// The loss of action chunking with Transformers from what the network predicts, number by number: the mean absolute error,
+/// and the weighted divergence of the normal distributions of styles from the standard one.
+#[test]
+fn the_loss_of_act_is_error_and_divergence_by_hand() {
+    let episodes = reaching(&paces(), 25);
+    let trainer = Trainer::new(config(Head::Act), robot(), &episodes, BTreeMap::new()).expect("it fits");
+    let samples: Vec<Sample> =
+        [(0, 3), (4, 9), (7, 20)].map(|at| episodes.sample(trainer.config(), at)).into();
+    let device = Device::flex();
+    let tensors = trainer.network.tensors(&device);
+    let rows = |values: Vec<f32>| {
+        let len = values.len() / samples.len();
+        Tensor::<2>::from_data(TensorData::new(values, [samples.len(), len]), &device)
+    };
+    let inputs = samples.iter().flat_map(|sample| trainer.inputs.apply(&sample.input)).collect();
+    let chunks: Vec<f32> = samples.iter().flat_map(|sample| trainer.chunks.apply(&sample.chunk)).collect();
+    let features = trainer.network.trunk(&tensors, rows(inputs));
+    let styles = trainer.network.styles(&tensors, features, rows(chunks.clone()));
+    let [means, log_variances] = styles.map(values);
+    let divergence: f64 = means
+        .iter()
+        .zip(&log_variances)
+        .map(|(&mean, &log_variance)| {
+            let (mean, variance) = (f64::from(mean), f64::from(log_variance).exp());
+            0.5 * (mean * mean + variance - 1.0 - variance.ln())
+        })
+        .sum();
+    let predicted = trainer.predictions(&trainer.network, &tensors, &samples, NOISE, [0, 0], &device);
+    let off = values(predicted.rows)
+        .into_iter()
+        .zip(&chunks)
+        .map(|(found, wanted)| f64::from((found - wanted).abs()));
+    let error = off.sum::<f64>() / chunks.len() as f64;
+    let (_, loss) = trainer.gradients(&samples, NOISE, [0, 0], 3).expect("a loss");
+    let expected = error + 0.5 * divergence / 3.0;
+    assert!(divergence > 1e-3 && (loss - expected).abs() < 1e-5 * expected, "{loss}, by hand {expected}");
+    // Another draw of the style is another chunk; at work nothing is drawn.
+    let again = trainer.predictions(&trainer.network, &tensors, &samples, NOISE, [1, 0], &device);
+    let [usual, as_usual] = [[0, 0], [1, 0]].map(|numbers| {
+        let held_out =
+            trainer.predictions(&trainer.network, &tensors, &samples, HELD_OUT_NOISE, numbers, &device);
+        assert!(held_out.divergence.is_none());
+        values(held_out.rows)
+    });
+    assert_eq!(usual, as_usual);
+    assert_ne!(values(again.rows), usual);
+}
+
 #[test]
 fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     let path = Path::new("policy.safetensors");
@@ -183,6 +266,11 @@ fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     let bytes = remembering.expect("it fits").cloned().to_bytes().expect("a file");
     let read = Cloned::from_bytes(path, &bytes).expect("the policy");
     assert_eq!(read.config().memory, Memory::Recurrent);
+    assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
+    let chunking = Trainer::new(config(Head::Act), robot(), &reaching(&paces(), 25), BTreeMap::new());
+    let bytes = chunking.expect("it fits").cloned().to_bytes().expect("a file");
+    let read = Cloned::from_bytes(path, &bytes).expect("the policy");
+    assert_eq!(read.config().act, Some(act(ActLoss::Absolute)));
     assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
     let trainer = trained(Head::Diffusion);
     let bytes = trainer.cloned().to_bytes().expect("a file");
@@ -231,7 +319,8 @@ fn featured(config: CloneConfig) -> CloneConfig {
 
 #[test]
 fn a_policy_learns_from_features_with_either_memory_and_head() {
-    let configs = [config(Head::Regression), config(Head::Diffusion), recurrent(Head::Regression)];
+    let configs =
+        [config(Head::Regression), config(Head::Diffusion), recurrent(Head::Regression), config(Head::Act)];
     for config in configs.map(featured) {
         let (head, memory) = (config.head, config.memory);
         // Nothing but features says where the joint is and what it feels.
@@ -322,6 +411,25 @@ fn features_and_configuration_belong_together() {
         refused(config(Head::Regression), &encoded(&paces(), 25, "a")),
         "observation.features is false, but the episodes have 3 features in each step"
     );
+}
+
+#[test]
+fn points_take_the_place_of_features_without_an_encoder() {
+    let observation =
+        ObservationConfig { points: true, touch: false, ..config(Head::Regression).observation };
+    let config = CloneConfig { updates: 5, observation, ..config(Head::Regression) };
+    let plain = reaching(&paces(), 25);
+    let problem =
+        Trainer::new(config.clone(), robot(), &plain, BTreeMap::new()).expect_err("no points").to_string();
+    assert!(problem.contains("0 numbers of points in each step, expected 4"), "{problem}");
+    let shape = Shape { features: 4, ..plain.shape() };
+    let episodes = plain.with_numbers(4);
+    assert_eq!(episodes.shape(), shape);
+    let mut trainer = Trainer::new(config, robot(), &episodes, BTreeMap::new()).expect("it fits");
+    trainer.update(&episodes).expect("an update");
+    let bytes = trainer.cloned().to_bytes().expect("a file");
+    let read = Cloned::from_bytes(Path::new("policy"), &bytes).expect("the policy");
+    assert_eq!((read.shape(), read.encoder()), (shape, None));
 }
 
 /// Twenty episodes of a robot of one joint that goes up where the region is wide, and down where it is not.
@@ -509,7 +617,7 @@ fn learns_as_the_cpu_does(device: &TrainingDevice) {
     let [cpu, card] = [&of_cpu, &of_device].map(|trainer| trainer.judge(&held_out).expect("a loss"));
     assert!((cpu - card).abs() < 1e-3 * cpu, "{cpu} and {card}");
 
-    for head in [Head::Regression, Head::Diffusion] {
+    for head in [Head::Regression, Head::Diffusion, Head::Act] {
         let folder = folder.path().join(format!("{head:?}"));
         let part = learned_on(device, &config(head, 300), &folder, Start::Fresh);
         let [learned, held_out] = reaching(&paces(), 25).split(part.config());

@@ -174,13 +174,31 @@ fn the_encoder_is_told_what_its_pretraining_was_told() {
     let mut run = FeatureRun::new(Arc::clone(&features));
     let shape = task::robot(&station, &world).shape();
     for (step, frame) in kept(&station, &world).frames.chunks(shape.frame_len()).enumerate() {
-        let input = run.input(frame);
+        let newest = run.points(frame);
+        let input = run.window(newest, HISTORY);
         let expected = history_steps(step, HISTORY).map(|step| &frames[step]);
         for (found, expected) in input.chunks(frame_len).zip(expected) {
             // What was read is the command less the error, both of them rounded.
             let near = |(found, expected): (&f32, &f32)| (found - expected).abs() < 1e-6;
             assert!(found.iter().zip(expected).all(near), "step {step}");
         }
+    }
+}
+
+#[test]
+fn points_are_the_newest_frame_that_an_encoder_would_be_told() {
+    let (station, world) = world();
+    let points = Features::points(&observation(), Arc::clone(&station), &world).expect("they fit");
+    let encoding =
+        Features::new(&encoder(&station), &observation(), Arc::clone(&station), &world).expect("it fits");
+    assert_eq!(points.num_features(), POINT * station.layout.num_channels());
+    let (mut seen, mut encoded) = (FeatureRun::new(Arc::new(points)), FeatureRun::new(Arc::new(encoding)));
+    let shape = task::robot(&station, &world).shape();
+    for frame in kept(&station, &world).frames.chunks(shape.frame_len()) {
+        let found = seen.see_frame(frame).expect("points");
+        let newest = encoded.points(frame);
+        let window = encoded.window(newest, HISTORY);
+        assert_eq!(found, window[window.len() - found.len()..]);
     }
 }
 

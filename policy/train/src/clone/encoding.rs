@@ -1,4 +1,4 @@
-//! The features of an encoder for the frames of trials that were kept.
+//! The features of an encoder, or the points of a hand, for the frames of trials that were kept.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,6 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context as _;
 use palpate_cloning::{CloneConfig, EncoderFile, Episode, Episodes, Robot, Shape};
+use palpate_grasp::GraspConfig;
+use palpate_robot_model::Station;
 use palpate_rollout::features::{FeatureRun, Features};
 use palpate_sim::job::{Cancel, Progress as _};
 use palpate_terminal::Bar;
@@ -19,9 +21,19 @@ fn origin((path, gathered): &(String, Gathered)) -> Origin<'_> {
     Origin { what: "trials", place: Path::new(path), sources: gathered.record.sources() }
 }
 
-/// An encoder for the robot of some trials.
+/// The station that `gathered` were made with, and its world.
+fn scene_of(gathered: &[(String, Gathered)]) -> anyhow::Result<(Arc<Station>, GraspConfig)> {
+    let first = origin(gathered.first().context("--data names no folder")?);
+    check_same_world(gathered.iter().map(origin))?;
+    let station = Arc::new(first.station()?);
+    let world = first.world(&station)?;
+    Ok((station, world))
+}
+
+/// What makes features for the robot of some trials.
 pub(super) struct Encoding {
-    file: Arc<EncoderFile>,
+    /// Nothing where features are the points themselves.
+    file: Option<Arc<EncoderFile>>,
     features: Arc<Features>,
 }
 
@@ -40,18 +52,25 @@ impl Encoding {
         let bytes = encoder.to_bytes()?;
         let sha256 = files::sha256(&bytes);
         let file = Arc::new(EncoderFile { bytes, sha256, num_features: encoder.width() });
-        let first = origin(gathered.first().context("--data names no folder")?);
-        check_same_world(gathered.iter().map(origin))?;
-        let station = Arc::new(first.station()?);
-        let world = first.world(&station)?;
+        let (station, world) = scene_of(gathered)?;
         let features = Features::new(&file, &config.observation, station, &world);
         let features = features.with_context(|| format!("--encoder is {path:?}, which does not fit"))?;
-        Ok(Self { file, features: Arc::new(features) })
+        Ok(Self { file: Some(file), features: Arc::new(features) })
+    }
+
+    /// The points of the hand of the station that `gathered` were made with.
+    ///
+    /// # Errors
+    /// Trials of several stations, or whose station has changed since.
+    pub(super) fn points(config: &CloneConfig, gathered: &[(String, Gathered)]) -> anyhow::Result<Self> {
+        let (station, world) = scene_of(gathered)?;
+        let features = Features::points(&config.observation, station, &world)?;
+        Ok(Self { file: None, features: Arc::new(features) })
     }
 
     /// Of the file that the policy brings along.
-    pub(super) fn sha256(&self) -> &str {
-        &self.file.sha256
+    pub(super) fn sha256(&self) -> Option<&str> {
+        self.file.as_ref().map(|file| file.sha256.as_str())
     }
 
     /// `episodes` of `robot` with the features of each frame; nothing if `cancel` was asked for. The same bits for any number
@@ -63,7 +82,7 @@ impl Encoding {
         bar: &Bar,
         cancel: &Cancel,
     ) -> anyhow::Result<Option<Episodes>> {
-        let (plain, num_features) = (robot.shape(), self.file.num_features);
+        let (plain, num_features) = (robot.shape(), self.features.num_features());
         let all: usize = episodes.iter().map(Episode::len).sum();
         let done = AtomicU64::new(0);
         let encoded = |episode: Episode| -> anyhow::Result<Option<Episode>> {
@@ -76,14 +95,18 @@ impl Encoding {
                 features.extend(run.see_frame(frame)?);
             }
             let done = done.fetch_add(episode.len() as u64, Ordering::Relaxed) + episode.len() as u64;
-            bar.report(done as f64 / all.max(1) as f64, "features of the encoder");
+            bar.report(done as f64 / all.max(1) as f64, "features");
             Ok(Some(episode.with_features(plain, num_features, &features)))
         };
         let encoded: Option<Vec<Episode>> =
             episodes.into_par_iter().map(encoded).collect::<anyhow::Result<_>>()?;
         let Some(encoded) = encoded else { return Ok(None) };
-        bar.line(&format!("the encoder made {num_features} features of each of {all} steps"));
+        let maker = if self.file.is_some() { "the encoder" } else { "the hand's kinematics" };
+        bar.line(&format!("{maker} made {num_features} numbers of each of {all} steps"));
         let episodes = Episodes::new(Shape { features: num_features, ..plain }, encoded)?;
-        Ok(Some(episodes.encoded_by(Arc::clone(&self.file))?))
+        Ok(Some(match &self.file {
+            Some(file) => episodes.encoded_by(Arc::clone(file))?,
+            None => episodes,
+        }))
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::{CloneConfig, Head, Memory};
+use palpate_cloning::{CloneConfig, Head, Memory, PaperPolicy};
 use palpate_encoder::EncoderConfig;
 use serde::Deserialize;
 
@@ -76,7 +76,10 @@ pub(super) struct PolicyConfig {
     /// A preset of `palpate-train clone`, or a file.
     pub(super) preset: Option<String>,
     pub(super) config: Option<PathBuf>,
-    /// "regression" or "diffusion"; absent means the configuration's.
+    /// A policy of the paper: "raw-dp", "kinematic-dp", "pretrained-dp", "pretrained-act" or "pretrained-bc"; absent means what
+    /// the other fields say.
+    pub(super) policy: Option<PaperPolicy>,
+    /// "regression", "diffusion" or "act"; absent means the configuration's.
     pub(super) head: Option<Head>,
     /// "window" or "recurrent"; absent means the configuration's.
     pub(super) memory: Option<Memory>,
@@ -134,6 +137,16 @@ impl PolicyConfig {
             (_, Some(path)) => CloneConfig::from_toml(&files::shown(path), &files::text(path)?)?,
             (preset, None) => CloneConfig::preset(preset.as_deref().unwrap_or("small"))?,
         };
+        if let Some(policy) = self.policy {
+            if self.head.is_some() || self.features {
+                bail!(
+                    "policies: {:?} is a policy of the paper, which says itself what predicts and how it sees touch; leave head \
+                     and features out",
+                    self.name
+                );
+            }
+            policy.apply(&mut config);
+        }
         config.head = self.head.unwrap_or(config.head);
         config.memory = self.memory.unwrap_or(config.memory);
         config.updates = self.updates.unwrap_or(config.updates);

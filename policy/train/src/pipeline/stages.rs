@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use palpate_cloning::{CHECKPOINT_FILE, Head, Memory, POLICY_FILE};
+use palpate_cloning::{CHECKPOINT_FILE, Head, Memory, POLICY_FILE, PaperPolicy};
 
 use super::PipelineArgs;
 use super::config::{EvaluationConfig, PipelineConfig, PolicyConfig};
@@ -18,6 +18,7 @@ mod core_s {
     pub(super) const EVALUATED_S: f64 = 0.012;
     pub(super) const REGRESSION_UPDATE: f64 = 0.04;
     pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
+    pub(super) const ACT_UPDATE: f64 = 0.12;
     /// What an update takes longer where the policy's memory is recurrent.
     pub(super) const RECURRENT_MORE: f64 = 0.03;
     /// A sample of an encoder's update, by the preset `quick`.
@@ -201,7 +202,11 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         let (head, update_core_s) = match how.head {
             Head::Regression => ("regression", core_s::REGRESSION_UPDATE),
             Head::Diffusion => ("diffusion", core_s::DIFFUSION_UPDATE),
+            Head::Act => ("act", core_s::ACT_UPDATE),
         };
+        let policy = training.policy.policy.and_then(|policy| {
+            PaperPolicy::ALL.into_iter().find_map(|(name, one)| (one == policy).then_some(name))
+        });
         let more_core_s = match how.memory {
             Memory::Window => 0.0,
             Memory::Recurrent => core_s::RECURRENT_MORE,
@@ -218,13 +223,14 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .with("data", &trials_dir)
                 .maybe("preset", training.policy.preset.as_ref())
                 .maybe("config", training.policy.config.as_ref())
-                .with("head", head)
+                .maybe("policy", policy)
+                .maybe("head", policy.is_none().then_some(head))
                 .maybe("memory", memory)
                 .with("updates", how.updates.to_string())
                 .with("seed", training.seed.to_string())
                 .flag("silence-touch", training.policy.silence_touch)
                 .flag("hide-tracking", training.policy.hide_tracking)
-                .flag("features", features)
+                .flag("features", features && policy.is_none())
                 .maybe("encoder", features.then_some(&encoder_dir))
                 .with("device", &args.device)
                 .flag("resume", true)

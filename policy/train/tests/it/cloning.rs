@@ -215,6 +215,36 @@ fn a_policy_is_told_its_region_by_trials_of_several_and_by_the_protocol() {
 }
 
 #[test]
+fn points_of_the_hand_are_seen_by_the_papers_policy_that_has_no_encoder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let (gathered, out, config) = (path("gathered"), path("run"), path("tiny.toml"));
+    printed(&["gather", "--objects", "cube", "--count", "3", "--out", text(&gathered)]);
+    std::fs::write(&config, CONFIG).expect("a file");
+    let clone = ["clone", "--data", text(&gathered), "--config", text(&config), "--out", text(&out)];
+    let said = refused(&[&clone[..], &["--policy", "dp"]].concat());
+    assert!(said.contains("none of raw-dp, kinematic-dp, pretrained-dp"), "{said}");
+    let said = refused(&[&clone[..], &["--policy", "pretrained-act"]].concat());
+    assert!(said.contains("there is no encoder to make features"), "{said}");
+    printed(&[&clone[..], &["--policy", "kinematic-dp"]].concat());
+    let policy = format!("clone:{}", text(&out));
+    let evaluate = [
+        "evaluate",
+        "--protocol",
+        "wide",
+        "--object",
+        "cube",
+        "--trials",
+        "1",
+        "--json",
+        "--policy",
+        &policy,
+    ];
+    let compared: Value = serde_json::from_str(&printed(&evaluate)).expect("a comparison");
+    assert_eq!(compared["overall"]["trials"], 1);
+}
+
+#[test]
 fn the_shipped_policy_fits_the_shipped_station() {
     let policy = "clone:assets/policies/imitation/searching.safetensors";
     let args =
@@ -234,7 +264,10 @@ fn what_cannot_be_learned_from_is_named() {
     };
     assert!(clone(&[]).contains("holds no file *.safetensors.zst; `palpate-train gather` makes such files"));
     assert!(clone(&["--preset", "fast"]).contains("the preset is \"fast\", expected small or paper"));
-    assert!(clone(&["--head", "act"]).contains("neither regression nor diffusion"));
+    assert!(
+        clone(&["--head", "transformer"])
+            .contains("\"transformer\" is none of regression, diffusion and act")
+    );
     assert!(clone(&["--updates", "0"]).contains("updates is 0, expected 1 or more"));
     std::fs::write(empty.join("cube.safetensors.zst"), b"not compressed").expect("a file");
     assert!(clone(&[]).contains("cube.safetensors.zst\" holds no trials of an expert"));
