@@ -34,6 +34,9 @@ pub struct Episode {
     pub times_s: Vec<f32>,
     /// Half the edge length of the square that the object began in, m; `None` where nobody kept it.
     pub half_width_m: Option<f32>,
+    /// The first step that is learned from, 0 for all: before it somebody else than the expert moved the robot. What was seen
+    /// then is in the windows of later steps all the same.
+    pub taught_from: usize,
 }
 
 impl Episode {
@@ -174,9 +177,9 @@ impl Episodes {
         self.episodes.is_empty()
     }
 
-    /// Steps of all of them.
+    /// Steps of all of them that are learned from.
     pub fn num_steps(&self) -> usize {
-        self.episodes.iter().map(Episode::len).sum()
+        self.moments().len()
     }
 
     /// Episodes to learn from and held-out ones, at least one each where there are two.
@@ -192,9 +195,10 @@ impl Episodes {
         [train, held_out].map(|episodes| Self { shape: self.shape, episodes, encoder: self.encoder.clone() })
     }
 
-    /// Episode and step of every sample.
+    /// Episode and step of every sample: the expert's.
     pub(crate) fn moments(&self) -> Vec<(usize, usize)> {
-        let of = |(idx, episode): (usize, &Episode)| (0..episode.len()).map(move |step| (idx, step));
+        let taught = |episode: &Episode| episode.taught_from.min(episode.len())..episode.len();
+        let of = |(idx, episode): (usize, &Episode)| taught(episode).map(move |step| (idx, step));
         self.episodes.iter().enumerate().flat_map(of).collect()
     }
 
@@ -294,6 +298,20 @@ pub(crate) mod tests {
         assert_eq!(episodes.sample(&config, (0, 1)).chunk, [0.25, 0.0, 0.5, 0.0, 0.75, 0.0]);
         // At the end the last targets are repeated.
         assert_eq!(episodes.sample(&config, (0, 5)).chunk, [0.0, 1.0].repeat(3));
+    }
+
+    #[test]
+    fn only_the_experts_part_of_an_episode_teaches_and_what_came_before_is_seen() {
+        let mut episodes = reaching(&[0.25, 0.1], 6);
+        let all = episodes.moments();
+        episodes.episodes[0].taught_from = 4;
+        assert_eq!(episodes.moments(), [&[(0, 4), (0, 5)], &all[6..]].concat());
+        let config = CloneConfig::default();
+        let before = episodes.sample(&config, (0, 4));
+        episodes.episodes[0].taught_from = 0;
+        assert_eq!(episodes.sample(&config, (0, 4)).input, before.input);
+        episodes.episodes[0].taught_from = 7;
+        assert_eq!(episodes.moments(), all[6..]);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Keeps what the searching expert does, trial by trial, as files to learn from.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,17 +16,23 @@ use palpate_grasp::{GraspEnv, Protocol};
 use palpate_rollout::task::robot;
 use palpate_sim::job::{Cancel, Progress as _};
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
+use palpate_training::{below, generator};
 use rayon::prelude::*;
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 
+use crate::clone::{self, Imitator};
 use crate::files::{self, Source, Sources};
 use crate::search::{CLOSINGS, Expert, SEARCH};
 use crate::{SceneArgs, compare};
 
 /// The tensor that says where objects were.
 const OBJECT_POSES: &str = "object_poses";
+/// The tensor that says from which step on each trial is learned from; without it all of it is.
+const TAUGHT_FROM: &str = "taught_from";
+/// What may stand before the path of a policy that imitates an expert.
+const CLONE: &str = "clone:";
 /// What the names of all files end with.
 const ENDING: &str = ".safetensors.zst";
 const ZSTD_LEVEL: i32 = 6;
@@ -51,6 +58,10 @@ pub(crate) struct GatherArgs {
     /// nothing and goes by the time alone. What it may not feel is kept all the same
     #[arg(long, default_value = "search", value_parser = expert_kind)]
     expert: ExpertKind,
+    /// A policy that imitates an expert moves the robot until a random moment, from which on the expert does: "clone:PATH", or
+    /// a training's folder or file. Only the expert's part is learned from
+    #[arg(long, value_name = "POLICY")]
+    takeover: Option<String>,
     /// How the searching expert tries to grasp
     #[arg(long, default_value = SEARCH)]
     search: PathBuf,
@@ -76,7 +87,7 @@ const EXPERTS: [ExpertKind; 4] = [
     ExpertKind { name: "repetition", senses: Senses::NONE },
 ];
 
-fn expert_kind(text: &str) -> Result<ExpertKind, String> {
+pub(crate) fn expert_kind(text: &str) -> Result<ExpertKind, String> {
     let names = EXPERTS.map(|kind| kind.name).join(", ");
     let found = EXPERTS.into_iter().find(|kind| kind.name == text);
     found.ok_or_else(|| format!("{text:?} is none of {names}"))
@@ -100,6 +111,9 @@ pub(crate) struct Record {
     /// Whose trials these are; nothing for the searching expert that has both senses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     expert: Option<String>,
+    /// SHA-256 of the policy that moved the robot before the expert took over, if one did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    taken_over_from: Option<String>,
     seed: u64,
     count: u64,
     joints: Vec<String>,
@@ -114,7 +128,9 @@ impl Record {
     pub(crate) fn name(&self) -> String {
         let Self { object, protocol, seed, count, .. } = self;
         let by = self.expert.as_ref().map(|expert| format!(", by {expert}")).unwrap_or_default();
-        format!("{count} trials on {object}, protocol {protocol}, seed {seed}{by}")
+        let from = self.taken_over_from.as_deref().unwrap_or_default();
+        let from = if from.is_empty() { String::new() } else { format!(", taken over from policy {from}") };
+        format!("{count} trials on {object}, protocol {protocol}, seed {seed}{by}{from}")
     }
 
     /// Half the edge length of the square that objects began in, m, if the file says it.
@@ -176,6 +192,16 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     protocol.apply(&mut world.config);
     let expert = Expert::open(&args.search, &args.closings, &world.station, &world.config, &sources)?;
     let experience = expert.experience(args.expert.senses)?;
+    let student = args.takeover.as_deref().map(|policy| {
+        let path = Path::new(policy.strip_prefix(CLONE).unwrap_or(policy));
+        clone::open(path, &world.station, &world.config)
+    });
+    let student = student.transpose().context("--takeover")?;
+    let taken_over_from = student.as_ref().map(|(_, source)| source.sha256.clone());
+    let student = student.map(|(imitation, source)| {
+        sources.keep(source);
+        imitation
+    });
     let (bar, cancel, done) = (Bar::new(), cancel_on_ctrl_c(), AtomicU64::new(0));
     let all = args.count * objects.len() as u64;
     let mut report = Report::default();
@@ -189,6 +215,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             protocol: protocol_name.clone(),
             half_width_m: Some(protocol.half_width_m),
             expert: args.expert.in_files(),
+            taken_over_from: taken_over_from.clone(),
             seed: args.seed,
             count: args.count,
             joints: robot.joints.clone(),
@@ -222,13 +249,38 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             }
             let prior = Prior { half_width_m: protocol.half_width_m, shape: None };
             let searcher = Searcher::new(Arc::clone(&expert.skill), Arc::clone(&experience), &prior);
-            let controller = Blinded { controller: searcher, senses: args.expert.senses };
+            let expert = Blinded { controller: searcher, senses: args.expert.senses };
+            let student = student.as_ref().map(|student| {
+                let station = Arc::clone(scene.station());
+                Imitator::new(student, station, trial, protocol.half_width_m)
+            });
+            let last = TAKEN_OVER_BEFORE * protocol.episode_s * world.config.control_rate_hz;
+            let lift_m = Cell::new(0.0);
+            let controller = Relay {
+                student: student.transpose()?,
+                expert,
+                not_before: below(&mut generator(args.seed, TAKEN_OVER, trial, 0), last as usize + 1),
+                lift_m: &lift_m,
+                step: 0,
+                taken_over_at: None,
+            };
             let episode = Episode { half_width_m: Some(protocol.half_width_m as f32), ..Episode::default() };
             let mut recorder = Recorder { controller, robot: &robot, episode };
-            let mut object_poses = Vec::new();
-            let mut see = |env: &GraspEnv| object_poses.extend(pose(&env.world().base_from_object()));
+            let mut object_poses: Vec<f32> = Vec::new();
+            let mut start_m = None;
+            let mut see = |env: &GraspEnv| {
+                let base_from_object = env.world().base_from_object();
+                let height_m = base_from_object.translation.z;
+                lift_m.set(height_m - *start_m.get_or_insert(height_m));
+                object_poses.extend(pose(&base_from_object));
+            };
             let ending = conduct_seen(&scene, &mut recorder, Known::ROBOT, args.seed, trial, &mut see)?;
-            let episode = recorder.episode;
+            let Recorder { controller, mut episode, .. } = recorder;
+            if let Some(student) = controller.student {
+                student.problem.map_or(Ok(()), Err)?;
+                // A trial that was over before teaches nothing.
+                episode.taught_from = controller.taken_over_at.unwrap_or(episode.len());
+            }
             // What came of the last step is nobody's beginning.
             object_poses.truncate(POSE * episode.len());
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -329,6 +381,42 @@ impl<C: Controller> Controller for Blinded<C> {
     }
 }
 
+/// What noise is for: when an expert takes over.
+const TAKEN_OVER: u64 = 11;
+/// An expert takes over within this share of the longest episode, so that it has time for a try.
+const TAKEN_OVER_BEFORE: f64 = 0.6;
+/// An object this high is being lifted, m: what to do then the expert's own trials teach. An expert that began anew would
+/// let go of it.
+const LIFTED_M: f64 = 0.005;
+
+/// A student moves the robot until an expert takes over, which begins as if the trial began there.
+struct Relay<'a> {
+    /// Nobody where the expert moves it from the beginning.
+    student: Option<Imitator>,
+    expert: Blinded<Searcher>,
+    /// The expert takes over in this step, or in the first after it in which the object is not lifted.
+    not_before: usize,
+    /// How high the object is above where it began.
+    lift_m: &'a Cell<f64>,
+    step: usize,
+    taken_over_at: Option<usize>,
+}
+
+impl Controller for Relay<'_> {
+    fn control(&mut self, now: &Observation<'_>) -> Command {
+        let step = self.step;
+        self.step += 1;
+        let Some(student) = &mut self.student else { return self.expert.control(now) };
+        if self.taken_over_at.is_none() {
+            if step < self.not_before || self.lift_m.get() > LIFTED_M {
+                return student.control(now);
+            }
+            self.taken_over_at = Some(step);
+        }
+        self.expert.control(now)
+    }
+}
+
 /// Writes down what a controller knows and does.
 struct Recorder<'a, C> {
     controller: C,
@@ -376,6 +464,11 @@ fn to_bytes(record: &Record, trials: &[Trial]) -> anyhow::Result<Vec<u8>> {
         ("first_steps", TensorView::new(Dtype::U64, vec![trials.len() + 1], &first_steps)?),
         ("outcomes", TensorView::new(Dtype::U8, vec![trials.len()], &outcomes)?),
     ];
+    let taught_from: Vec<u8> =
+        trials.iter().flat_map(|trial| (trial.episode.taught_from as u64).to_le_bytes()).collect();
+    if record.taken_over_from.is_some() {
+        tensors.push((TAUGHT_FROM, TensorView::new(Dtype::U64, vec![trials.len()], &taught_from)?));
+    }
     for (name, bytes) in &columns {
         let width = bytes.len() / 4 / steps.max(1);
         tensors.push((*name, TensorView::new(Dtype::F32, vec![steps, width], bytes)?));
@@ -419,12 +512,15 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         Ok(bytes(name, Dtype::F32)?.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
     };
     let (frames, targets, times_s) = (floats("frames")?, floats("targets")?, floats("times_s")?);
-    let first_steps: Vec<usize> = bytes("first_steps", Dtype::U64)?
-        .as_chunks()
-        .0
-        .iter()
-        .map(|bytes| u64::from_le_bytes(*bytes) as usize)
-        .collect();
+    let counts = |name: &str| -> anyhow::Result<Vec<usize>> {
+        let chunks = bytes(name, Dtype::U64)?.as_chunks().0;
+        Ok(chunks.iter().map(|bytes| u64::from_le_bytes(*bytes) as usize).collect())
+    };
+    let first_steps = counts("first_steps")?;
+    let taught_from = match record.taken_over_from {
+        Some(_) => counts(TAUGHT_FROM)?,
+        None => vec![0; first_steps.len().saturating_sub(1)],
+    };
     let outcomes = bytes("outcomes", Dtype::U8)?;
     let has_poses = file.tensor(OBJECT_POSES).is_ok();
     let object_poses = if has_poses { floats(OBJECT_POSES)? } else { Vec::new() };
@@ -433,6 +529,7 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
     let (frame_len, action_len) = (2 * robot.joints.len() + robot.channels.len(), robot.joints.len() + 1);
     let steps = times_s.len();
     let is_whole = first_steps.len() == outcomes.len() + 1
+        && taught_from.len() == outcomes.len()
         && first_steps.first() == Some(&0)
         && first_steps.last() == Some(&steps)
         && first_steps.windows(2).all(|pair| pair[0] <= pair[1])
@@ -443,13 +540,14 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         bail!("its tensors do not have the sizes that its joints, channels and trials say");
     }
     let mut trials = Vec::with_capacity(outcomes.len());
-    for (pair, &outcome) in first_steps.windows(2).zip(outcomes) {
+    for ((pair, &outcome), taught_from) in first_steps.windows(2).zip(outcomes).zip(taught_from) {
         let outcome = OUTCOMES.get(usize::from(outcome)).context("an outcome is none of the four")?;
         let episode = Episode {
             frames: frames[pair[0] * frame_len..pair[1] * frame_len].to_vec(),
             targets: targets[pair[0] * action_len..pair[1] * action_len].to_vec(),
             times_s: times_s[pair[0]..pair[1]].to_vec(),
             half_width_m: record.half_width_m.map(|half_width_m| half_width_m as f32),
+            taught_from,
         };
         let object_poses = object_poses[pair[0] * pose_len..pair[1] * pose_len].to_vec();
         trials.push(Trial { outcome: *outcome, episode, object_poses });

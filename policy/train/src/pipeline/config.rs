@@ -25,6 +25,8 @@ pub(super) struct PipelineConfig {
     pub(super) closings: ClosingsConfig,
     /// What policies learn from.
     pub(super) trials: TrialsConfig,
+    /// Rounds in which the expert takes over from what was learned; absent means none.
+    pub(super) takeover: Option<TakeoverConfig>,
     /// The encoder whose features policies may see, pretrained on the same trials; absent means none.
     pub(super) encoder: Option<PretrainingConfig>,
     /// What is learned; the first seed of the first is what everything else is compared with.
@@ -54,6 +56,29 @@ pub(super) struct TrialsConfig {
     pub(super) protocol: String,
     /// Not that of a protocol of `evaluations`.
     pub(super) seed: u64,
+    /// As many trials under each of these protocols; policies that see the region need those of another.
+    #[serde(default)]
+    pub(super) also: Vec<MoreTrialsConfig>,
+}
+
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MoreTrialsConfig {
+    /// A file, or the name of a shipped protocol.
+    pub(super) protocol: String,
+    /// Whose trials: "search", "search:touch", "search:tracking" or "repetition"; absent means "search".
+    pub(super) expert: Option<String>,
+}
+
+/// Takeover-DAgger: in each round the first policy, with its first seed, moves the robot until the expert takes over, and is
+/// learned again on all trials so far.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TakeoverConfig {
+    /// 0 for none.
+    pub(super) rounds: u64,
+    /// Trials of a round on each object, at least 1.
+    pub(super) count: u64,
 }
 
 #[derive(Clone, Debug, Deserialize, PartialEq)]
@@ -92,6 +117,9 @@ pub(super) struct PolicyConfig {
     /// Whether it sees the features of `encoder`.
     #[serde(default)]
     pub(super) features: bool,
+    /// Whether it sees how wide the region is that objects begin in.
+    #[serde(default)]
+    pub(super) region: bool,
     /// One training each.
     pub(super) seeds: Vec<u64>,
 }
@@ -151,6 +179,7 @@ impl PolicyConfig {
         config.memory = self.memory.unwrap_or(config.memory);
         config.updates = self.updates.unwrap_or(config.updates);
         config.observation.features |= self.features;
+        config.observation.region |= self.region;
         config.validate()?;
         Ok(config)
     }
@@ -166,6 +195,11 @@ impl EvaluationConfig {
 }
 
 impl PipelineConfig {
+    /// Rounds in which the expert takes over.
+    pub(super) fn rounds(&self) -> u64 {
+        self.takeover.as_ref().map_or(0, |takeover| takeover.rounds)
+    }
+
     /// The text of a preset.
     pub(super) fn preset(name: &str) -> anyhow::Result<&'static str> {
         let found = PRESETS.iter().find(|(preset, _)| *preset == name);
@@ -182,7 +216,9 @@ impl PipelineConfig {
 
     fn check(&self) -> anyhow::Result<()> {
         let (closings, trials) = (&self.closings, &self.trials);
-        for (field, count) in [("closings.count", closings.count), ("trials.count", trials.count)] {
+        let takeover = self.takeover.as_ref().map(|takeover| ("takeover.count", takeover.count));
+        let counts = [("closings.count", closings.count), ("trials.count", trials.count)];
+        for (field, count) in counts.into_iter().chain(takeover) {
             if count == 0 {
                 bail!("{field} is 0, expected at least 1");
             }
@@ -191,7 +227,16 @@ impl PipelineConfig {
             files::objects(objects).with_context(|| format!("{field}.objects is {objects:?}"))?;
         }
         let protocol = |given: &str| compare::protocol(given, &Sources::default());
-        protocol(&trials.protocol).context("trials.protocol")?;
+        let (_, first) = protocol(&trials.protocol).context("trials.protocol")?;
+        let mut is_of_one_region = true;
+        for also in &trials.also {
+            let (_, other) = protocol(&also.protocol).context("trials.also: protocol")?;
+            is_of_one_region &= other.half_width_m == first.half_width_m;
+            if let Some(expert) = &also.expert {
+                gather::expert_kind(expert)
+                    .map_err(|problem| anyhow::anyhow!("trials.also: expert: {problem}"))?;
+            }
+        }
         if self.policies.is_empty() || self.evaluations.is_empty() {
             bail!("policies and evaluations need at least one entry each");
         }
@@ -216,6 +261,12 @@ impl PipelineConfig {
                      leave features out"
                 );
             }
+            if how.observation.region && is_of_one_region {
+                bail!(
+                    "policies: {name:?} sees the region, but all trials are of one region; add a protocol of another to \
+                     trials.also, or leave region out"
+                );
+            }
             is_encoder_used |= how.observation.features;
         }
         if let Some(encoder) = &self.encoder {
@@ -238,7 +289,11 @@ impl PipelineConfig {
             }
             let (_, protocol) =
                 protocol(&evaluation.protocol).with_context(|| format!("evaluations: {name:?}"))?;
-            gather::check_seed(trials.seed, &name, &protocol).context("trials.seed")?;
+            for round in 0..=self.rounds() {
+                let seed = trials.seed.wrapping_add(round);
+                gather::check_seed(seed, &name, &protocol)
+                    .with_context(|| format!("trials.seed, and {round} rounds of takeover after it"))?;
+            }
             files::objects(&evaluation.objects)
                 .with_context(|| format!("evaluations: objects of {name:?} is {:?}", evaluation.objects))?;
             if let Some(truth) = evaluation.truth.as_ref().filter(|truth| !truth.is_file()) {

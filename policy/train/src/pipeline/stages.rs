@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use palpate_cloning::{CHECKPOINT_FILE, Head, Memory, POLICY_FILE, PaperPolicy};
 
 use super::PipelineArgs;
@@ -84,12 +85,14 @@ impl Command {
 pub(super) struct Training<'a> {
     pub(super) policy: &'a PolicyConfig,
     pub(super) seed: u64,
+    /// Rounds of takeover that it learns from, beside the expert's own trials.
+    round: u64,
     pub(super) folder: PathBuf,
 }
 
 impl Training<'_> {
     pub(super) fn name(&self) -> String {
-        format!("{}_{}", self.policy.name, self.seed)
+        training_name(self.policy, self.seed, self.round)
     }
 
     /// As `palpate-train evaluate` names it.
@@ -100,15 +103,33 @@ impl Training<'_> {
     }
 }
 
-/// Every training, in the order in which they are compared.
+fn training_name(policy: &PolicyConfig, seed: u64, round: u64) -> String {
+    let after = if round == 0 { String::new() } else { format!("_round{round}") };
+    format!("{}_{seed}{after}", policy.name)
+}
+
+/// Every training, in the order in which they are compared; what is learned again after rounds of takeover comes last.
 pub(super) fn trainings<'a>(config: &'a PipelineConfig, out: &Path) -> Vec<Training<'a>> {
-    let of_policy = |policy: &'a PolicyConfig| {
-        policy.seeds.iter().map(move |&seed| {
-            let folder = out.join("policies").join(format!("{}_{seed}", policy.name));
-            Training { policy, seed, folder }
-        })
+    let training = |policy: &'a PolicyConfig, seed: u64, round: u64| {
+        let folder = out.join("policies").join(training_name(policy, seed, round));
+        Training { policy, seed, round, folder }
     };
-    config.policies.iter().flat_map(of_policy).collect()
+    let of_policy =
+        |policy: &'a PolicyConfig| policy.seeds.iter().map(move |&seed| training(policy, seed, 0));
+    let first = config.policies.first().and_then(|policy| Some((policy, *policy.seeds.first()?)));
+    let again = first
+        .into_iter()
+        .flat_map(|(policy, seed)| (1..=config.rounds()).map(move |round| training(policy, seed, round)));
+    config.policies.iter().flat_map(of_policy).chain(again).collect()
+}
+
+/// Folder of the trials of a round of takeover.
+fn takeover_dir(out: &Path, round: u64) -> PathBuf {
+    out.join(takeover_name(round))
+}
+
+fn takeover_name(round: u64) -> String {
+    format!("takeover_{round}")
 }
 
 /// Folder of the pretraining of the encoder.
@@ -152,35 +173,47 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         core_s: core_s::CLOSING * count(&closings.objects)? * closings.count as f64,
         is_parallel: true,
     }];
-    let (trials, trials_dir) = (&config.trials, out.join("trials"));
+    let trials = &config.trials;
     let all_trials = count(&trials.objects)? * trials.count as f64;
-    stages.push(Stage {
-        name: "trials".to_owned(),
-        command: Command::of("gather")
-            .with("objects", &trials.objects)
-            .with("count", trials.count.to_string())
-            .with("protocol", &trials.protocol)
-            .with("seed", trials.seed.to_string())
-            .maybe("model", model)
-            .with("closings", &closings_file)
-            .with("out", &trials_dir)
-            .0,
-        needs: vec!["closings".to_owned()],
-        files: own(model),
-        results: vec![trials_dir.clone()],
-        writes: vec![trials_dir.clone()],
-        core_s: core_s::TRIAL * all_trials,
-        is_parallel: true,
-    });
+    let mut trials_of = Vec::new();
+    let kinds = trials.also.iter().map(|also| (&also.protocol, also.expert.as_ref()));
+    for (idx, (protocol, expert)) in std::iter::once((&trials.protocol, None)).chain(kinds).enumerate() {
+        let name = if idx == 0 { "trials".to_owned() } else { format!("trials_{}", idx + 1) };
+        let folder = out.join(&name);
+        stages.push(Stage {
+            name: name.clone(),
+            command: Command::of("gather")
+                .with("objects", &trials.objects)
+                .with("count", trials.count.to_string())
+                .with("protocol", protocol)
+                .maybe("expert", expert)
+                .with("seed", trials.seed.to_string())
+                .maybe("model", model)
+                .with("closings", &closings_file)
+                .with("out", &folder)
+                .0,
+            needs: vec!["closings".to_owned()],
+            files: own(model),
+            results: vec![folder.clone()],
+            writes: vec![folder.clone()],
+            core_s: core_s::TRIAL * all_trials,
+            is_parallel: true,
+        });
+        trials_of.push((name, folder));
+    }
+    let trials_names = || trials_of.iter().map(|(name, _)| name.clone());
+    // Names of commands' flags that take several folders stand before each.
+    let reading = |command: Command, flag: &str| {
+        trials_of.iter().fold(command, |command, (_, folder)| command.with(flag, folder))
+    };
     let (_, protocol) = compare::protocol(&trials.protocol, &files::Sources::default())?;
-    let steps = core_s::STEPS_PER_S * protocol.episode_s * all_trials;
+    let steps = core_s::STEPS_PER_S * protocol.episode_s * all_trials * trials_of.len() as f64;
     let encoder_dir = encoder_dir(out);
     if let Some(encoder) = &config.encoder {
         let how = encoder.encoder_config()?;
         stages.push(Stage {
             name: ENCODER.to_owned(),
-            command: Command::of("encode")
-                .with("demos", &trials_dir)
+            command: reading(Command::of("encode"), "demos")
                 .maybe("preset", encoder.preset.as_ref())
                 .maybe("config", encoder.config.as_ref())
                 .with("epochs", how.epochs.to_string())
@@ -188,7 +221,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .flag("resume", true)
                 .with("out", &encoder_dir)
                 .0,
-            needs: vec!["trials".to_owned()],
+            needs: trials_names().collect(),
             files: own(encoder.config.as_ref()),
             results: vec![encoder_dir.join(CHECKPOINT_FILE)],
             writes: vec![encoder_dir.clone()],
@@ -198,6 +231,33 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
     }
     let trainings = trainings(config, out);
     for training in &trainings {
+        if let (1.., Some(takeover)) = (training.round, &config.takeover) {
+            // By whoever learned in the round before.
+            let student = |one: &&Training<'_>| {
+                one.round + 1 == training.round && one.policy == training.policy && one.seed == training.seed
+            };
+            let student = trainings.iter().find(student).context("a round of takeover has no student")?;
+            let folder = takeover_dir(out, training.round);
+            stages.push(Stage {
+                name: takeover_name(training.round),
+                command: Command::of("gather")
+                    .with("objects", &trials.objects)
+                    .with("count", takeover.count.to_string())
+                    .with("protocol", &trials.protocol)
+                    .with("seed", trials.seed.wrapping_add(training.round).to_string())
+                    .with("takeover", student.as_policy())
+                    .maybe("model", model)
+                    .with("closings", &closings_file)
+                    .with("out", &folder)
+                    .0,
+                needs: vec!["closings".to_owned(), student.name()],
+                files: own(model),
+                results: vec![folder.clone()],
+                writes: vec![folder],
+                core_s: core_s::TRIAL * count(&trials.objects)? * takeover.count as f64,
+                is_parallel: true,
+            });
+        }
         let how = training.policy.clone_config()?;
         let (head, update_core_s) = match how.head {
             Head::Regression => ("regression", core_s::REGRESSION_UPDATE),
@@ -219,8 +279,10 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         });
         stages.push(Stage {
             name: training.name(),
-            command: Command::of("clone")
-                .with("data", &trials_dir)
+            command: (1..=training.round)
+                .fold(reading(Command::of("clone"), "data"), |command, round| {
+                    command.with("data", takeover_dir(out, round))
+                })
                 .maybe("preset", training.policy.preset.as_ref())
                 .maybe("config", training.policy.config.as_ref())
                 .maybe("policy", policy)
@@ -230,17 +292,17 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .with("seed", training.seed.to_string())
                 .flag("silence-touch", training.policy.silence_touch)
                 .flag("hide-tracking", training.policy.hide_tracking)
+                .flag("region", training.policy.region)
                 .flag("features", features && policy.is_none())
                 .maybe("encoder", features.then_some(&encoder_dir))
                 .with("device", &args.device)
                 .flag("resume", true)
                 .with("out", &training.folder)
                 .0,
-            needs: if features {
-                vec!["trials".to_owned(), ENCODER.to_owned()]
-            } else {
-                vec!["trials".to_owned()]
-            },
+            needs: trials_names()
+                .chain((1..=training.round).map(takeover_name))
+                .chain(features.then(|| ENCODER.to_owned()))
+                .collect(),
             files: own(training.policy.config.as_ref()),
             results: vec![training.folder.join(POLICY_FILE)],
             writes: vec![training.folder.clone()],

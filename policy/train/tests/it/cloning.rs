@@ -215,6 +215,51 @@ fn a_policy_is_told_its_region_by_trials_of_several_and_by_the_protocol() {
 }
 
 #[test]
+fn an_expert_takes_over_from_a_policy_and_teaches_from_there_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let (first, taken, out) = (path("first"), path("taken"), path("run"));
+    let gather = |out: &Path, more: &[&str]| {
+        let fixed = ["gather", "--objects", "cube", "--count", "3", "--out", text(out)];
+        printed(&[&fixed[..], more].concat())
+    };
+    gather(&first, &[]);
+    let config = path("tiny.toml");
+    std::fs::write(&config, CONFIG).expect("a file");
+    let clone = |data: &[&Path], out: &Path, more: &[&str]| -> Value {
+        let data = data.iter().map(|path| text(path));
+        let fixed = ["clone", "--config", text(&config), "--json", "--out", text(out)];
+        let args = fixed.into_iter().chain(more.iter().copied()).chain(["--data"]).chain(data);
+        serde_json::from_str(&printed(&args.collect::<Vec<_>>())).expect("a report")
+    };
+    // Of another head, that of action chunking with Transformers.
+    let alone = clone(&[&first], &out, &["--head", "act"]);
+    let student = format!("clone:{}", text(&out));
+    gather(&taken, &["--takeover", &student, "--seed", "102", "--threads", "1"]);
+    let cube = taken.join("cube.safetensors.zst");
+    let bytes = std::fs::read(&cube).expect("a file");
+    std::fs::remove_file(&cube).expect("it is gone");
+    gather(&taken, &["--takeover", &student, "--seed", "102", "--threads", "2"]);
+    assert!(std::fs::read(&cube).expect("a file") == bytes, "other bytes");
+    let raw = zstd::decode_all(&*bytes).expect("compressed");
+    let file = safetensors::SafeTensors::deserialize(&raw).expect("tensors");
+    let counts = |name: &str| -> Vec<u64> {
+        let data = file.tensor(name).expect("it is there").data();
+        data.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect()
+    };
+    let (steps, taught) = (counts("first_steps"), counts("taught_from"));
+    assert!(taught.iter().any(|&from| from > 0), "{taught:?}");
+    let learned = clone(&[&first, &taken], &path("again"), &[]);
+    // One trial of each training is held out.
+    let most = steps[3] - taught.iter().sum::<u64>();
+    let more = learned["steps"].as_u64().expect("steps");
+    assert!(more > alone["steps"].as_u64().expect("steps"), "{learned} {alone}");
+    assert!(more <= alone["steps"].as_u64().expect("steps") + 200 + most, "{learned} {alone}");
+    let said = refused(&["gather", "--out", text(&path("none")), "--takeover", "clone:no_such_policy"]);
+    assert!(said.contains("--takeover") && said.contains("no_such_policy"), "{said}");
+}
+
+#[test]
 fn points_of_the_hand_are_seen_by_the_papers_policy_that_has_no_encoder() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);

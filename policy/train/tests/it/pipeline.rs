@@ -95,6 +95,41 @@ fn what_has_not_changed_is_not_made_again() {
     assert_eq!(made.map(bytes), before, "other bytes");
 }
 
+#[test]
+fn an_expert_takes_over_in_rounds_and_policies_see_regions_of_several_protocols() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("a path").to_owned();
+    let (file, out) = (path("pipeline.toml"), path("out"));
+    std::fs::write(folder.path().join("tiny.toml"), TINY).expect("a file");
+    let configure = |also: &str| {
+        let text = format!(
+            "[closings]\nobjects = \"cube\"\ncount = 12\nseed = 3\n\
+             [trials]\nobjects = \"cube\"\ncount = 3\nprotocol = \"wide\"\nseed = 101\n{also}\
+             [takeover]\nrounds = 1\ncount = 2\n\
+             [[policies]]\nname = \"tiny\"\nconfig = {:?}\nregion = true\nseeds = [0]\n\
+             [[evaluations]]\nprotocol = \"wide\"\nobjects = \"cube\"\ntrials = 1\n",
+            path("tiny.toml")
+        );
+        std::fs::write(&file, text).expect("a file");
+    };
+    let call = ["--config", &file, "--out", &out, "--events"];
+    configure("");
+    let said = pipeline(&call).expect_err("one region");
+    assert!(said.contains("sees the region, but all trials are of one region"), "{said}");
+    configure("[[trials.also]]\nprotocol = \"paper\"\nexpert = \"repetition\"\n");
+    let said = pipeline(&call).expect("it runs");
+    for stage in ["trials_2", "takeover_1", "tiny_0_round1"] {
+        assert!(said.contains(stage), "{stage}: {said}");
+    }
+    let report: Value = said
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
+        .find(|event| event["event"] == "report")
+        .expect("a report");
+    let of_student = &report["report"]["evaluations"]["wide"]["tiny_0_round1"];
+    assert_eq!(of_student["overall"]["trials"], 1, "{report}");
+}
+
 /// An encoder as small.
 const TINY_ENCODER: &str = "epochs = 1\nbatch_size = 8\nhistory = 3\nframe_stride = 8\nheld_out_share = 0.4\n\
     hand_points = 8\nobject_points = 8\n\
