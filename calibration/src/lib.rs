@@ -2,11 +2,13 @@
 //!
 //! [`calibrate`] is the job: paired takes in, [`palpate_reports::CalibrationReport`] and a sensor model out.
 //! [`PairedTake::from_take`] replays a recorded take for it. [`metrics`] are the paper's, [`sweep`] holds its grid search
-//! and the exact search, [`report`] writes the self-contained HTML, [`mod@bench`] measures the searches. Pure: takes, clocks,
-//! random seeds and paths come from the caller.
+//! and the exact search, [`report`] writes the self-contained HTML, [`mod@bench`] measures the searches. [`contact_map`] goes
+//! the other way: it learns what to make of real readings, so that they agree with a simulation. Pure: takes, clocks, random
+//! seeds and paths come from the caller.
 
 pub mod bench;
 mod bootstrap;
+pub mod contact_map;
 mod hold_out;
 mod job;
 pub mod metrics;

@@ -4,9 +4,11 @@
 
 mod calibration;
 mod check;
+mod contact_map;
 mod diagnosis;
 pub mod wording;
 
 pub use calibration::*;
 pub use check::*;
+pub use contact_map::*;
 pub use diagnosis::*;

@@ -2,6 +2,7 @@
 
 use palpate_sim::{SensorModel, Theta};
 
+mod contact_map;
 mod job;
 mod peer_inputs;
 mod report;
