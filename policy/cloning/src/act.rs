@@ -8,7 +8,7 @@
 use burn_tensor::{Tensor, activation};
 use palpate_training::ArrayBuilder;
 
-use crate::network::{Pass, output};
+use crate::pass::{Pass, output};
 use crate::{CloneConfig, Shape};
 
 /// First spread of what tells frames, and steps of a chunk, apart.

@@ -6,9 +6,10 @@ use burn_tensor::{Device, Tensor, TensorData};
 use palpate_training::{fill_normal, generator};
 
 use crate::episodes::EncoderFile;
-use crate::network::{Network, values};
+use crate::network::Network;
+use crate::pass::values;
+use crate::scaling::Scaling;
 use crate::schedule::Schedule;
-use crate::trainer::Scaling;
 use crate::{CloneConfig, CloneError, Head, History, Moment, Shape};
 
 /// What noise is for: chunks that are drawn.

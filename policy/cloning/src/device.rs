@@ -4,7 +4,7 @@ use burn_tensor::{Device, Tensor, TensorData};
 use palpate_training::AdamRates;
 
 use crate::episodes::{Episodes, Sample};
-use crate::network::values;
+use crate::pass::values;
 use crate::trainer::{NOISE, Predicted, Trainer};
 use crate::{CloneConfig, CloneError};
 

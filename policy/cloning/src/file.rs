@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 use crate::cloned::{Cloned, Robot};
 use crate::episodes::{EncoderFile, Episodes};
 use crate::network::Network;
-use crate::trainer::{Scaling, Trainer};
+use crate::scaling::Scaling;
+use crate::trainer::Trainer;
 use crate::{CloneConfig, CloneError};
 
 /// The policy that came out of a training, in its folder.

@@ -4,7 +4,7 @@
 use burn_tensor::{Tensor, activation};
 use palpate_training::ArrayBuilder;
 
-use crate::network::Pass;
+use crate::pass::Pass;
 
 /// First bias of the gate that keeps the state: at first a state lasts some frames, and gradients reach the oldest ones
 /// (Jozefowicz et al. 2015).
@@ -63,7 +63,7 @@ mod tests {
     use burn_tensor::{Device, TensorData};
 
     use super::*;
-    use crate::network::values;
+    use crate::pass::values;
 
     /// The last state by the formulas of PyTorch's documentation, one number after the other.
     fn by_hand(gru: Gru, arrays: &[Vec<f64>], observation: &[f64]) -> Vec<f64> {

@@ -24,8 +24,10 @@ mod file;
 mod gru;
 mod history;
 mod network;
+mod pass;
 mod policies;
 mod run;
+mod scaling;
 mod schedule;
 mod trainer;
 

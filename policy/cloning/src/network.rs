@@ -1,20 +1,18 @@
 //! The networks: their parameters as plain arrays, and the same as tensors that compute.
 
-use burn_tensor::{Device, Tensor, TensorData, activation, module};
+use burn_tensor::{Device, Tensor, TensorData, activation};
 use palpate_training::{Array, ArrayBuilder};
 
 use crate::act::Act;
 use crate::gru::Gru;
+use crate::pass::{Pass, output};
 use crate::{CloneConfig, Head, Memory, Shape};
 
 /// Samples that one thread computes at a time. Fixed, because the order of a sum is part of its bits.
 pub(crate) const CHUNK_SAMPLES: usize = 32;
 
-const NORM_EPSILON: f64 = 1e-5;
 /// What noise is for: first weights.
 const WEIGHTS: u64 = 1;
-/// First weights of what comes out, against those of other layers: the first predictions are about zero.
-const OUTPUT_SCALE: f32 = 0.1;
 /// Numbers that say which step of the diffusion it is.
 const STEP_DIM: usize = 64;
 /// Longest period of these, steps.
@@ -193,11 +191,6 @@ impl Network {
     }
 }
 
-pub(crate) fn output(builder: &mut ArrayBuilder, name: &str, inputs: usize, outputs: usize) {
-    builder.normal(format!("{name}.weight"), [inputs, outputs], OUTPUT_SCALE / (inputs as f32).sqrt());
-    builder.constant(format!("{name}.bias"), outputs, 0.0);
-}
-
 /// Sines and cosines of each step, `[steps, STEP_DIM]` (Vaswani et al. 2017, section 3.5).
 fn embedding(steps: &[usize]) -> Vec<f32> {
     let half = STEP_DIM / 2;
@@ -295,32 +288,4 @@ impl UNet {
         let [rows, channels] = doubled.dims();
         Signal { rows: doubled.reshape([2 * rows, channels / 2]), samples: signal.samples }
     }
-}
-
-/// One way through the parameters.
-pub(crate) struct Pass<'a>(std::slice::Iter<'a, Tensor<2>>);
-
-impl<'a> Pass<'a> {
-    pub(crate) fn new(tensors: &'a [Tensor<2>]) -> Self {
-        Self(tensors.iter())
-    }
-
-    pub(crate) fn next(&mut self) -> Tensor<2> {
-        self.0.next().expect("a pass takes what was built").clone()
-    }
-
-    pub(crate) fn linear(&mut self, rows: Tensor<2>) -> Tensor<2> {
-        rows.matmul(self.next()) + self.next()
-    }
-
-    pub(crate) fn norm(&mut self, rows: Tensor<2>) -> Tensor<2> {
-        let (gain, bias) = (self.next(), self.next());
-        let [_, width] = gain.dims();
-        module::layer_norm(rows, gain.reshape([width]), Some(bias.reshape([width])), NORM_EPSILON)
-    }
-}
-
-/// The numbers of a tensor, row by row.
-pub(crate) fn values(tensor: Tensor<2>) -> Vec<f32> {
-    tensor.into_data().try_into_vec().expect("networks are made of 32-bit floats")
 }
