@@ -6,6 +6,7 @@ mod tables;
 
 use std::sync::Arc;
 
+use palpate_robot_model::TactileLayout;
 use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
 
 use super::{
@@ -38,6 +39,8 @@ pub const ABOUT: About = About {
 #[derive(Debug, Default)]
 struct CalibrateState {
     use_grid: bool,
+    /// One theta for all streams of a kind; counts where a layout has several.
+    shared_theta: bool,
     hold_out: HoldOutChoice,
     model_name: String,
     waits_for_start: bool,
@@ -76,7 +79,9 @@ impl View for CalibrateState {
                     ui.add_space(12.0);
                     if let Loadable::Ready(runs) = cx.store.runs() {
                         let about = |request: &CalibrationRequest| {
-                            request.method.as_deref().unwrap_or("exact").to_owned()
+                            let method = request.method.as_deref().unwrap_or("exact");
+                            let shared = if request.shared_theta { ", one theta" } else { "" };
+                            format!("{method}{shared}")
                         };
                         earlier_runs_ui(ui, cx, &runs, Screen::Calibrate, about);
                     }
@@ -136,6 +141,15 @@ fn choose_ui(
         .on_hover_text("One sort per alpha finds the best threshold over all real values");
     ui.radio_value(&mut state.use_grid, true, "Grid: 20 × 20 × 20, as in the paper");
 
+    let station = cx.store.station(&session);
+    let has_several = station.ready().is_some_and(|station| has_streams_of_a_kind(&station.layout));
+    if has_several {
+        ui.checkbox(&mut state.shared_theta, "One theta for all streams of a kind").on_hover_text(
+            "Off, each stream gets a theta of its own: right where skins are of different make. On, they share one: right \
+             where they are alike, or hardly touched",
+        );
+    }
+
     ui.add_space(4.0);
     ui.label("Takes kept for judging");
     let detail = cx.store.session(&session);
@@ -151,7 +165,7 @@ fn choose_ui(
         session,
         method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
         hold_out: state.hold_out.takes(),
-        shared_theta: false,
+        shared_theta: has_several && state.shared_theta,
     };
     let fill = cx.palette.calibrated;
     let starts = start_ui(ui, cx, ready, "Start calibration", fill);
@@ -173,6 +187,12 @@ fn choose_ui(
     {
         cx.store.cancel_run(&run.id);
     }
+}
+
+/// Whether a calibration fits a theta to each stream unless it is told otherwise.
+fn has_streams_of_a_kind(layout: &TactileLayout) -> bool {
+    let kinds = layout.streams.iter().map(|stream| stream.kind);
+    kinds.enumerate().any(|(idx, kind)| layout.streams[..idx].iter().any(|other| other.kind == kind))
 }
 
 fn running_run(cx: &mut ScreenContext<'_>) -> Option<CalibrationRun> {

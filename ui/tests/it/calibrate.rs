@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use base64::Engine as _;
 use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
 use palpate_ui::{
@@ -11,13 +12,14 @@ use palpate_ui::{
 use palpate_wire::{
     api::{
         CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, Intervals, JobState, MetricIntervals,
-        Metrics, MetricsPair, Objective, StreamFit, StreamThetaReport, TakeMetrics, ThetaReport,
+        Metrics, MetricsPair, Objective, StationDocument, StreamFit, StreamThetaReport, TakeMetrics,
+        ThetaReport,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page};
+use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, station};
 
 fn metrics(onset_error_ms: f64, f1: f64) -> Metrics {
     Metrics { onset_error_ms: Some(onset_error_ms), f1: Some(f1), fpr: Some(0.042), ..Metrics::default() }
@@ -118,6 +120,56 @@ fn button_starts_a_run_and_the_result_leads_with_a_sentence() {
         sent.iter().any(|request| matches!(request, Request::SaveModel { run, .. } if run == "run-7")),
         "{sent:?}"
     );
+}
+
+/// Makes one of the films a stream of its own.
+fn two_skins(api: &SharedApi) {
+    let files = station().files;
+    let of_films = |text: &str| {
+        let (before, last) = text.rsplit_once("stream = \"film\"").expect("the layout has films");
+        format!(
+            "{before}stream = \"rim\"{last}\n[[stream]]\nid = \"rim\"\nlabel = \"Rim\"\nkind = \"proximity\"\nrate_hz = 50.0\n\
+             raw_unit = \"mV\"\n"
+        )
+    };
+    let files_base64 = files.files.iter().map(|(path, bytes)| {
+        let bytes = if path.ends_with("probe_pad_15.toml") {
+            of_films(std::str::from_utf8(bytes).expect("a layout is text")).into_bytes()
+        } else {
+            bytes.clone()
+        };
+        (path.clone(), base64::engine::general_purpose::STANDARD.encode(bytes))
+    });
+    let more = "\n[[stream]]\nstream = \"rim\"\non_threshold = 250.0\noff_threshold = 180.0\nraw_min = 0.0\nraw_max = 3300.0\n";
+    let document = StationDocument {
+        station_toml: format!("{}{more}", files.station_toml),
+        files_base64: files_base64.collect(),
+    };
+    let document = serde_json::to_vec(&document).expect("a document is plain data");
+    api.0.borrow_mut().answer(&Request::Station("bench-1".into()), document);
+}
+
+#[test]
+fn one_theta_for_all_is_a_choice_where_a_layout_has_streams_of_a_kind() {
+    const LABEL: &str = "One theta for all streams of a kind";
+    let window = FakeWindow::at("#/calibrate/bench-1");
+    let mut harness = page(&full_api(), &window);
+    harness.run_steps(4);
+    assert!(harness.query_by_role_and_label(Role::CheckBox, LABEL).is_none(), "one stream of each kind");
+
+    let api = full_api();
+    two_skins(&api);
+    let mut harness = page(&api, &window);
+    harness.run_steps(4);
+    harness.get_by_role_and_label(Role::CheckBox, LABEL).click();
+    harness.run_steps(2);
+    harness.get_by_role_and_label(Role::Button, "Start calibration").click();
+    harness.run_steps(4);
+    let sent = &api.0.borrow().sent;
+    let shared = sent.iter().any(
+        |request| matches!(request, Request::StartRun(request) if request.shared_theta && request.session == "bench-1"),
+    );
+    assert!(shared, "{sent:?}");
 }
 
 #[test]
