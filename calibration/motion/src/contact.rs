@@ -9,11 +9,11 @@ use rand_chacha::ChaCha8Rng;
 use crate::scene::{Scene, tangents};
 
 /// Other links stay this far from the object while one touches, m.
-const LEAST_CLEARANCE_M: f64 = 0.0005;
+pub(crate) const LEAST_CLEARANCE_M: f64 = 0.0005;
 /// More clearance than this makes no posture better, m.
-const AMPLE_CLEARANCE_M: f64 = 0.016;
+pub(crate) const AMPLE_CLEARANCE_M: f64 = 0.016;
 /// How far the touching link's own collision shape may seem to be inside: it is coarser than its patches.
-const OWN_OVERLAP_M: f64 = 0.006;
+pub(crate) const OWN_OVERLAP_M: f64 = 0.006;
 /// Normals at a touch are opposed within this, rad.
 pub(crate) const NORMAL_TOLERANCE_RAD: f64 = 0.12;
 const FEWEST_TRIALS: usize = 120;
@@ -80,7 +80,7 @@ pub(crate) fn find_contacts(
     found
 }
 
-fn try_contact(
+pub(crate) fn try_contact(
     scene: &Scene<'_>,
     channel: usize,
     postures: &Postures<'_>,
@@ -196,6 +196,6 @@ fn longest_direction(points: impl Iterator<Item = Point3<f64>>, normal: &Unit<Ve
 }
 
 /// Roughly normal, standard deviation 0.5, never beyond 1.5.
-fn bell(rng: &mut ChaCha8Rng) -> f64 {
+pub(crate) fn bell(rng: &mut ChaCha8Rng) -> f64 {
     rng.random::<f64>() + rng.random::<f64>() + rng.random::<f64>() - 1.5
 }

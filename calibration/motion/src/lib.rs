@@ -9,6 +9,7 @@
 mod plan;
 mod primitive;
 
+mod closing;
 mod contact;
 mod limits;
 mod path;
@@ -16,13 +17,18 @@ mod planner;
 mod scene;
 mod touch;
 
+mod first_plan;
+mod text;
+
 mod coverage;
 mod error;
 
 pub use coverage::{ChannelCoverage, coverage};
 pub use error::PlanError;
+pub use first_plan::{FirstPlan, ObjectInPlan, first_plan};
 pub use limits::MotionLimits;
 pub use plan::{MotionConfig, Plan, PlannedTake, channel_named};
 pub use planner::{TakeMotion, plan_approach, plan_in, plan_take};
 pub use primitive::{Actuator, Motion, Primitive, Primitives, Speed};
 pub use scene::Scene;
+pub use text::plan_text;

@@ -5,10 +5,11 @@ use palpate_robot_model::{JointKind, Station, ik};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::closing::{Closing, find_closings, is_carried};
 use crate::contact::{Postures, find_contacts, limb_dofs};
 use crate::limits::outside;
 use crate::path::{JointPath, Segment};
-use crate::primitive::{Actuator, Primitive, Primitives};
+use crate::primitive::{Actuator, Motion, Primitive, Primitives};
 use crate::touch::{Strokes, travel_s};
 use crate::{MotionLimits, Plan, PlanError, PlannedTake, Scene, channel_named};
 
@@ -68,8 +69,17 @@ struct PlannedTouch {
     strokes: Strokes,
     /// From the end of the touch before to this one's hover.
     way_in: Vec<Segment>,
+    /// From the last hover to where the next way begins; empty where that is the hover.
+    way_out: Vec<Segment>,
     /// Whether flexing joints arrive from above their final position.
     from_above: bool,
+}
+
+impl PlannedTouch {
+    /// Where the robot is afterwards.
+    fn end(&self) -> &[f64] {
+        self.way_out.last().map_or(self.strokes.hover(), Segment::end)
+    }
 }
 
 /// Plans the take at `take_idx` of `plan` on `station`. Primitives that the plan does not hold come from `primitives`.
@@ -216,11 +226,12 @@ impl<'a> Planner<'a> {
                     self.take.object
                 ))
             })?;
-            here = touch.strokes.hover().to_vec();
+            here = touch.end().to_vec();
             let other_side = (self.primitive.both_sides && touch.settles).then(|| {
                 let from_above = !touch.from_above;
                 let way_in = self.way_in(&here, touch.link, &touch.strokes, from_above)?;
-                Some(PlannedTouch { strokes: touch.strokes.clone(), way_in, from_above, ..touch })
+                let (strokes, way_out) = (touch.strokes.clone(), Vec::new());
+                Some(PlannedTouch { strokes, way_in, way_out, from_above, ..touch })
             });
             touches.push(touch);
             touches.extend(other_side.flatten());
@@ -297,6 +308,9 @@ impl<'a> Planner<'a> {
                     });
                 }
             }
+            for segment in &touch.way_out {
+                self.add(&mut take.path, segment.clone());
+            }
         }
         take.activities.push((take.path.duration_s(), "to rest".to_owned()));
         for segment in way_home {
@@ -327,7 +341,10 @@ impl<'a> Planner<'a> {
         let turn = touch_idx + self.take_idx;
         let from_above = turn % 2 == 1;
         let preferred = actuators[(turn / 2) % actuators.len()];
-        let contacts = find_contacts(self.scene, channel, &postures, rng);
+        let contacts = match is_carried(self.scene) {
+            true => find_contacts(self.scene, channel, &postures, rng),
+            false => Vec::new(),
+        };
         // Every posture with the actuator whose turn it is, before any with another.
         for actuator in [preferred, Actuator::Carrier] {
             for contact in contacts.iter().take(MOST_POSTURES) {
@@ -344,6 +361,7 @@ impl<'a> Planner<'a> {
                         settles,
                         strokes,
                         way_in,
+                        way_out: Vec::new(),
                         from_above,
                     });
                 }
@@ -352,7 +370,41 @@ impl<'a> Planner<'a> {
                 break;
             }
         }
-        None
+        self.close_on(channel, touch_idx, here, &postures, rng)
+    }
+
+    /// A touch for which nothing has to carry the hand: its limb closes on the object.
+    fn close_on(
+        &self,
+        channel: usize,
+        touch_idx: usize,
+        here: &[f64],
+        postures: &Postures<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> Option<PlannedTouch> {
+        if self.primitive.motion != Motion::Press || !self.primitive.pressed_by.contains(&Actuator::Limb) {
+            return None;
+        }
+        let closings = find_closings(self.scene, channel, self.primitive, postures, rng);
+        closings.into_iter().find_map(|closing| {
+            let hover = closing.strokes.hover();
+            let closes = self.straight_if_clear(&closing.apart, hover)?;
+            let mut way_in = self.way(here, &closing.apart)?;
+            self.way(&closing.apart, &self.rest)?;
+            let way_out = vec![closes.reversed()];
+            way_in.push(closes);
+            let Closing { link, strokes, from_above, .. } = closing;
+            Some(PlannedTouch {
+                channel,
+                touch_idx,
+                link,
+                settles: false,
+                strokes,
+                way_in,
+                way_out,
+                from_above,
+            })
+        })
     }
 
     /// From `here` to the hover of `strokes`, arriving from one side of the flexing joints.

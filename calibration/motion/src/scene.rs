@@ -1,7 +1,7 @@
 //! What a motion must keep clear of: the object, felt by points on every link.
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
-use palpate_robot_model::{LinkGeometry, LinkShape, ObjectModel, Robot, Station};
+use palpate_robot_model::{LinkGeometry, LinkShape, ObjectModel, Robot, Station, SurfaceNode};
 use palpate_sim::geometry::SignedDistance;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -68,6 +68,17 @@ impl<'a> Scene<'a> {
         })
     }
 
+    /// Puts the object elsewhere.
+    pub(crate) fn place(&mut self, base_from_object: Isometry3<f64>) {
+        let moved = base_from_object * self.object_from_base;
+        for (pos, normal) in &mut self.surface {
+            *pos = moved * *pos;
+            *normal = Unit::new_normalize(moved.rotation * normal.into_inner());
+        }
+        self.base_from_object = base_from_object;
+        self.object_from_base = base_from_object.inverse();
+    }
+
     /// Where the object stands.
     pub fn base_from_object(&self) -> Isometry3<f64> {
         self.base_from_object
@@ -89,6 +100,45 @@ impl<'a> Scene<'a> {
             .fold(f64::INFINITY, f64::min)
     }
 
+    /// How far those links at `frames` that `counts` picks are from the object, up to about 0.1 m. Unlike
+    /// [`Self::clearance`], links that no joint moves may count too.
+    pub(crate) fn least_m(&self, frames: &[Isometry3<f64>], counts: impl Fn(usize) -> bool) -> f64 {
+        let mut least_m = 0.1;
+        for (link, body) in self.bodies.iter().enumerate().filter(|(link, _)| counts(*link)) {
+            self.lower_to(&mut least_m, body, &(self.object_from_base * frames[link]));
+        }
+        least_m
+    }
+
+    /// Lowers `least_m` to the distance of `body` from the object, if that is smaller.
+    fn lower_to(&self, least_m: &mut f64, body: &Body, object_from_link: &Isometry3<f64>) {
+        if body.points.is_empty()
+            || self.object.distance_m(&(object_from_link * body.centre)) - body.radius_m > *least_m
+        {
+            return;
+        }
+        for point in &body.points {
+            *least_m = least_m.min(self.object.distance_m(&(object_from_link * point)));
+        }
+    }
+
+    /// The node of `patch` that is deepest in the object, or nearest to it, on a link at `base_from_link`, and how
+    /// far the object's surface is from facing it, rad.
+    pub(crate) fn deepest_node(
+        &self,
+        patch: usize,
+        base_from_link: &Isometry3<f64>,
+    ) -> Option<(SurfaceNode, f64)> {
+        let object_from_link = self.object_from_base * base_from_link;
+        let nodes = self.station.layout.patches[patch].nodes.iter();
+        let (node, pos) = nodes
+            .map(|node| (node, object_from_link * node.pos_in_link))
+            .min_by(|(_, a), (_, b)| self.object.distance_m(a).total_cmp(&self.object.distance_m(b)))?;
+        let outward = gradient(&self.object, &pos)?;
+        let facing = object_from_link.rotation * node.normal_in_link.into_inner();
+        Some((*node, facing.angle(&-outward.into_inner())))
+    }
+
     /// How far the links at `frames` are from the object, up to about 0.1 m; `touching` is the link that may touch.
     pub(crate) fn clearance(&self, frames: &[Isometry3<f64>], touching: Option<usize>) -> Clearance {
         let own_root = touching.map(|link| self.rigid_root[link]);
@@ -104,14 +154,7 @@ impl<'a> Scene<'a> {
             if self.rigid_root[link] == 0 {
                 continue;
             }
-            if body.points.is_empty()
-                || self.object.distance_m(&(object_from_link * body.centre)) - body.radius_m > *least
-            {
-                continue;
-            }
-            for point in &body.points {
-                *least = least.min(self.object.distance_m(&(object_from_link * point)));
-            }
+            self.lower_to(least, body, &object_from_link);
         }
         clearance
     }

@@ -8,7 +8,8 @@ use crate::path::{PEAK_OVER_MEAN, Segment};
 use crate::primitive::{Actuator, Motion, Primitive, Speed};
 use crate::scene::Scene;
 
-const WAYPOINTS: usize = 9;
+/// Waypoints of a press.
+pub(crate) const WAYPOINTS: usize = 9;
 /// Other links stay this far away during a touch, m.
 const LEAST_CLEARANCE_M: f64 = 0.0005;
 
@@ -180,7 +181,9 @@ pub(crate) fn travel_s(scene: &Scene<'_>, from: &[f64], to: &[f64], fraction: f6
         .dofs()
         .zip(from.iter().zip(to))
         .map(|(joint, (from, to))| {
-            let limit = joint.limits.map_or(1.0, |limits| limits.velocity) * fraction;
+            // A robot file that gives no speed gives zero, by URDF's default.
+            let given = joint.limits.map(|limits| limits.velocity).filter(|&velocity| velocity > 0.0);
+            let limit = given.unwrap_or(1.0) * fraction;
             PEAK_OVER_MEAN * (to - from).abs() / limit.max(1e-6)
         })
         .fold(0.25, f64::max)

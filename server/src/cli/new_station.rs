@@ -7,13 +7,14 @@ use std::{
 };
 
 use clap::{Args, Subcommand, ValueEnum};
+use palpate_motion::{FirstPlan, ObjectInPlan};
 use palpate_recording::files::{MAX_TEXT_BYTES, read_text};
 use palpate_reports::wording::counted;
 use palpate_robot_model::{
     AxesReading, SensorKind,
     new_station::{
-        BuiltStation, JointReport, NewPatch, NewStation, NewStream, PatchReport, RobotReport, STATION_FILE,
-        SkinConfig, build,
+        BuiltStation, JointReport, NewPatch, NewStation, NewStream, PLAN_FILE, PatchReport, RobotReport,
+        STATION_FILE, SkinConfig,
     },
 };
 use palpate_server::{
@@ -31,7 +32,8 @@ const USUAL_STREAM: &str = "skin";
 
 #[derive(Subcommand)]
 pub(crate) enum StationCommand {
-    /// Make the folder of a station from a URDF: robot, layout, nominal model, objects, and comments that say what to change
+    /// Make the folder of a station from a URDF: robot, layout, nominal model, objects, a plan of what to record, and comments
+    /// that say what to change
     New(Box<NewArgs>),
 }
 
@@ -135,7 +137,19 @@ struct Document<'a> {
     files: Vec<&'a str>,
     robot: &'a RobotReport,
     patches: &'a [PatchReport],
+    /// The plan of what to record; `null` where none could be made, which `warnings` says, and without patches.
+    plan: Option<PlanDocument<'a>>,
     warnings: Vec<&'a str>,
+}
+
+/// What a plan touches.
+#[derive(Serialize)]
+struct PlanDocument<'a> {
+    /// Its file in the folder.
+    file: &'static str,
+    takes: usize,
+    duration_s: f64,
+    objects: &'a [ObjectInPlan],
 }
 
 pub(super) fn run(command: &StationCommand) -> Outcome {
@@ -171,18 +185,21 @@ pub(super) fn run(command: &StationCommand) -> Outcome {
             patches,
             objects: objects.paths,
             object_files: objects.files,
+            plan: None,
         };
-        Some(build(&wanted, &robot.file, &robot.urdf)?)
+        Some(new_station::build_with_plan(wanted, &robot)?)
     };
+    let (built, plan) = built.unzip();
+    let plan = plan.unwrap_or_default();
     if let (Some(built), Some(out)) = (&built, &args.out) {
         new_station::write(built, out)?;
     }
     if args.json {
-        output::json(&document(args, &robot, built.as_ref()))?;
+        output::json(&document(args, &robot, built.as_ref(), &plan))?;
     } else if args.explain {
-        output::line(&explained(&robot, built.as_ref()))?;
+        output::line(&explained(&robot, built.as_ref(), &plan))?;
     } else if let (Some(built), Some(out)) = (&built, &args.out) {
-        output::line(&made(&robot, built, out))?;
+        output::line(&made(&robot, built, &plan, out))?;
     }
     Ok(if robot.robot.num_dofs() > 0 { ExitCode::SUCCESS } else { ExitCode::from(NOT_OK) })
 }
@@ -275,14 +292,26 @@ fn label_of(robot: &RobotFile) -> String {
     if robot.robot.name.is_empty() { robot.file.clone() } else { robot.robot.name.clone() }
 }
 
-fn document<'a>(args: &'a NewArgs, robot: &'a RobotFile, built: Option<&'a BuiltStation>) -> Document<'a> {
+fn document<'a>(
+    args: &'a NewArgs,
+    robot: &'a RobotFile,
+    built: Option<&'a BuiltStation>,
+    plan: &'a FirstPlan,
+) -> Document<'a> {
     let warnings = robot.report.warnings.iter().chain(built.map_or(&[][..], placement_warnings));
+    let warnings = warnings.chain(&plan.warnings);
     Document {
         station: built.map(|built| built.station.id.as_str()),
         dir: args.out.as_deref(),
         files: built.map(|built| built.files.keys().map(String::as_str).collect()).unwrap_or_default(),
         robot: &robot.report,
         patches: built.map_or(&[], |built| &built.patches),
+        plan: plan.text.as_ref().map(|_| PlanDocument {
+            file: PLAN_FILE,
+            takes: plan.takes,
+            duration_s: plan.duration_s,
+            objects: &plan.objects,
+        }),
         warnings: warnings.map(String::as_str).collect(),
     }
 }
@@ -294,7 +323,7 @@ fn placement_warnings(built: &BuiltStation) -> &[String] {
     &built.warnings[from..]
 }
 
-fn explained(robot: &RobotFile, built: Option<&BuiltStation>) -> String {
+fn explained(robot: &RobotFile, built: Option<&BuiltStation>, plan: &FirstPlan) -> String {
     let report = &robot.report;
     let mut lines = vec![
         format!(
@@ -326,10 +355,18 @@ fn explained(robot: &RobotFile, built: Option<&BuiltStation>) -> String {
         ));
         lines.extend(built.patches.iter().map(patch_text));
     }
+    if plan.text.is_some() {
+        lines.push(format!("\n{}", plan_text(plan)));
+        lines.push(format!("\n{:<24} {:<32} {}", "object", "middle from the root, mm", "touched channels"));
+        lines.extend(plan.objects.iter().map(|object| {
+            let middle = object.position_m.map(|m| format!("{:.1}", m * 1e3)).join(", ");
+            format!("{:<24} {middle:<32} {}", object.object, object.channels.join(", "))
+        }));
+    }
     lines.push(String::new());
     lines.extend(report.changes.iter().map(|change| format!("note: {change}")));
     let warnings = report.warnings.iter().chain(built.map_or(&[][..], placement_warnings));
-    lines.extend(warnings.map(|warning| format!("warning: {warning}")));
+    lines.extend(warnings.chain(&plan.warnings).map(|warning| format!("warning: {warning}")));
     lines.push("nothing was written".to_owned());
     lines.join("\n")
 }
@@ -359,12 +396,34 @@ fn patch_text(patch: &PatchReport) -> String {
     format!("{:<24} {:<24} {middle:<26} {faces:<9} {channels}", patch.patch, patch.link)
 }
 
-fn made(robot: &RobotFile, built: &BuiltStation, out: &Path) -> String {
+/// The plan in a sentence.
+fn plan_text(plan: &FirstPlan) -> String {
+    format!(
+        "plan {PLAN_FILE}: {}, {:.0} min, {}",
+        match plan.takes {
+            1 => "1 take".to_owned(),
+            takes => format!("{takes} takes"),
+        },
+        (plan.duration_s / 60.0).ceil(),
+        plan.objects
+            .iter()
+            .map(|object| format!(
+                "{:?} touches {}",
+                object.object,
+                counted(object.channels.len() as u64, "channel")
+            ))
+            .collect::<Vec<_>>()
+            .join(", ")
+    )
+}
+
+fn made(robot: &RobotFile, built: &BuiltStation, plan: &FirstPlan, out: &Path) -> String {
     let station = &built.station;
     let file = out.join(STATION_FILE);
     let mut lines: Vec<String> =
         robot.report.changes.iter().map(|change| format!("note: {change}")).collect();
-    lines.extend(built.warnings.iter().map(|warning| format!("warning: {warning}")));
+    let warnings = built.warnings.iter().chain(&plan.warnings);
+    lines.extend(warnings.map(|warning| format!("warning: {warning}")));
     lines.push(format!(
         "station {:?} is in {}: {}, {}, {}, {}",
         station.id,
@@ -377,10 +436,16 @@ fn made(robot: &RobotFile, built: &BuiltStation, out: &Path) -> String {
         counted(station.layout.num_channels() as u64, "channel"),
         counted(station.objects.len() as u64, "object")
     ));
+    if plan.text.is_some() {
+        lines.push(plan_text(plan));
+    }
     lines.push(format!("next: look at {}, which says how recordings are called, then", file.display()));
     lines.push(format!("  palpate import --csv RECORDINGS --station {} --explain", file.display()));
     lines.push(format!("  palpate import --csv RECORDINGS --station {} --out SESSION", file.display()));
     lines.push("  palpate session check SESSION".to_owned());
     lines.push("  palpate calibrate --session SESSION --out model.toml".to_owned());
+    if plan.text.is_some() {
+        lines.push("or let the hand record its plan: docs/hardware.md says how Palpate drives it, docs/plans.md what a plan is".to_owned());
+    }
     lines.join("\n")
 }

@@ -9,19 +9,20 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
+use palpate_motion::{FirstPlan, Plan, PlanError, Primitive, first_plan};
 use palpate_recording::{
     files::{MAX_STATION_FILE_BYTES, MAX_TEXT_BYTES, read_file, read_text},
     load_station,
 };
 use palpate_robot_model::{
     ObjectModel, Robot, SimplifiedUrdf,
-    new_station::{BuiltStation, RobotReport, STATION_FILE, explain},
+    new_station::{BuiltStation, NewStation, RobotReport, STATION_FILE, build, explain},
     simplify_urdf,
 };
 use palpate_sim::SensorModel;
 
 use super::objects;
-use crate::{Error, chain};
+use crate::{Error, assets, chain};
 pub use ask::{ask, ask_axes};
 
 /// Folder of the objects in that of the station.
@@ -82,6 +83,35 @@ fn read_mesh(folder: &Path, name: &str) -> Result<Vec<u8>, String> {
         (None, None) => folder.join(name),
     };
     read_file(&path, MAX_STATION_FILE_BYTES).map_err(|err| chain(&err))
+}
+
+/// Makes the files of a station with a plan that touches every patch with each of its objects, as far as that can be; what
+/// the plan leaves out is said with it.
+pub fn build_with_plan(
+    mut wanted: NewStation,
+    robot: &RobotFile,
+) -> Result<(BuiltStation, FirstPlan), Error> {
+    let built = build(&wanted, &robot.file, &robot.urdf)?;
+    // What is wrong with these texts nobody but us wrote.
+    let ours = |err: PlanError| Error::Internal(err.to_string());
+    let shipped = |id: &str| {
+        let path = format!("primitives/{id}.toml");
+        let text = assets::text(&path).ok_or_else(|| Error::Internal(format!("{path} is not shipped")))?;
+        Ok::<_, Error>((id.to_owned(), Primitive::from_text(&path, text).map_err(ours)?))
+    };
+    let primitives = ["tap", "press_hold"].into_iter().map(shipped).collect::<Result<_, _>>()?;
+    let mut plan = first_plan(&built.station, &primitives);
+    if plan.text.is_none() {
+        return Ok((built, plan));
+    }
+    wanted.plan.clone_from(&plan.text);
+    let built = build(&wanted, &robot.file, &robot.urdf)?;
+    // As every command will read it from now on.
+    for read in Plan::of_station(&built.station).map_err(ours)? {
+        read.check(&built.station).map_err(ours)?;
+        plan.takes = read.takes.len();
+    }
+    Ok((built, plan))
 }
 
 /// The object files that a new station has: their paths in its folder, and every file that they need.
@@ -207,7 +237,7 @@ fn beside(dir: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use palpate_robot_model::new_station::{NewStation, NewStream, build};
+    use palpate_robot_model::new_station::NewStream;
 
     use super::*;
 
@@ -227,6 +257,7 @@ mod tests {
             patches: vec!["left=finger_left:2x2@20x10:-y".parse().unwrap()],
             objects: objects.paths,
             object_files: objects.files,
+            plan: None,
         };
         build(&wanted, &robot.file, &robot.urdf).unwrap()
     }

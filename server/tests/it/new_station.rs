@@ -119,6 +119,73 @@ fn a_urdf_becomes_a_station_and_its_recordings_calibrate_it() {
     assert!(report["calibrated"]["l1"].as_u64() < report["nominal"]["l1"].as_u64(), "{report}");
 }
 
+/// A world in which the gripper touches the ball as its plan says.
+const TRUTH: &str = r#"
+format = 1
+name = "Gripper"
+station = "hand/station.toml"
+plan = "hand/plans/every_patch.toml"
+recorded = 2026-03-06T09:30:00Z
+operator = "emulated"
+world_seed = 1
+
+[joints]
+noise_rad = 0.0003
+noise_m = 0.00001
+
+[[stream]]
+id = "gel"
+latency_s = 0.02
+jitter_s = 0.001
+sensitivity_spread = 0.1
+noise_raw = 4.0
+
+[stream.elastomer]
+spacing_m = 0.0026
+thickness_m = 0.005
+modulus_pa = 1.0e5
+contact_ratio = 8.0
+relaxing_ratio = 0.6
+relaxing_s = 0.2
+damping_s = 0.03
+coupling_m = 0.002
+
+[stream.front_end]
+kind = "barometer"
+depth_m = 0.004
+raw_per_pa = 0.03
+offset_raw = 400.0
+low_pass_s = 0.012
+"#;
+
+#[test]
+fn the_plan_of_a_new_station_is_recorded_by_an_emulated_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let ball = dir.path().join("ball.toml");
+    fs::write(&ball, BALL).unwrap();
+    let (hand, truth) = (dir.path().join("hand"), dir.path().join("truth.toml"));
+    let json = palpate_ok(&new_args(arg(&ball), &["--out", arg(&hand), "--carrier", "roll", "--json"]));
+    let document: Value = serde_json::from_str(&json).unwrap();
+    let plan = &document["plan"];
+    assert_eq!(plan["file"], "plans/every_patch.toml", "{document}");
+    assert_eq!(plan["objects"][0]["object"], "ball", "{plan}");
+    let channels: Vec<&str> =
+        plan["objects"][0]["channels"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    for finger in ["left.", "right."] {
+        assert!(channels.iter().any(|channel| channel.starts_with(finger)), "{plan}");
+    }
+    fs::write(&truth, TRUTH).unwrap();
+    let session = dir.path().join("session");
+    palpate_ok(&["emulate", "--truth", arg(&truth), "--out", arg(&session)]);
+    let takes = fs::read_dir(&session).unwrap().filter(|entry| {
+        entry.as_ref().is_ok_and(|entry| entry.path().extension().is_some_and(|ending| ending == "mcap"))
+    });
+    assert_eq!(takes.count() as u64, plan["takes"].as_u64().unwrap());
+    let checked = palpate_ok(&["session", "check", arg(&session), "--json"]);
+    let check: Value = serde_json::from_str(&checked).unwrap();
+    assert_eq!(check["ok"], true, "{check}");
+}
+
 #[test]
 fn explain_writes_nothing_and_json_says_the_same() {
     let dir = tempfile::tempdir().unwrap();
@@ -138,6 +205,13 @@ fn explain_writes_nothing_and_json_says_the_same() {
     assert_eq!(document["dir"], Value::Null);
     assert_eq!(document["patches"][1]["channels"][5], "right.5");
     assert_eq!(document["robot"]["joints"][2]["follows"]["joint"], "left");
+    assert!(document["plan"]["takes"].as_u64().is_some_and(|takes| takes > 0), "{document}");
+    // Nothing moves the wrist, so that nothing on it can be brought to an object.
+    let args = ["station", "new", "--urdf", GRIPPER, "--patch", "a=wrist:1x1@9x9", "--explain", "--json"];
+    let document: Value = serde_json::from_str(&palpate_ok(&args)).unwrap();
+    assert_eq!(document["plan"], Value::Null);
+    let warnings = document["warnings"].to_string();
+    assert!(warnings.contains("no joint moves it") && warnings.contains("no plan was written"), "{warnings}");
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
 }
 

@@ -22,6 +22,8 @@ use crate::{
 
 /// Name of the station file that [`build`] makes.
 pub const STATION_FILE: &str = "station.toml";
+/// Name of the plan file of a station that has one; its stem is the plan's id.
+pub const PLAN_FILE: &str = "plans/every_patch.toml";
 const ROBOT_FILE: &str = "robot.urdf";
 const LAYOUT_FILE: &str = "layout.toml";
 const MODEL_FILE: &str = "nominal.toml";
@@ -47,6 +49,8 @@ pub struct NewStation {
     pub objects: Vec<String>,
     /// Bytes of these files, by path relative to the station file.
     pub object_files: BTreeMap<String, Vec<u8>>,
+    /// Text of the plan of what to record, if there is one.
+    pub plan: Option<String>,
 }
 
 /// The files of a new station.
@@ -110,6 +114,7 @@ pub struct PatchReport {
 ///         "ball.toml".to_owned(),
 ///         b"id = 'ball'\nlabel = 'Ball'\nshape = { kind = 'sphere', radius_m = 0.02 }".to_vec(),
 ///     )].into(),
+///     plan: None,
 /// };
 /// let built = build(&wanted, "finger.urdf", &urdf)?;
 /// assert_eq!(built.station.layout.num_channels(), 12);
@@ -133,13 +138,14 @@ pub fn build(
         placed.push(skin::place(patch, &robot, urdf_file, &mut warnings)?);
     }
     let mut files = wanted.object_files.clone();
+    let plan = wanted.plan.iter().map(|text| (PLAN_FILE, text.clone()));
     let texts = [
         (ROBOT_FILE, write::urdf(urdf, urdf_file)),
         (LAYOUT_FILE, write::layout(wanted, &robot, &placed)),
         (MODEL_FILE, write::model(wanted)),
         (STATION_FILE, write::station(wanted, &robot, urdf_file)),
     ];
-    for (name, text) in texts {
+    for (name, text) in texts.into_iter().chain(plan) {
         if files.insert(name.to_owned(), text.into_bytes()).is_some() {
             let problem = "is what a file of the station itself is called; rename the object's file";
             return Err(ModelError::new("objects", name, problem));

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed test should panic")]
 
 mod documented;
+mod first_plan;
 mod laws;
 mod mimic;
 mod plans;

@@ -34,6 +34,7 @@ fn wanted(patches: &[&str]) -> NewStation {
         patches: patches.iter().map(|text| text.parse().unwrap()).collect(),
         objects: vec!["objects/ball.toml".to_owned()],
         object_files: BTreeMap::from([("objects/ball.toml".to_owned(), BALL.as_bytes().to_vec())]),
+        plan: None,
     }
 }
 

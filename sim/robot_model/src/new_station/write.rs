@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use nalgebra::Isometry3;
 
 use super::{
-    LAYOUT_FILE, MODEL_FILE, NewStation, NewStream, ROBOT_FILE,
+    LAYOUT_FILE, MODEL_FILE, NewStation, NewStream, PLAN_FILE, ROBOT_FILE,
     skin::{group_of, label_of},
     stream_of,
 };
@@ -174,6 +174,13 @@ pub(super) fn station(wanted: &NewStation, robot: &Robot, urdf_file: &str) -> St
         "]\n# Those that carry the hand about, of an arm.\ncarrier_joints = [{}]\n",
         names(&mut wanted.carrier_joints.iter().map(String::as_str))
     );
+    text.push_str(&match &wanted.plan {
+        Some(_) => format!(
+            "# What sessions touch (docs/plans.md): add your own. `palpate serve` and emulated stations record them.\n\
+             plans = [\"{PLAN_FILE}\"]\n"
+        ),
+        None => "# What sessions touch: plans = [\"FILE.toml\"] (docs/plans.md).\n".to_owned(),
+    });
     for stream in &wanted.streams {
         let [on, off] = stream.thresholds();
         let _ = write!(
@@ -211,9 +218,7 @@ pub(super) fn station(wanted: &NewStation, robot: &Robot, urdf_file: &str) -> St
         let file = format!("{}.csv", stream.id);
         let _ = writeln!(text, "#   {file:<11} {}", header(ids.iter().map(String::as_str)));
     }
-    text.push_str(
-        "# A robot that Palpate drives has [[device]] entries too (docs/hardware.md), and plans of what to record.\n",
-    );
+    text.push_str("# A robot that Palpate drives has [[device]] entries too (docs/hardware.md).\n");
     text
 }
 
