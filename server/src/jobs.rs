@@ -5,6 +5,7 @@ mod diagnose;
 pub(crate) mod kinds;
 mod legacy;
 pub(crate) mod lineage;
+mod next_plan;
 pub(crate) mod runs;
 pub(crate) mod tables;
 pub(crate) mod trainer;
@@ -14,7 +15,10 @@ mod work;
 use std::{path::Path, sync::Arc, time::Instant};
 
 pub use board::{JobSource, submit_job};
-pub use diagnose::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session};
+pub use diagnose::{
+    BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session, diagnose_sessions, take_of_session,
+};
+pub use next_plan::next_plan;
 use palpate_calibration::{CalibrationConfig, PairedTake, calibrate, report};
 use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};
 use palpate_sim::{

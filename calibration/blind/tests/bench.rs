@@ -8,7 +8,7 @@ use std::path::Path;
 use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
 use palpate_diagnosis::{DiagnosisConfig, diagnose};
 use palpate_recording::{SpanKind, Take};
-use palpate_reports::Verdict;
+use palpate_reports::{Purpose, Verdict};
 use palpate_sim::{
     SensorModel,
     job::{Cancel, NoProgress},
@@ -79,6 +79,26 @@ fn a_second_diagnosis_begins_where_the_first_ended_and_keeps_what_it_found() {
     assert!(second.report.held_out.diagnosed <= 1.1 * second.report.held_out.nominal, "{:?}", second.report);
     assert!(second.report.effects.is_empty(), "{:?}", second.report.effects);
     assert_eq!(second.model.effects, first.model.effects);
+    // The loop: what was recorded next is diagnosed with what was there, from what was known.
+    let (again, _) = session("latency strong", 4);
+    let mut both = takes.clone();
+    both.extend(again.into_iter().filter(|take| take.meta.primitive == "slide").map(|mut take| {
+        take.id = format!("next/{}", take.id);
+        take
+    }));
+    assert!(both.len() > takes.len());
+    // As it was saved.
+    let saved = SensorModel::from_toml("model.toml", &first.model.to_toml()).unwrap();
+    let third = diagnose(&config, &both, &saved, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap();
+    let known = |model: &SensorModel| {
+        let named = model.effects.iter().find(|effect| effect.id == "latency");
+        named.map(|effect| (effect.place.clone(), effect.parameters["delay_s"]))
+    };
+    let ((place, before_s), (still, after_s)) = (known(&first.model).unwrap(), known(&third.model).unwrap());
+    assert_eq!(place, still);
+    assert!((before_s - after_s).abs() < 0.005, "{before_s} s, then {after_s} s");
+    assert!(third.report.effects.is_empty(), "{:?}", third.report.effects);
+    assert!(third.report.gap.diagnosed <= 1.1 * third.report.gap.nominal, "{:?}", third.report.gap);
 }
 
 #[test]
@@ -90,6 +110,12 @@ fn without_marks_of_repetitions_nobody_can_tell_whether_something_is_left() {
     let report = outcome.unwrap().report;
     assert_eq!(report.verdict, Verdict::CannotBeJudged, "{}", report.sentence);
     assert!(report.sentence.contains("no motion is repeated"), "{}", report.sentence);
+    // So the first thing to do is to repeat one, that which touches most.
+    let next = report.next_experiment.unwrap();
+    assert_eq!((next.purpose, next.separates.len()), (Purpose::Repeat, 0), "{next:?}");
+    let is_of_session =
+        |take: &Take| take.meta.primitive == next.primitive && take.meta.object == next.object;
+    assert!(takes.iter().any(is_of_session) && next.sentence.contains("touches most channels"), "{next:?}");
 }
 
 #[test]
@@ -113,6 +139,9 @@ fn a_weak_gain_that_bends_with_a_joint_is_unexplained_and_the_joint_is_told() {
     assert_eq!(report.verdict, Verdict::Unexplained);
     let about = report.notes.iter().filter(|note| note.contains("a rad of index_mcp_forward"));
     assert_eq!(about.count(), 1, "{:?}", report.notes);
+    let next = report.next_experiment.unwrap();
+    assert!(matches!(next.purpose, Purpose::ShowMore | Purpose::Separate), "{next:?}");
+    assert!(next.expected_gain > 0.0 && !next.primitive.is_empty() && !next.object.is_empty(), "{next:?}");
 }
 
 #[test]

@@ -132,7 +132,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             ("diagnosed".to_owned(), metrics(&judged[last])),
         ]),
         unexplained,
-        next_experiment: next_experiment(station, domain, naming, fitted)?,
+        next_experiment: next_experiment(station, domain, naming, fitted, verdict)?,
         residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
         takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(&steps.confirm))]),
         bar: Bar {

@@ -17,6 +17,7 @@ mod planner;
 mod scene;
 mod touch;
 
+mod experiment;
 mod first_plan;
 mod text;
 
@@ -25,6 +26,7 @@ mod error;
 
 pub use coverage::{ChannelCoverage, coverage};
 pub use error::PlanError;
+pub use experiment::{Experiment, experiment_plan};
 pub use first_plan::{FirstPlan, ObjectInPlan, first_plan};
 pub use limits::MotionLimits;
 pub use plan::{MotionConfig, Plan, PlannedTake, channel_named};

@@ -57,7 +57,7 @@ pub struct DiagnosisReport {
     pub metrics: BTreeMap<String, Metrics>,
     /// What no named effect accounts for.
     pub unexplained: Unexplained,
-    /// What to record next to tell rivals apart; `None` if nothing would help or nothing needs to.
+    /// What to record next; `None` if nothing would help or nothing needs to.
     pub next_experiment: Option<NextExperiment>,
     /// Mismatch of each channel, calibrated and diagnosed, by phase, on confirm takes: what the residual map shows.
     pub residual_map: Vec<ChannelResidual>,
@@ -224,7 +224,21 @@ pub struct Unexplained {
     pub cells: Vec<Cell>,
 }
 
-/// What to record to tell rivals apart.
+/// What an experiment is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Purpose {
+    /// It tells an effect, named or withheld, from its strongest rival.
+    #[default]
+    Separate,
+    /// It repeats a motion, so that what is left can be told from noise.
+    Repeat,
+    /// It shows more of what is left and has no name.
+    ShowMore,
+}
+
+/// What to record next.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NextExperiment {
@@ -232,12 +246,16 @@ pub struct NextExperiment {
     pub primitive: String,
     /// Object id.
     pub object: String,
-    /// Ids of the effects it separates.
+    /// Ids of the effects it separates; empty unless that is its purpose.
     pub separates: Vec<String>,
-    /// Expected distance between their predictions, in standard deviations of the noise.
+    /// What a repetition is worth, in standard deviations of the noise: expected distance between the effects' predictions,
+    /// or size of the residual that repetitions share; 0 where it is for repeating.
     pub expected_gain: f64,
     /// The same as a sentence for an operator.
     pub sentence: String,
+    /// What it is for.
+    #[serde(default)]
+    pub purpose: Purpose,
 }
 
 /// Mismatch of one channel.

@@ -1,15 +1,20 @@
 //! `palpate diagnose`.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::Args;
+use palpate_calibration::HoldOut;
 use palpate_diagnosis::DiagnosisConfig;
 use palpate_recording::Session;
 use palpate_reports::wording;
 use palpate_server::{
     Error,
     data::{bars::Bars, files, library::Library},
-    jobs::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session},
+    jobs::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_sessions, next_plan, take_of_session},
 };
 use palpate_sim::SensorModel;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
@@ -19,9 +24,10 @@ use super::{Outcome, calibrate::hold_out, output};
 
 #[derive(Args)]
 pub(crate) struct DiagnoseArgs {
-    /// Folder of the session
-    #[arg(long, value_name = "SESSION")]
-    session: PathBuf,
+    /// Folder of the session; may be given for several of one station, which are diagnosed together. Their takes are called
+    /// SESSION/TAKE
+    #[arg(long = "session", value_name = "SESSION", required = true)]
+    sessions: Vec<PathBuf>,
     /// Start from this sensor model instead of the station's nominal one
     #[arg(long, value_name = "MODEL.toml")]
     model: Option<PathBuf>,
@@ -41,6 +47,9 @@ pub(crate) struct DiagnoseArgs {
     /// Where the bars of stations are kept: the data folder of `palpate serve`
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
+    /// Write what to record next as a plan for a session of its own (docs/plans.md); nothing where nothing is open
+    #[arg(long, value_name = "FILE")]
+    plan: Option<PathBuf>,
     /// Write the model with the named effects here
     #[arg(long, value_name = "MODEL.toml")]
     out: Option<PathBuf>,
@@ -56,13 +65,14 @@ pub(crate) struct DiagnoseArgs {
 }
 
 pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
-    let session = Session::open(&args.session)?;
-    if let Some(out) = &args.out {
+    let sessions = args.sessions.iter().map(|dir| Session::open(dir)).collect::<Result<Vec<_>, _>>()?;
+    check_sessions(&sessions)?;
+    for out in args.out.iter().chain(&args.plan) {
         files::check_target(out)?;
     }
     let default = DiagnosisConfig::default();
     let config = DiagnosisConfig {
-        hold_out: hold_out(&args.hold_out, &session)?,
+        hold_out: hold_out_of(&args.hold_out, &sessions)?,
         max_effects: args.max_effects.unwrap_or(default.max_effects),
         without: args.without.iter().map(|id| id.trim().to_owned()).collect(),
         seed: args.seed,
@@ -70,11 +80,12 @@ pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
     };
     check_diagnosis(&config, args.null_bar)?;
     let start = args.model.as_ref().map(read_model).transpose()?;
+    let library = Library::default();
     let artifacts = {
         let bar = Bar::new();
         let (bars, cancel) = (Bars::of(&args.data), cancel_on_ctrl_c());
         let null = BarConfig { bars: &bars, null_sessions: args.null_bar };
-        diagnose_session(&Library::default(), &session, &config, start.as_ref(), null, &bar, &cancel)?
+        diagnose_sessions(&library, &sessions, &config, start.as_ref(), null, &bar, &cancel)?
     };
     write(args, &artifacts)?;
     if args.json {
@@ -82,7 +93,73 @@ pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
     } else {
         output::line(&text(&artifacts.report))?;
     }
+    if let Some(plan) = &args.plan {
+        // Last, so that what cannot be planned costs nobody the diagnosis.
+        let said = write_plan(&library, &sessions, &artifacts.report, plan)?;
+        if args.json {
+            // Standard output holds one document.
+            eprintln!("{said}");
+        } else {
+            output::line(&said)?;
+        }
+    }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes what to record next into the plan file `path`, where there is something; what was done, in words.
+fn write_plan(
+    library: &Library,
+    sessions: &[Session],
+    report: &DiagnosisReport,
+    path: &Path,
+) -> Result<String, Error> {
+    let Some(next) = &report.next_experiment else {
+        return Ok(format!(
+            "no plan was written to {}: this diagnosis asks for no experiment, because nothing is open that a motion of this \
+             session would tell",
+            path.display()
+        ));
+    };
+    let id = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    files::write(path, next_plan(library, sessions, next, &id)?.as_bytes())?;
+    Ok(format!("plan of what to record next: {}", path.display()))
+}
+
+/// Refuses sessions that are called alike: nobody could tell their takes apart.
+fn check_sessions(sessions: &[Session]) -> Result<(), Error> {
+    for (idx, session) in sessions.iter().enumerate() {
+        if sessions[..idx].iter().any(|other| other.id == session.id) {
+            return Err(Error::Argument(format!(
+                "--session: two of the sessions are called {:?}; give each once, or rename a folder",
+                session.id
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// [`hold_out`] for takes of several sessions.
+fn hold_out_of(text: &str, sessions: &[Session]) -> Result<HoldOut, Error> {
+    match sessions {
+        [only] => hold_out(text, only),
+        _ if text == "auto" => Ok(HoldOut::Auto),
+        _ => {
+            let known: Vec<String> = sessions
+                .iter()
+                .flat_map(|session| {
+                    session.file.takes.iter().map(|take| take_of_session(&session.id, take.id()))
+                })
+                .collect();
+            let ids: Vec<String> = text.split(',').map(|id| id.trim().to_owned()).collect();
+            match ids.iter().find(|id| !known.contains(id)) {
+                Some(id) => Err(Error::Argument(format!(
+                    "--hold-out: no take {id:?} in these sessions; their takes are {}",
+                    known.join(", ")
+                ))),
+                None => Ok(HoldOut::Takes(ids)),
+            }
+        }
+    }
 }
 
 fn read_model(path: &PathBuf) -> Result<SensorModel, Error> {

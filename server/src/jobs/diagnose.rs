@@ -1,7 +1,7 @@
 //! The diagnosis of a session: find where simulation and measurement disagree, name the missing effect, add it, show
 //! the gap shrink.
 
-use std::{sync::Arc, time::Instant};
+use std::time::Instant;
 
 use palpate_diagnosis::{DiagnosisConfig, diagnose, null_bar, report};
 use palpate_recording::{Session, Take};
@@ -67,6 +67,11 @@ pub fn check_diagnosis(config: &DiagnosisConfig, null_sessions: Option<usize>) -
     }
 }
 
+/// Id of a take among those of several sessions, in which takes may be called alike.
+pub fn take_of_session(session: &str, take: &str) -> String {
+    format!("{session}/{take}")
+}
+
 /// Diagnoses the accepted takes of `session`, from `start` or else from the station's nominal model.
 pub fn diagnose_session(
     library: &Library,
@@ -77,13 +82,38 @@ pub fn diagnose_session(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<DiagnosisArtifacts, Error> {
+    diagnose_sessions(library, std::slice::from_ref(session), config, start, bar, progress, cancel)
+}
+
+/// Diagnoses the accepted takes of all `sessions`, of one station, together: a session and what was recorded after it, because
+/// its diagnosis asked for it. Takes of several sessions have the ids of [`take_of_session`].
+pub fn diagnose_sessions(
+    library: &Library,
+    sessions: &[Session],
+    config: &DiagnosisConfig,
+    start: Option<&SensorModel>,
+    bar: BarConfig<'_>,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<DiagnosisArtifacts, Error> {
+    let Some(session) = sessions.first() else {
+        return Err(Error::Argument("no session to diagnose, expected at least one".to_owned()));
+    };
     let mut takes: Vec<Take> = Vec::new();
-    accepted_takes(library, session, cancel, |take_idx, share| {
-        let take: Arc<Take> = library.take(session, take_idx)?;
-        progress.report(0.05 * share, &format!("reading {}", take.id));
-        takes.push((*take).clone());
-        Ok(())
-    })?;
+    for (idx, session) in sessions.iter().enumerate() {
+        accepted_takes(library, session, cancel, |take_idx, share| {
+            let mut take: Take = (*library.take(session, take_idx)?).clone();
+            let share = (idx as f64 + share) / sessions.len() as f64;
+            progress.report(0.05 * share, &format!("reading {}", take.id));
+            if sessions.len() > 1 {
+                take.id = take_of_session(&session.id, &take.id);
+            }
+            takes.push(take);
+            Ok(())
+        })?;
+    }
+    let ids: Vec<&str> = sessions.iter().map(|session| session.id.as_str()).collect();
+    let ids = ids.join(" + ");
     let first = &takes[0];
     let files = &first.station.files;
     let nominal = match start {
@@ -114,14 +144,14 @@ pub fn diagnose_session(
     let outcome = diagnose(config, &takes, &nominal, null.as_ref(), &search, cancel, &clock_s)?;
     progress.report(0.97, "writing the report");
     let source = palpate_calibration::report::ReportSource {
-        session: &session.id,
+        session: &ids,
         station: &session.file.station,
         created: "",
     };
     let html = report::html(source, &outcome.report, &outcome.model);
     let about = |mut model: SensorModel, what: &str| {
-        model.name = format!("{} ({what})", session.id);
-        model.provenance.push(format!("session {}, station {}", session.id, session.file.station));
+        model.name = format!("{ids} ({what})");
+        model.provenance.push(format!("session {ids}, station {}", session.file.station));
         model.provenance.push(format!("palpate {}", env!("CARGO_PKG_VERSION")));
         model
     };

@@ -13,8 +13,9 @@ use palpate_ui::{
 use palpate_wire::{
     api::{
         Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, DiagnosisRequest, DiagnosisRun, Gap, Info,
-        JobState, Metrics, ModelEffect, ModelSummary, NamedEffect, NextExperiment, RecordingDocument, Rival,
-        SaveDiagnosisRequest, Source, ThetaReport, Unexplained, Verdict, WantedTake, WaterfallStep,
+        JobState, Metrics, ModelEffect, ModelSummary, NamedEffect, NextExperiment, Purpose,
+        RecordingDocument, Rival, SaveDiagnosisRequest, Source, ThetaReport, Unexplained, Verdict,
+        WantedTake, WaterfallStep,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
@@ -112,6 +113,7 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
         separates: vec!["joint_backlash".into(), "joint_offset".into()],
         expected_gain: 6.2,
         sentence: "Record taps on the sphere from both sides of joint x.".into(),
+        purpose: Purpose::Separate,
     };
     DiagnosisReport {
         verdict,

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use palpate_reports::{
-    Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, NextExperiment, Rival, Unexplained, Verdict,
-    WaterfallStep,
+    Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, NextExperiment, Purpose, Rival, Unexplained,
+    Verdict, WaterfallStep,
 };
 use palpate_sim::actuator;
 use palpate_sim::effects::Effect;
@@ -410,6 +410,7 @@ impl Telling {
             object: String::new(),
             separates: self.rivals.to_vec(),
             expected_gain: self.difference,
+            purpose: Purpose::Separate,
         })
     }
 }

@@ -259,6 +259,21 @@ pub(crate) fn adequacy(
     ))
 }
 
+/// Sums over all events and readings, in variances.
+pub(crate) struct LeftOver {
+    /// What residuals of repeated motions have in common.
+    pub(crate) repeating: f64,
+    /// Huber's loss, beyond that of a model that misses nothing.
+    pub(crate) loss: f64,
+}
+
+/// What is left in events and readings together.
+pub(crate) fn left_over(left: &[Left]) -> LeftOver {
+    let touch = left.iter().enumerate().filter(|(idx, _)| Signal::at(*idx) != Signal::Switched);
+    let sum = Left::sum(touch.map(|(_, left)| left));
+    LeftOver { repeating: sum.products[0], loss: sum.losses[0] - COMPLETE_LOSS * sum.losses[1] }
+}
+
 /// What repeats in the readings of each patch of pressure sensors, as in [`Adequacy::at_patch`]; 0 for other patches and
 /// those with too few rows near contact to tell.
 pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {

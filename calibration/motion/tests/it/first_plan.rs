@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use palpate_motion::{
-    FirstPlan, MotionLimits, Plan, Primitive, Primitives, coverage, first_plan, plan_take,
+    Experiment, FirstPlan, MotionLimits, Plan, Primitive, Primitives, coverage, experiment_plan, first_plan,
+    plan_take, plan_text,
 };
 use palpate_recording::load_station;
 use palpate_robot_model::Station;
@@ -82,4 +83,27 @@ fn a_hand_that_nothing_carries_closes_on_objects_and_the_rest_is_said() {
             first.warnings
         );
     }
+}
+
+#[test]
+fn an_experiment_is_a_plan_of_its_own() {
+    let station = station("xarm6_leap");
+    let wanted = |primitive: &'static str, repetitions| Experiment {
+        primitive,
+        object: "sphere_50mm",
+        repetitions,
+        object_pose: None,
+        touched: &[],
+    };
+    let plan = experiment_plan(&station, &shipped(), &wanted("slide", 3), "next").unwrap();
+    let text = plan_text(&plan, &station, &["Why.".to_owned()]);
+    let read = Plan::from_text("next.toml", &text).unwrap();
+    assert!(text.starts_with("# Why.\n"), "{text}");
+    assert_eq!(read.takes.len(), 2, "one to fit and one to judge");
+    assert!(read.takes.iter().all(|take| take.primitive == "slide" && take.object == "sphere_50mm"));
+    assert_eq!(read.primitives["slide"].repetitions, 3);
+    assert_eq!(read.motion.away, plan.motion.away);
+    plan_take(&station, &read, &Primitives::new(), 1, None).unwrap();
+    let error = experiment_plan(&station, &shipped(), &wanted("wave", 1), "next").unwrap_err().to_string();
+    assert!(error.contains("touched nothing in this session"), "{error}");
 }

@@ -417,13 +417,14 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to record to tell rivals apart."""
+    """What to record next: to ``separate`` effects, to ``repeat`` a motion, or to ``show_more`` of what has no name."""
 
     primitive: str
     object: str
     separates: list[str]
     expected_gain: float
     sentence: str
+    purpose: str = "separate"
 
 
 @dataclass(frozen=True)

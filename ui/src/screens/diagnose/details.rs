@@ -3,7 +3,8 @@
 use egui::RichText;
 use palpate_reports::wording::{self, counted};
 use palpate_wire::api::{
-    Cell, DiagnosisReport, Metrics, NextExperiment, RecordingDocument, StepState, Verdict, WantedTake,
+    Cell, DiagnosisReport, Metrics, NextExperiment, Purpose, RecordingDocument, StepState, Verdict,
+    WantedTake,
 };
 
 use super::Start;
@@ -75,14 +76,25 @@ pub(super) fn next_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, report: &Di
         return;
     };
     ui.label(RichText::new(&next.sentence).size(15.5));
-    let ids: Vec<String> = next.separates.iter().map(|id| words(id)).collect();
-    let about = format!(
-        "It tells {} apart by {} standard deviations of the noise: {} on {}.",
-        ids.join(" and "),
-        wording::number(next.expected_gain),
-        words(&next.primitive),
-        words(&next.object)
-    );
+    let motion = format!("{} on {}", words(&next.primitive), words(&next.object));
+    let gain = wording::number(next.expected_gain);
+    let about = match next.purpose {
+        Purpose::Separate => {
+            let ids: Vec<String> = next.separates.iter().map(|id| words(id)).collect();
+            format!(
+                "It tells {} apart by {gain} standard deviations of the noise: {motion}.",
+                ids.join(" and ")
+            )
+        }
+        Purpose::Repeat => {
+            format!("It makes something repeat, by which to tell what is left from noise: {motion}.")
+        }
+        Purpose::ShowMore => {
+            format!(
+                "It shows most of what has no name, {gain} standard deviations of the noise a repetition: {motion}."
+            )
+        }
+    };
     ui.label(RichText::new(about).color(cx.palette.text_weak));
     ui.horizontal_wrapped(|ui| {
         if ui.button("Copy the sentence").clicked() {
