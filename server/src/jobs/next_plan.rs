@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use palpate_motion::{Experiment, Plan, Primitive, Primitives, experiment_plan, plan_text};
 use palpate_recording::{Session, Take};
-use palpate_robot_model::PoseConfig;
+use palpate_robot_model::{PoseConfig, Station};
 use palpate_wire::api::{NextExperiment, Purpose};
 
 use super::accepted_takes;
@@ -38,7 +38,7 @@ pub fn next_plan(
             next.primitive, next.object
         )));
     };
-    let station = &first.station;
+    let mut station = first.station.clone();
     let mut touched: BTreeSet<usize> = BTreeSet::new();
     for take in &of_motion {
         let active = take.active_at_frames();
@@ -47,22 +47,43 @@ pub fn next_plan(
     }
     let touched: Vec<String> =
         touched.into_iter().map(|channel| station.layout.channels[channel].id.clone()).collect();
-    let pose = first.object_poses.poses.first().map(|pose| {
-        let rotation = pose.rotation.quaternion();
-        PoseConfig {
-            position_m: pose.translation.vector.into(),
-            quaternion_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
-        }
-    });
+    let base_from_object = first.object_poses.poses.first().unwrap_or(&first.meta.base_from_object);
+    let rotation = base_from_object.rotation.quaternion();
+    let pose = PoseConfig {
+        position_m: base_from_object.translation.vector.into(),
+        quaternion_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
+    };
+    if station.plans.is_empty() {
+        let plan = plan_of_take(&station, first, pose)?;
+        station.plans.push((plan.id.clone(), plan_text(&plan, &station, &[])));
+    }
+    let station = &station;
     let wanted = Experiment {
         primitive: &next.primitive,
         object: &next.object,
         repetitions: if next.purpose == Purpose::Repeat { REPEATED } else { 1 },
-        object_pose: pose,
+        object_pose: Some(pose),
         touched: &touched,
     };
     let ours = |err: palpate_motion::PlanError| Error::Content(err.to_string());
-    let plan = experiment_plan(station, &shipped_primitives()?, &wanted, id).map_err(ours)?;
+    let shipped = shipped_primitives()?;
+    let plan = match experiment_plan(station, &shipped, &wanted, id) {
+        Ok(plan) => plan,
+        Err(err) => {
+            // What is felt in passing need not be what can be touched by itself.
+            let can_be_touched = |channel: &&String| {
+                let one = [(*channel).clone()];
+                experiment_plan(station, &shipped, &Experiment { touched: &one, ..wanted.clone() }, id)
+                    .is_ok()
+            };
+            let touched: Vec<String> = touched.iter().filter(can_be_touched).cloned().collect();
+            if touched.is_empty() {
+                return Err(ours(err));
+            }
+            experiment_plan(station, &shipped, &Experiment { touched: &touched, ..wanted.clone() }, id)
+                .map_err(ours)?
+        }
+    };
     let names: Vec<&str> = sessions.iter().map(|session| session.id.as_str()).collect();
     let text = plan_text(
         &plan,
@@ -78,6 +99,34 @@ pub fn next_plan(
     // As it will be read.
     Plan::from_text(&format!("{id}.toml"), &text).and_then(|plan| plan.check(station)).map_err(ours)?;
     Ok(text)
+}
+
+/// A plan by which a station moves that names none: from where `take` began, as the shipped plans do.
+fn plan_of_take(station: &Station, take: &Take, pose: PoseConfig) -> Result<Plan, Error> {
+    const LIKE: &str = "plans/quick_check.toml";
+    let text = assets::text(LIKE).ok_or_else(|| Error::Internal(format!("{LIKE} is not shipped")))?;
+    let mut plan = Plan::from_text(LIKE, text).map_err(|err| Error::Internal(err.to_string()))?;
+    let joints = station.robot.dofs().zip(&take.joints.positions);
+    plan.motion.rest = joints
+        .filter(|(joint, _)| joint.mimic.is_none())
+        .map(|(joint, &position)| {
+            // Encoders may say a little more than the limits.
+            let within = joint.limits.map_or(position, |limits| position.clamp(limits.lower, limits.upper));
+            (joint.name.clone(), within)
+        })
+        .collect();
+    plan.motion.away.clear();
+    plan.objects = [(take.meta.object.clone(), pose)].into();
+    // A plan file has a take; this one is of no motion that anybody asks for.
+    plan.takes.truncate(1);
+    for planned in &mut plan.takes {
+        take.meta.object.clone_into(&mut planned.object);
+        "none".clone_into(&mut planned.primitive);
+        planned.touch = station.layout.channels.iter().take(1).map(|channel| channel.id.clone()).collect();
+    }
+    plan.primitives.clear();
+    "session".clone_into(&mut plan.id);
+    Ok(plan)
 }
 
 /// The primitives that come with Palpate.

@@ -7,6 +7,7 @@ use std::{
     process::{Command, Stdio},
 };
 
+use palpate_motion::Plan;
 use palpate_recording::Take;
 use serde_json::Value;
 
@@ -118,8 +119,9 @@ fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
     let (session, data_dir) = (data.session(), data.root());
     let common =
         ["diagnose", "--session", arg(session), "--data", arg(data_dir), "--hold-out", "take-04,take-06"];
-    let json =
-        palpate_ok(&[&common[..], &["--out", arg(&model), "--report", arg(&report_dir), "--json"]].concat());
+    let next = data.path("next.toml");
+    let files = ["--out", arg(&model), "--report", arg(&report_dir), "--plan", arg(&next), "--json"];
+    let json = palpate_ok(&[&common[..], &files].concat());
     let report: Value = serde_json::from_str(&json).unwrap();
     let whole: palpate_wire::api::DiagnosisReport = serde_json::from_str(&json).unwrap();
     assert_eq!(serde_json::to_value(&whole).unwrap(), report, "nothing beside the report");
@@ -136,6 +138,13 @@ fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
         assert!(named.get(key).is_some(), "effects.{key} is missing");
     }
     assert!(named.get("p_value").is_none(), "without null sessions there is no probability: {named}");
+    // What it asks for is a plan that its station can be moved by.
+    let station = Take::read(&session.join("take-01.mcap")).unwrap().station;
+    let plan = Plan::read(&next).unwrap();
+    plan.check(&station).unwrap();
+    assert_eq!(report["next_experiment"]["primitive"], plan.takes[0].primitive.as_str());
+    assert!(plan.takes.len() >= 2 && plan.takes.iter().all(|take| take.object == plan.takes[0].object));
+
     let stored: Value = serde_json::from_slice(&fs::read(report_dir.join("report.json")).unwrap()).unwrap();
     assert_eq!(stored, report);
     assert_eq!(fs::read(report_dir.join("model.toml")).unwrap(), fs::read(&model).unwrap());
