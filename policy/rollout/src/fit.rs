@@ -103,6 +103,24 @@ pub enum Region {
 }
 
 impl Region {
+    /// What a rollout outside a campaign is told by `--region-cm` and `--start-cm`, or by an emulated station's operator, who places
+    /// objects where the world file has them begin.
+    ///
+    /// # Errors
+    /// Numbers that are no lengths, by their flag.
+    pub fn told(region_cm: Option<f64>, start_cm: Option<f64>, has_operator: bool) -> anyhow::Result<Self> {
+        let given = [("--region-cm", region_cm), ("--start-cm", start_cm)];
+        let given = given.into_iter().find_map(|(flag, cm)| Some((flag, cm?)));
+        match given {
+            Some((flag, cm)) if !(cm.is_finite() && cm >= 0.0) => {
+                bail!("{flag} is {cm}, expected a finite number, not negative")
+            }
+            Some((_, cm)) => Ok(Self::HalfWidthM(0.01 * cm)),
+            None if has_operator => Ok(Self::OfTheWorld),
+            None => Ok(Self::Unknown),
+        }
+    }
+
     /// Half its edge length, m, where that is known.
     pub fn half_width_m(self, world: &GraspConfig) -> Option<f64> {
         match self {
@@ -416,4 +434,20 @@ pub fn not_ready(live: &LiveFrame) -> Option<String> {
 
 fn shown(path: &Path) -> String {
     path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_places_objects_says_how_wide_the_region_is() {
+        let told = |region_cm, start_cm, has_operator| Region::told(region_cm, start_cm, has_operator).ok();
+        assert_eq!(told(Some(8.0), None, false), Some(Region::HalfWidthM(0.08)));
+        assert_eq!(told(None, Some(2.0), true), Some(Region::HalfWidthM(0.02)));
+        assert_eq!(told(None, None, true), Some(Region::OfTheWorld));
+        assert_eq!(told(None, None, false), Some(Region::Unknown));
+        let problem = Region::told(None, Some(-1.0), true).expect_err("no length").to_string();
+        assert_eq!(problem, "--start-cm is -1, expected a finite number, not negative");
+    }
 }

@@ -199,7 +199,8 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
             bail!("--policy is there {} times; one is tried at a time outside a campaign", args.policy.len())
         }
     };
-    let mut fitted = fit::fit(&studio, policy, &args.fit, region(args)?)?;
+    let region = Region::told(args.fit.region_cm, args.start_cm, args.operator.is_some())?;
+    let mut fitted = fit::fit(&studio, policy, &args.fit, region)?;
     let reflex = args.reflex.as_deref().map(|path| fit::reflex(path, &mut fitted)).transpose()?;
     let is_free = std::fs::read_dir(&args.out).map_or(true, |mut entries| entries.next().is_none());
     if !is_free {
@@ -219,21 +220,6 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     hold(&link, &fitted.station);
     link.release();
     done
-}
-
-/// What is known of the region that objects begin in, outside a campaign.
-fn region(args: &RolloutArgs) -> anyhow::Result<Region> {
-    let half_width_m = |flag: &str, cm: f64| match cm.is_finite() && cm >= 0.0 {
-        true => Ok(Region::HalfWidthM(0.01 * cm)),
-        false => bail!("{flag} is {cm}, expected a finite number, not negative"),
-    };
-    match (args.fit.region_cm, args.start_cm, &args.operator) {
-        (Some(cm), ..) => half_width_m("--region-cm", cm),
-        (None, Some(cm), _) => half_width_m("--start-cm", cm),
-        // The operator places objects where the world file has them begin.
-        (None, None, Some(_)) => Ok(Region::OfTheWorld),
-        (None, None, None) => Ok(Region::Unknown),
-    }
 }
 
 /// Control of the station, and whether somebody wants to stop.

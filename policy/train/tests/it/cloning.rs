@@ -290,12 +290,24 @@ fn points_of_the_hand_are_seen_by_the_papers_policy_that_has_no_encoder() {
 }
 
 #[test]
-fn the_shipped_policy_fits_the_shipped_station() {
-    let policy = "clone:assets/policies/imitation/searching.safetensors";
-    let args =
-        ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy", policy];
-    let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
-    assert_eq!(compared["overall"]["trials"], 2);
+fn the_shipped_policies_fit_the_shipped_station() {
+    for name in ["searching", "region"] {
+        let policy = format!("clone:assets/policies/imitation/{name}.safetensors");
+        let args = [
+            "evaluate",
+            "--protocol",
+            "wide",
+            "--object",
+            "cube",
+            "--trials",
+            "2",
+            "--json",
+            "--policy",
+            &policy,
+        ];
+        let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
+        assert_eq!(compared["overall"]["trials"], 2, "{name}");
+    }
 }
 
 #[test]
