@@ -13,7 +13,6 @@ use palpate_wire::{
     proto::{Changed, StreamMessage, stream_message},
 };
 use prost::Message as _;
-use serde_json::json;
 
 use crate::{
     fixture::{FakeWindow, SharedApi, full_api, page, page_of},
