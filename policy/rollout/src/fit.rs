@@ -103,8 +103,8 @@ pub enum Region {
 }
 
 impl Region {
-    /// What a rollout outside a campaign is told by `--region-cm` and `--start-cm`, or by an emulated station's operator, who places
-    /// objects where the world file has them begin.
+    /// What a rollout outside a campaign is told by `--region-cm` and `--start-cm`, or by an emulated station's operator,
+    /// who places objects where the world file has them begin.
     ///
     /// # Errors
     /// Numbers that are no lengths, by their flag.

@@ -19,7 +19,7 @@ mod core_s {
     pub(super) const EVALUATED_S: f64 = 0.012;
     pub(super) const REGRESSION_UPDATE: f64 = 0.04;
     pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
-    pub(super) const ACT_UPDATE: f64 = 0.12;
+    pub(super) const ACT_UPDATE: f64 = 0.24;
     /// What an update takes longer where the policy's memory is recurrent.
     pub(super) const RECURRENT_MORE: f64 = 0.03;
     /// A sample of an encoder's update, by the preset `quick`.
