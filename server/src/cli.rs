@@ -7,6 +7,7 @@ mod blind;
 mod calibrate;
 mod campaign;
 mod completions;
+mod contact_map;
 mod devices;
 mod diagnose;
 mod emulate;
@@ -62,6 +63,9 @@ enum Command {
     Calibrate(calibrate::CalibrateArgs),
     /// Name what the calibrated model lacks, and add it
     Diagnose(diagnose::DiagnoseArgs),
+    /// A learned map from raw readings to contact, in place of the station's thresholds
+    #[command(subcommand)]
+    ContactMap(contact_map::ContactMapCommand),
     /// The servo of a joint
     #[command(subcommand)]
     Actuator(actuator::ActuatorCommand),
@@ -125,6 +129,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Export(command) => export::run(&command),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::ContactMap(command) => contact_map::run(&command),
         Command::Devices(command) => devices::run(&command),
         Command::Actuator(command) => actuator::run(&command),
         Command::Serve(args) => serve::run(args),

@@ -1,6 +1,7 @@
 //! Long work, the same for the command line and the server: inputs, progress and a way to stop it come from the caller.
 
 pub(crate) mod board;
+mod contact_map;
 mod diagnose;
 pub(crate) mod kinds;
 mod legacy;
@@ -15,6 +16,9 @@ mod work;
 use std::{path::Path, sync::Arc, time::Instant};
 
 pub use board::{JobSource, submit_job};
+pub use contact_map::{
+    ContactMapArtifacts, ContactMapConfig, ContactTarget, fit_contact_map, judge_contact_map,
+};
 pub use diagnose::{
     BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session, diagnose_sessions, take_of_session,
 };

@@ -8,6 +8,7 @@ mod campaigns;
 mod cli;
 mod client_paths;
 mod comparison;
+mod contact_maps;
 mod data_folder;
 mod diagnoses;
 mod docs;

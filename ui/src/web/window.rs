@@ -2,7 +2,10 @@
 
 use wasm_bindgen::JsValue;
 
-use super::{document::is_watched, file_dialog::FileDialog};
+use super::{
+    document::{document, is_watched},
+    file_dialog::FileDialog,
+};
 use crate::{Platform, screens::PickedFile};
 
 /// Where the browser keeps the chosen theme; `index.html` reads it too.

@@ -5,7 +5,10 @@ use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use palpate_ui::api_client::Request;
 use serde_json::json;
 
-use crate::fixture::{FakeWindow, full_api, page};
+use crate::{
+    fixture::{FakeWindow, full_api, page},
+    objects::{block, with_objects},
+};
 
 #[test]
 fn a_campaign_is_planned_and_what_is_missing_is_said() {
@@ -20,12 +23,12 @@ fn a_campaign_is_planned_and_what_is_missing_is_said() {
 
 #[test]
 fn policies_that_there_are_are_chosen_from_a_list() {
-    let api = full_api();
+    let api = with_objects(&[block()]);
     api.0.borrow_mut().answer(&Request::Campaigns, b"[]".to_vec());
     let policy = |id: &str, name: &str, is_shipped: bool| json!({ "sort": "policy", "id": id, "name": name, "is_shipped": is_shipped });
     // One of the shipped ones is named after an object that there is.
     let lineage = json!({ "artifacts": [
-        policy("sphere_50mm", "sphere_50mm", true), policy("searching", "searching", true),
+        policy("block", "block", true), policy("searching", "searching", true),
         policy("imitation-3", "Imitation of Monday", false),
     ] });
     api.0.borrow_mut().answer(&Request::Lineage, lineage.to_string().into_bytes());
