@@ -199,13 +199,14 @@ fn explain_writes_nothing_and_json_says_the_same() {
         let squeezed = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(squeezed(&text).contains(&squeezed(expected)), "{expected}: {text}");
     }
-    let json = palpate_ok(&new_args("sphere_50mm", &["--explain", "--json"]));
+    let json = palpate_ok(&new_args("box_80x60x45mm", &["--explain", "--json"]));
     let document: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(document["station"], "gripper");
     assert_eq!(document["dir"], Value::Null);
     assert_eq!(document["patches"][1]["channels"][5], "right.5");
     assert_eq!(document["robot"]["joints"][2]["follows"]["joint"], "left");
     assert!(document["plan"]["takes"].as_u64().is_some_and(|takes| takes > 0), "{document}");
+    assert_eq!(document["plan"]["objects"][0]["object"], "box_80x60x45mm");
     // Nothing moves the wrist, so that nothing on it can be brought to an object.
     let args = ["station", "new", "--urdf", GRIPPER, "--patch", "a=wrist:1x1@9x9", "--explain", "--json"];
     let document: Value = serde_json::from_str(&palpate_ok(&args)).unwrap();
