@@ -113,14 +113,14 @@ mod tests {
             let slope = logistic_loss(network.logit(&input), is_contact).1;
             let mut gradient = vec![0.0; num_weights];
             network.add_gradient(&input, slope, &mut gradient);
-            for idx in 0..num_weights {
+            for (idx, slope) in gradient.iter().enumerate() {
                 let loss_at = |step: f64| {
                     let mut moved = network.clone();
                     moved.weights[idx] += step;
                     logistic_loss(moved.logit(&input), is_contact).0
                 };
                 let expected = (loss_at(1e-5) - loss_at(-1e-5)) / 2e-5;
-                assert!((gradient[idx] - expected).abs() < 1e-8, "{idx}: {} {expected}", gradient[idx]);
+                assert!((slope - expected).abs() < 1e-8, "{idx}: {slope} {expected}");
             }
         }
     }
