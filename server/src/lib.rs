@@ -8,7 +8,7 @@
 //!
 //! # Routes
 //!
-//! The table is `http/routes.rs`; [`openapi`] is made from it and from what stands above each handler, is served as
+//! The table is `http/routes.rs`; [`openapi_document`] is made from it and from what stands above each handler, is served as
 //! `/api/v1/openapi.json`, shown at `/api/docs` and kept in `docs/openapi.json`. `docs/api.md` says how to script it.
 //! Every path below `/api` that is not in the table is a problem of type `no-route`; everything else is the page.
 //!
