@@ -19,7 +19,7 @@ pub struct DiagnosisConfig {
     pub max_effects: usize,
     /// Effects to leave out of the library, by id.
     pub without: Vec<String>,
-    /// Rules that withhold nothing, by id: for benches that ask what each of [`RULES`] is good for.
+    /// Rules that withhold nothing, by id: for benches that ask what each of [`crate::rules::RULES`] is good for.
     pub without_rules: Vec<String>,
     /// Resamples behind intervals.
     pub bootstrap_resamples: usize,
