@@ -1,11 +1,9 @@
-//! Runs the test programs: those that watch a clock one after the other, and behind them, with the least share of the
-//! processor, those that compute; what is left of these then two at a time.
+//! Runs the test programs: those that watch a clock first, alone, then those that compute, two at a time.
 //!
-//! A station in real time waits most of the time, and needs the processor at once when it wakes. A low priority alone does
-//! not let it have that, because Linux gives every session the same share: what computes is a session of its own, whose share
-//! is the smallest there is. A test that fails is run a second time when everything else has ended: a station on a busy
-//! machine may be late once. What fails twice is wrong, and so is a run in which more than a few fail. A test that needed its
-//! second time is named at the end.
+//! A station in real time waits most of the time, and needs the processor at once when it wakes; whatever computes beside it
+//! makes it late, also with the lowest priority, because Linux gives every session its share. A test that fails is run a
+//! second time when everything else has ended: a station on a busy machine may be late once. What fails twice is wrong, and
+//! so is a run in which more than a few fail. A test that needed its second time is named at the end.
 
 use std::{
     io::{BufRead as _, BufReader, Read, Write as _},
@@ -39,10 +37,6 @@ const MAX_RETRIES: usize = 2;
 /// Tests that passed at their second time in this run.
 static LATE: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Runs a program in a session that is its own with the smallest share of the processor. Where Linux does not group by
-/// session, there is no such file, and the priority of the processes themselves counts.
-const BEHIND: &str = r#"{ echo 19 > /proc/self/autogroup; } 2> /dev/null; exec nice -n 19 "$0" "$@""#;
-
 /// A test program.
 #[derive(Debug)]
 struct Program {
@@ -51,15 +45,6 @@ struct Program {
     executable: PathBuf,
     /// Folder of its package, where it runs.
     dir: PathBuf,
-}
-
-/// How a test program runs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Manner {
-    /// What it prints is shown as it comes.
-    Live,
-    /// What it prints is shown when it has ended; it computes when nobody else does.
-    Behind,
 }
 
 /// How a test program ended that did not pass.
@@ -85,18 +70,14 @@ pub(crate) fn run(
     let programs = programs(&listed)?;
     let (watching, computing): (Vec<&Program>, Vec<&Program>) =
         programs.iter().partition(|program| program.watches_a_clock());
-    let (watching, computing) = (Mutex::new(watching.iter()), Mutex::new(computing.iter()));
-    let behind = || in_order(&computing, &env, filter, Manner::Behind);
-    let ahead = || -> anyhow::Result<Vec<_>> {
-        let mut failed = in_order(&watching, &env, filter, Manner::Live)?;
-        failed.extend(behind()?);
-        Ok(failed)
-    };
+    let mut failed = in_order(&Mutex::new(watching.iter()), &env, filter, true)?;
+    let computing = Mutex::new(computing.iter());
+    let in_turn = || in_order(&computing, &env, filter, false);
     let [first, second] = thread::scope(|scope| {
-        let other = scope.spawn(behind);
-        [ahead(), other.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))]
+        let other = scope.spawn(in_turn);
+        [in_turn(), other.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))]
     });
-    let failed: Vec<Failed<'_>> = first?.into_iter().chain(second?).collect();
+    failed.extend(first?.into_iter().chain(second?));
     again(&failed, &env)?;
     let mut examples = cargo();
     examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());
@@ -109,12 +90,12 @@ fn in_order<'a>(
     programs: &Mutex<std::slice::Iter<'_, &'a Program>>,
     env: &(impl Fn(&mut Command) + Sync),
     filter: Option<&str>,
-    manner: Manner,
+    is_live: bool,
 ) -> anyhow::Result<Vec<Failed<'a>>> {
     let mut failed = Vec::new();
     let next = || programs.lock().unwrap_or_else(PoisonError::into_inner).next();
     while let Some(program) = next() {
-        failed.extend(program.attempt(env, filter.as_slice(), manner)?);
+        failed.extend(program.attempt(env, filter.as_slice(), is_live)?);
     }
     Ok(failed)
 }
@@ -149,7 +130,7 @@ fn again(failed: &[Failed<'_>], env: &(impl Fn(&mut Command) + Sync)) -> anyhow:
     for (one, names) in failed.iter().zip(&names) {
         let mut args = vec!["--exact", "--test-threads=1"];
         args.extend(names.iter().map(String::as_str));
-        if one.program.attempt(env, &args, Manner::Live)?.is_some() {
+        if one.program.attempt(env, &args, true)?.is_some() {
             bail!("tests failed twice; see above");
         }
     }
@@ -168,22 +149,14 @@ impl Program {
         })
     }
 
-    /// Runs it; `None` if it passes.
+    /// Runs it; `None` if it passes. Unless it `is_live`, what it prints is shown when it has ended.
     fn attempt(
         &self,
         env: &(impl Fn(&mut Command) + Sync),
         args: &[&str],
-        manner: Manner,
+        is_live: bool,
     ) -> anyhow::Result<Option<Failed<'_>>> {
-        let is_live = manner == Manner::Live;
-        let mut command = match manner {
-            Manner::Live => Command::new(&self.executable),
-            Manner::Behind => {
-                let mut command = Command::new("setsid");
-                command.args(["sh", "-c", BEHIND]).arg(&self.executable);
-                command
-            }
-        };
+        let mut command = Command::new(&self.executable);
         command.args(args).current_dir(&self.dir).env("CARGO_MANIFEST_DIR", &self.dir);
         env(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
