@@ -284,6 +284,7 @@ impl Opened {
             world: named.must("world")?,
             model: if let Feels::Model(path) = feels { Some(path.clone()) } else { None },
             truth: if let Feels::Truth(path) = feels { Some(path.clone()) } else { None },
+            contact_map: None,
             silence_touch: false,
             script: PathBuf::new(),
             object: files::shown(&named.must("object")?),

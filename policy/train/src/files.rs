@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
+use palpate_calibration::contact_map::ContactMap;
 use palpate_grasp::touch::{NoTouch, Sense};
 use palpate_grasp::{GraspConfig, GraspScene, Script};
 use palpate_robot_model::{ObjectGroup, ObjectModel, Station};
@@ -104,7 +105,11 @@ pub(crate) fn open_world(args: &SceneArgs, sources: &Sources) -> anyhow::Result<
         _ if args.silence_touch => Box::new(NoTouch),
         (Some(path), _) => {
             sources.text("truth", path)?;
-            Box::new(Emulated::read(path)?)
+            let map = args.contact_map.as_deref().map(|path| {
+                let text = sources.text("contact map", path)?;
+                anyhow::Ok(ContactMap::from_toml(&shown(path), &text)?)
+            });
+            Box::new(Emulated::read(path, map.transpose()?)?)
         }
         (None, Some(path)) => Box::new(SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?),
         (None, None) => Box::new(SensorModel::from_toml("nominal model", &station.nominal_model_toml)?),

@@ -98,6 +98,9 @@ pub(crate) struct SceneArgs {
     /// Feel what the emulated station feels, as this truth file says, instead of what a sensor model says
     #[arg(long, conflicts_with = "model")]
     truth: Option<PathBuf>,
+    /// With --truth: what this contact map makes of the readings, instead of what the station's thresholds do
+    #[arg(long, value_name = "MAP.toml", requires = "truth")]
+    contact_map: Option<PathBuf>,
     /// Feel nothing at all
     #[arg(long)]
     silence_touch: bool,

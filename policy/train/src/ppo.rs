@@ -198,6 +198,7 @@ mod tests {
             world: root.join("assets/grasp/xarm6_leap.toml"),
             model: None,
             truth: None,
+            contact_map: None,
             script: root.join("assets/grasp/scripts/xarm6_leap_cube.toml"),
             object: files::shown(&root.join("assets/objects/cube.toml")),
             start_cm: None,

@@ -1,9 +1,10 @@
-//! The emulated station's sense of touch in the grasp world.
+//! The emulated station's sense of touch in the grasp world, as its firmware or a contact map makes events of it.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
+use palpate_calibration::contact_map::{ContactMap, LiveMap};
 use palpate_grasp::GraspError;
 use palpate_grasp::touch::{FixedBody, Sense, Touch, TouchScene};
 use palpate_robot_model::{ObjectModel, Station};
@@ -11,11 +12,15 @@ use palpate_sim::tactile::Readings;
 use palpate_truth::{EmulationError, TruthSense, TruthTouch};
 
 /// The touch of a truth file.
-pub(crate) struct Emulated(TruthSense);
+pub(crate) struct Emulated {
+    sense: TruthSense,
+    /// What makes events of readings, in place of the firmware's thresholds.
+    map: Option<Arc<ContactMap>>,
+}
 
 impl Emulated {
-    pub(crate) fn read(path: &Path) -> Result<Self, EmulationError> {
-        TruthSense::read(path).map(Self)
+    pub(crate) fn read(path: &Path, map: Option<ContactMap>) -> Result<Self, EmulationError> {
+        Ok(Self { sense: TruthSense::read(path)?, map: map.map(Arc::new) })
     }
 }
 
@@ -30,14 +35,17 @@ impl Sense for Emulated {
         object: &ObjectModel,
         fixed: &[FixedBody],
     ) -> Result<Arc<dyn TouchScene>, GraspError> {
-        let own = self.0.station();
+        let own = self.sense.station();
         if names(own) != names(station) {
             return Err(GraspError::Sense(format!(
                 "the truth's station is {:?}, whose joints and channels are not those of {:?}",
                 own.id, station.id
             )));
         }
-        let scene = EmulatedScene { sense: self.0.clone(), object: object.clone(), fixed: fixed.to_vec() };
+        let map = self.map.as_ref().map(|map| LiveMap::new(Arc::clone(map), own));
+        let map = map.transpose().map_err(|err| GraspError::Sense(err.to_string()))?;
+        let scene =
+            EmulatedScene { sense: self.sense.clone(), object: object.clone(), fixed: fixed.to_vec(), map };
         // What cannot be felt shows here, not when an episode begins.
         scene.sense.touch(&scene.object, &scene.fixed).map_err(error)?;
         Ok(Arc::new(scene))
@@ -56,12 +64,13 @@ struct EmulatedScene {
     sense: TruthSense,
     object: ObjectModel,
     fixed: Vec<FixedBody>,
+    map: Option<LiveMap>,
 }
 
 impl TouchScene for EmulatedScene {
     fn touch(self: Arc<Self>) -> Result<Box<dyn Touch>, GraspError> {
         let touch = self.sense.touch(&self.object, &self.fixed).map_err(error)?;
-        Ok(Box::new(EmulatedTouch(touch)))
+        Ok(Box::new(EmulatedTouch { touch, map: self.map.clone() }))
     }
 
     fn reads_raw_units(&self) -> bool {
@@ -69,17 +78,23 @@ impl TouchScene for EmulatedScene {
     }
 }
 
-struct EmulatedTouch(TruthTouch);
+struct EmulatedTouch {
+    touch: TruthTouch,
+    map: Option<LiveMap>,
+}
 
 impl std::fmt::Debug for EmulatedTouch {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("EmulatedTouch").field(&self.0.active()).finish()
+        f.debug_tuple("EmulatedTouch").field(&self.touch.active()).finish()
     }
 }
 
 impl Touch for EmulatedTouch {
     fn restart(&mut self, seed: u64) -> Result<(), GraspError> {
-        self.0.restart(seed).map_err(error)
+        if let Some(map) = &mut self.map {
+            map.restart();
+        }
+        self.touch.restart(seed).map_err(error)
     }
 
     fn feel(
@@ -88,8 +103,12 @@ impl Touch for EmulatedTouch {
         positions: &[f64],
         base_from_object: &Isometry3<f64>,
     ) -> Result<Readings, GraspError> {
-        self.0.feel(time_s, positions, base_from_object);
-        let (raw, active) = (self.0.raw().to_vec(), self.0.active().to_vec());
+        self.touch.feel(time_s, positions, base_from_object);
+        let (raw, mut active) = (self.touch.raw().to_vec(), self.touch.active().to_vec());
+        if let Some(map) = &mut self.map {
+            let above_reference: Vec<f64> = self.touch.above_reference().collect();
+            map.read(time_s, &above_reference, &mut active);
+        }
         Ok(Readings { num_frames: 1, num_channels: active.len(), raw, active })
     }
 }

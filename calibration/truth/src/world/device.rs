@@ -178,6 +178,11 @@ impl Device {
         }
     }
 
+    /// What the firmware took for no touch after power-up, of the channel in `column`, raw units.
+    pub(crate) fn reference(&self, column: usize) -> f64 {
+        self.sums[column] / self.num_summed.max(1) as f64
+    }
+
     /// The next sample that has arrived by `now_ns`.
     pub(crate) fn arrived(&mut self, now_ns: i64) -> Option<Arrival> {
         if self.queue.front()?.host_ns <= now_ns { self.queue.pop_front() } else { None }

@@ -168,6 +168,14 @@ impl TruthTouch {
         &self.raw
     }
 
+    /// How far each of [`TruthTouch::raw`] is above what its device took for no touch before the episode.
+    pub fn above_reference(&self) -> impl Iterator<Item = f64> + '_ {
+        let streams = self.world.station.layout.streams.iter().zip(&self.world.devices);
+        let references = streams
+            .flat_map(|(stream, device)| (0..stream.channels.len()).map(|column| device.reference(column)));
+        self.raw.iter().zip(references).map(|(raw, reference)| raw - reference)
+    }
+
     /// Whether each channel is active, as the newest sample that has reached the host says.
     pub fn active(&self) -> &[bool] {
         &self.active

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;
 
+use palpate_robot_model::Station;
 use safetensors::{SafeTensors, tensor::TensorView};
 use serde_json::Value;
 
@@ -192,14 +193,52 @@ fn touch_can_be_that_of_a_truth_file_whose_channels_are_those_of_the_station() {
     assert_eq!(with(&[&truth[..], &["--threads", "3"]].concat()), one);
     assert_eq!(with(&[&truth[..], &["--silence-touch"]].concat()), with(&["--silence-touch"]));
     assert_ne!(one, with(&["--silence-touch"]), "what the truth lets it feel moves it");
+    let deaf = folder.path().join("deaf.toml");
+    std::fs::write(&deaf, map_without_contact("xarm6-leap")).expect("a file");
+    let deaf = deaf.to_str().expect("a path");
+    let mapped = with(&[&truth[..], &["--contact-map", deaf]].concat());
+    assert_eq!(mapped, with(&["--silence-touch"]), "the map's events stand in place of the firmware's");
 
     let refused = |args: &[&str]| {
         let output = palpate_train(&[&call, args].concat());
         assert!(!output.status.success(), "{args:?} must be refused");
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
+    assert!(
+        refused(&["--contact-map", deaf]).contains("--truth"),
+        "a map reads what the truth's devices read"
+    );
+    std::fs::write(deaf, map_without_contact("elsewhere")).expect("a file");
+    let said = refused(&[&truth[..], &["--contact-map", deaf]].concat());
+    assert!(said.contains("was learned on station \"elsewhere\""), "{said}");
     let said = refused(&["--truth", "assets/truth/bench.toml"]);
     assert!(said.contains("whose joints and channels are not those of"), "{said}");
     let said = refused(&["--truth", "assets/truth/demo.toml", "--model", "assets/models/nominal.toml"]);
     assert!(said.contains("cannot be used with"), "{said}");
+}
+
+/// A contact map of the shipped hand, said to be that of `station`, which takes nothing for contact.
+fn map_without_contact(station: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/stations");
+    let read = |path: &str| std::fs::read(folder.join(path)).map_err(|err| err.to_string());
+    let layout = Station::read("xarm6_leap.toml", read).expect("a shipped station").layout;
+    let target = std::fs::read_to_string(folder.join("../models/nominal.toml")).expect("a shipped model");
+    let mut map = format!(
+        "format = 1\nname = \"deaf\"\nstation = {station:?}\nlags_s = [0.0, 0.1]\ntarget = '''\n{target}'''\n"
+    );
+    for (idx, stream) in layout.streams.iter().enumerate() {
+        let ids: Vec<&str> =
+            layout.channels[stream.channels.clone()].iter().map(|channel| channel.id.as_str()).collect();
+        let is_shared = layout.patches.iter().any(|patch| patch.stream == idx && patch.channels.len() > 1);
+        let inputs = if is_shared { 4 } else { 2 };
+        map += &format!(
+            "[[stream]]\nid = {:?}\nchannels = {ids:?}\nscales_raw = {:?}\noffsets = {:?}\non = 1.0\noff = 1.0\n\
+             inputs = {inputs}\nhidden = 0\nweights = {:?}\n",
+            stream.id,
+            vec![1.0; ids.len()],
+            vec![0.0; ids.len()],
+            vec![0.0; inputs + 1],
+        );
+    }
+    map
 }
