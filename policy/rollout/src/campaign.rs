@@ -13,14 +13,14 @@ use palpate_wire::api::{
 };
 use serde_json::json;
 
+use crate::args::RolloutArgs;
+use crate::attempt::{Begins, Making, Placing, begin, make};
 use crate::fit::{self, FitArgs, Fitted, Region, SCRIPTS};
+use crate::hand::{Hand, alive_while, hold, ready, still_there};
 use crate::journal::{Journal, Stage};
 use crate::link::{Link, switch_reflex_on};
 use crate::operator::Operator;
-use crate::run::{
-    Begins, Hand, Making, Outcome, Outcomes, Placing, RolloutArgs, alive_while, begin, hold, make, ready,
-    still_there,
-};
+use crate::outcome::{Outcome, Outcomes};
 use crate::studio::{RequestError, Studio};
 use crate::take::Recording;
 use crate::verdict::Verdict;

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 
-use crate::run::{RolloutArgs, run};
+use crate::{RolloutArgs, run};
 
 #[derive(Parser)]
 #[command(about = "Trials of a policy on the hand that a studio drives", version)]

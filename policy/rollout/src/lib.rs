@@ -8,15 +8,19 @@
 //!
 //! Nothing here simulates: it needs no physics library, and the server needs nothing of it.
 
+mod args;
+mod attempt;
 mod campaign;
 mod command;
 #[cfg(feature = "learned")]
 pub mod features;
 pub mod fit;
+mod hand;
 pub mod inject;
 mod journal;
 pub mod link;
 pub mod operator;
+pub mod outcome;
 pub mod policy;
 pub mod read;
 pub mod record;
@@ -27,6 +31,7 @@ pub mod task;
 pub mod trial;
 pub mod verdict;
 
+pub use args::RolloutArgs;
 pub use command::command;
-pub use run::{RolloutArgs, run};
+pub use run::run;
 pub use take::Recorded;

@@ -17,9 +17,9 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::fit::Fitted;
+use crate::hand::{Hand, alive_while};
 use crate::link::Link;
 use crate::operator::Operator;
-use crate::run::{Hand, alive_while};
 use crate::studio::Studio;
 use crate::trial::wait_until;
 
