@@ -4,25 +4,19 @@ mod encoding;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use palpate_cloning::{
-    CHECKPOINT_FILE, CloneConfig, Cloned, Data, Episode, Episodes, Finish, Head, Memory, Moment, POLICY_FILE,
-    PaperPolicy, Plan, Progress, Robot, Run, Start, TrainingDevice,
+    CHECKPOINT_FILE, CloneConfig, Data, Episode, Episodes, Finish, Head, Memory, POLICY_FILE, PaperPolicy,
+    Progress, Robot, Start, TrainingDevice,
 };
-use palpate_grasp::GraspConfig;
-use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::trial::Outcome;
-use palpate_robot_model::Station;
-use palpate_rollout::features::{FeatureRun, Features};
-use palpate_rollout::task::robot;
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use palpate_training::TrainingError;
 use serde::Serialize;
 
 use self::encoding::Encoding;
-use crate::files::{self, Source};
+use crate::files;
 use crate::gather::{self, Gathered};
 use crate::learning;
 
@@ -258,82 +252,4 @@ fn learned_from(
         bail!("there are {} trials to learn from, expected 2 or more: one is held out", episodes.len());
     }
     Ok((robot, episodes, sources))
-}
-
-/// A policy that imitates an expert, and what makes the features that it sees.
-pub(crate) struct Imitation {
-    policy: Arc<Cloned>,
-    /// Nothing if it sees none.
-    features: Option<Arc<Features>>,
-}
-
-/// The policy of a training's folder or of a file, if it is for the robot of `station` in `world`; and its file.
-pub(crate) fn open(
-    path: &Path,
-    station: &Arc<Station>,
-    world: &GraspConfig,
-) -> anyhow::Result<(Imitation, Source)> {
-    let (file, bytes, policy) = Cloned::read(path)?;
-    let source =
-        Source { role: "policy".to_owned(), path: files::shown(&file), sha256: files::sha256(&bytes) };
-    policy.robot().check(&robot(station, world)).with_context(|| format!("{file:?} does not fit"))?;
-    let features = Features::of_policy(&policy, station, world);
-    let features = features.with_context(|| format!("{file:?} does not fit"))?;
-    Ok((Imitation { policy: Arc::new(policy), features }, source))
-}
-
-/// A policy as what moves the robot in a trial.
-pub(crate) struct Imitator {
-    run: Run,
-    features: Option<FeatureRun>,
-    station: Arc<Station>,
-    /// Why it stopped, if it did: a controller cannot fail.
-    pub(crate) problem: Option<anyhow::Error>,
-}
-
-impl Imitator {
-    /// In a trial whose object begins within `half_width_m` of the middle, along both axes.
-    pub(crate) fn new(
-        imitation: &Imitation,
-        station: Arc<Station>,
-        trial: u64,
-        half_width_m: f64,
-    ) -> anyhow::Result<Self> {
-        let run = Run::new(Arc::clone(&imitation.policy), trial, Some(half_width_m))?;
-        Ok(Self { run, features: imitation.features.clone().map(FeatureRun::new), station, problem: None })
-    }
-
-    fn plan(&mut self, now: &Observation<'_>) -> anyhow::Result<Plan> {
-        let moment = Moment {
-            time_s: now.time_s,
-            positions: now.positions,
-            commands: now.commands,
-            active: now.active,
-            features: &[],
-        };
-        let features = match &mut self.features {
-            Some(features) => features.see(&moment)?,
-            None => Vec::new(),
-        };
-        Ok(self.run.next(&Moment { features: &features, ..moment })?)
-    }
-}
-
-impl Controller for Imitator {
-    fn control(&mut self, now: &Observation<'_>) -> Command {
-        match self.plan(now) {
-            Ok(plan) => {
-                let joints = plan.targets.into_iter().zip(self.station.robot.dofs());
-                let within = joints.map(|(target, joint)| match joint.limits {
-                    Some(limits) => target.clamp(limits.lower, limits.upper),
-                    None => target,
-                });
-                Command { targets: within.collect(), claims_held: plan.claims_held }
-            }
-            Err(err) => {
-                self.problem.get_or_insert(err);
-                Command { targets: now.commands.to_vec(), claims_held: false }
-            }
-        }
-    }
 }

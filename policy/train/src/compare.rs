@@ -24,16 +24,15 @@ use rayon::prelude::*;
 use self::films::Films;
 use self::kept::{ArmRecord, Record};
 use self::report::{Arm, Comparison, OfObject};
-use crate::clone::{self, Imitation, Imitator};
-use crate::evaluate::EvaluateArgs;
+use crate::evaluate::args::EvaluateArgs;
 use crate::files::{self, OpenWorld, Sources};
+use crate::imitator::{self, Imitation, Imitator};
 use crate::policy::{Policy, Watch};
 use crate::search::Expert;
 use crate::task::{self, OpenTask};
 
 /// Name of the arm that all others are compared with.
 const POLICY: &str = "policy";
-const PROTOCOLS: &str = "assets/grasp/protocols";
 
 /// What moves the robot in one arm of a comparison.
 #[derive(Clone, Debug, PartialEq)]
@@ -150,7 +149,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         bail!("--start-cm and --protocol exclude each other: a protocol says where objects start");
     }
     let sources = Sources::default();
-    let (name, mut protocol) = protocol(args.protocol.as_deref().unwrap_or_default(), &sources)?;
+    let (name, mut protocol) = files::protocol(args.protocol.as_deref().unwrap_or_default(), &sources)?;
     protocol.trials = args.trials.unwrap_or(protocol.trials);
     protocol.seed = args.seed.unwrap_or(protocol.seed);
     let objects = files::objects(args.objects.as_deref().unwrap_or(&args.task.scene.object))?;
@@ -241,22 +240,6 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         print!("{}", comparison.text());
     }
     Ok(())
-}
-
-/// The protocol that `given` names, a file or one of those that are shipped, and its name.
-pub(crate) fn protocol(given: &str, sources: &Sources) -> anyhow::Result<(String, Protocol)> {
-    let file = PathBuf::from(given);
-    let path = if file.is_file() { file } else { Path::new(PROTOCOLS).join(format!("{given}.toml")) };
-    if !path.is_file() {
-        let known: Vec<String> = files::names_in(Path::new(PROTOCOLS));
-        bail!(
-            "--protocol is {given:?}, which is no file and no protocol in {PROTOCOLS}: {}",
-            known.join(", ")
-        );
-    }
-    let text = sources.text("protocol", &path)?;
-    let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or(given).to_owned();
-    Ok((name, Protocol::from_toml(&files::shown(&path), &text)?))
 }
 
 /// One object in the world of a protocol.
@@ -361,7 +344,7 @@ impl Bench {
             }
             Mover::Cloned(path) => {
                 let (policy, source) =
-                    clone::open(&path_for(path, &id), &self.world.station, &self.world.config)?;
+                    imitator::open(&path_for(path, &id), &self.world.station, &self.world.config)?;
                 self.sources.keep(source);
                 Ok(Ready::Cloned(policy))
             }

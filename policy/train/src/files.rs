@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, bail};
 use palpate_calibration::contact_map::ContactMap;
 use palpate_grasp::touch::{NoTouch, Sense};
-use palpate_grasp::{GraspConfig, GraspScene, Script};
+use palpate_grasp::{GraspConfig, GraspScene, Protocol, Script};
 use palpate_robot_model::{ObjectGroup, ObjectModel, Station};
 pub(crate) use palpate_rollout::task::{Source, sha256};
 use palpate_sim::SensorModel;
@@ -215,6 +215,24 @@ const OBJECTS: &str = "assets/objects";
 /// Names of the objects in [`OBJECTS`].
 fn known_objects() -> Vec<String> {
     names_in(Path::new(OBJECTS))
+}
+
+const PROTOCOLS: &str = "assets/grasp/protocols";
+
+/// The protocol that `given` names, a file or one of those that are shipped, and its name.
+pub(crate) fn protocol(given: &str, sources: &Sources) -> anyhow::Result<(String, Protocol)> {
+    let file = PathBuf::from(given);
+    let path = if file.is_file() { file } else { Path::new(PROTOCOLS).join(format!("{given}.toml")) };
+    if !path.is_file() {
+        let known: Vec<String> = names_in(Path::new(PROTOCOLS));
+        bail!(
+            "--protocol is {given:?}, which is no file and no protocol in {PROTOCOLS}: {}",
+            known.join(", ")
+        );
+    }
+    let text = sources.text("protocol", &path)?;
+    let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or(given).to_owned();
+    Ok((name, Protocol::from_toml(&shown(&path), &text)?))
 }
 
 /// Names of the TOML files in `folder`, sorted; none where there is no such folder.

@@ -22,10 +22,10 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 
-use crate::clone::{self, Imitator};
+use crate::SceneArgs;
 use crate::files::{self, Source, Sources};
+use crate::imitator::{self, Imitator};
 use crate::search::{CLOSINGS, Expert, SEARCH};
-use crate::{SceneArgs, compare};
 
 /// The tensor that says where objects were.
 const OBJECT_POSES: &str = "object_poses";
@@ -183,7 +183,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
         bail!("--count is 0, expected at least 1");
     }
     let sources = Sources::default();
-    let (protocol_name, protocol) = compare::protocol(&args.protocol, &sources)?;
+    let (protocol_name, protocol) = files::protocol(&args.protocol, &sources)?;
     check_seed(args.seed, &protocol_name, &protocol)?;
     files::start_threads(args.scene.threads)?;
     let objects = files::objects(&args.objects)?;
@@ -194,7 +194,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
     let experience = expert.experience(args.expert.senses)?;
     let student = args.takeover.as_deref().map(|policy| {
         let path = Path::new(policy.strip_prefix(CLONE).unwrap_or(policy));
-        clone::open(path, &world.station, &world.config)
+        imitator::open(path, &world.station, &world.config)
     });
     let student = student.transpose().context("--takeover")?;
     let taken_over_from = student.as_ref().map(|(_, source)| source.sha256.clone());

@@ -16,6 +16,7 @@ mod export;
 mod export_mujoco;
 mod files;
 mod gather;
+mod imitator;
 mod learning;
 mod origin;
 mod pipeline;

@@ -9,7 +9,7 @@ use palpate_encoder::EncoderConfig;
 use serde::Deserialize;
 
 use crate::files::{self, Sources};
-use crate::{compare, gather};
+use crate::gather;
 
 /// Presets by name.
 const PRESETS: [(&str, &str); 2] = [
@@ -226,7 +226,7 @@ impl PipelineConfig {
         for (field, objects) in [("closings", &closings.objects), ("trials", &trials.objects)] {
             files::objects(objects).with_context(|| format!("{field}.objects is {objects:?}"))?;
         }
-        let protocol = |given: &str| compare::protocol(given, &Sources::default());
+        let protocol = |given: &str| files::protocol(given, &Sources::default());
         let (_, first) = protocol(&trials.protocol).context("trials.protocol")?;
         let mut is_of_one_region = true;
         for also in &trials.also {

@@ -8,7 +8,7 @@ use palpate_cloning::{CHECKPOINT_FILE, Head, Memory, POLICY_FILE, PaperPolicy};
 
 use super::PipelineArgs;
 use super::config::{EvaluationConfig, PipelineConfig, PolicyConfig};
-use crate::{compare, files};
+use crate::files;
 
 /// Seconds of one core that the parts of a stage take with the preset `small`, as measured for docs/learning.md; what
 /// takes longer on another machine takes longer by about the same factor.
@@ -206,7 +206,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
     let reading = |command: Command, flag: &str| {
         trials_of.iter().fold(command, |command, (_, folder)| command.with(flag, folder))
     };
-    let (_, protocol) = compare::protocol(&trials.protocol, &files::Sources::default())?;
+    let (_, protocol) = files::protocol(&trials.protocol, &files::Sources::default())?;
     let steps = core_s::STEPS_PER_S * protocol.episode_s * all_trials * trials_of.len() as f64;
     let encoder_dir = encoder_dir(out);
     if let Some(encoder) = &config.encoder {
@@ -311,7 +311,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
         });
     }
     for evaluation in &config.evaluations {
-        let (_, protocol) = compare::protocol(&evaluation.protocol, &files::Sources::default())?;
+        let (_, protocol) = files::protocol(&evaluation.protocol, &files::Sources::default())?;
         let path = comparison(out, evaluation);
         let (by_object, pictures) = (path.with_extension(""), pictures(out, evaluation));
         let mut command = Command::of("evaluate")
