@@ -25,11 +25,11 @@ pub use diagnose::{
 pub use next_plan::next_plan;
 use palpate_calibration::{CalibrationConfig, PairedTake, calibrate, report};
 use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};
+use palpate_reports::CalibrationReport;
 use palpate_sim::{
     SensorModel,
     job::{Cancel, Progress},
 };
-use palpate_wire::api::CalibrationReport;
 pub use work::run_job;
 
 use crate::{

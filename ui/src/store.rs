@@ -22,13 +22,13 @@ pub use curves::Curves;
 use std::{collections::BTreeMap, sync::Arc};
 
 use base64::Engine as _;
+use palpate_reports::{CalibrationReport, CheckReport, DiagnosisReport};
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
-        CalibrationReport, CalibrationRequest, CalibrationRun, CheckReport, DiagnosisReport,
-        DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage, ModelSummary, ObjectEntry, PlanDocument,
-        RecordingAction, RecordingDocument, SaveDiagnosisRequest, SaveModelRequest, SessionDetail,
-        SessionSummary, StationDocument, TrashEntry,
+        CalibrationRequest, CalibrationRun, DiagnosisRequest, DiagnosisRun, Info, JobState, Lineage,
+        ModelSummary, ObjectEntry, PlanDocument, RecordingAction, RecordingDocument, SaveDiagnosisRequest,
+        SaveModelRequest, SessionDetail, SessionSummary, StationDocument, TrashEntry,
     },
     proto::{Changed, LiveFrame, ReplayTrace, StreamMessage, TakeTrace, stream_message},
 };

@@ -5,10 +5,9 @@ use std::{path::PathBuf, process::ExitCode, time::Instant};
 use clap::{Args, Subcommand};
 use palpate_diagnosis::actuator::{ActuatorConfig, LogHoldOut, diagnose_actuator};
 use palpate_recording::{ServoLog, Session};
-use palpate_reports::wording;
+use palpate_reports::{DiagnosisReport, wording};
 use palpate_server::Error;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::DiagnosisReport;
 
 use super::{Outcome, output};
 

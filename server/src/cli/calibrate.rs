@@ -5,13 +5,13 @@ use std::{fs, path::PathBuf, process::ExitCode};
 use clap::{Args, ValueEnum};
 use palpate_calibration::{CalibrationConfig, HoldOut, Method, report::headline};
 use palpate_recording::Session;
+use palpate_reports::{CalibrationReport, Metrics, StreamFit};
 use palpate_server::{
     Error,
     data::{files, library::Library},
     jobs::{CalibrationArtifacts, calibrate_session},
 };
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::{CalibrationReport, Metrics, StreamFit};
 
 use super::{Outcome, output};
 

@@ -10,7 +10,7 @@ use clap::Args;
 use palpate_calibration::HoldOut;
 use palpate_diagnosis::DiagnosisConfig;
 use palpate_recording::Session;
-use palpate_reports::wording;
+use palpate_reports::{DiagnosisReport, Metrics, wording};
 use palpate_server::{
     Error,
     data::{bars::Bars, files, library::Library},
@@ -18,7 +18,6 @@ use palpate_server::{
 };
 use palpate_sim::SensorModel;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use palpate_wire::api::{DiagnosisReport, Metrics};
 
 use super::{Outcome, calibrate::hold_out, output};
 

@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Subcommand};
 use palpate_recording::{Session, check_session};
-use palpate_wire::api::{CheckReport, Severity};
+use palpate_reports::{CheckReport, Severity};
 
 use super::{Outcome, output};
 

@@ -13,8 +13,9 @@ use palpate_recording::{
     GrowingSession, RecordingError, Session, SessionHold,
     files::{MAX_TEXT_BYTES, open_file, read_file, read_text, resolve_in},
 };
+use palpate_reports::{ModelEffect, ThetaReport};
 use palpate_sim::{SensorModel, StreamTheta};
-use palpate_wire::api::{ModelEffect, ModelSummary, ThetaReport, TrashEntry, TrashSort};
+use palpate_wire::api::{ModelSummary, TrashEntry, TrashSort};
 
 use super::{cache::lock, files, upload};
 use crate::Error;

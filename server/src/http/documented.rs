@@ -3,9 +3,8 @@
 use std::{borrow::Cow, collections::BTreeMap, fmt};
 
 use axum::http::Method;
-use palpate_wire::api::{
-    CalibrationReport, CalibrationRequest, CalibrationRun, DiagnosisReport, DiagnosisRequest, DiagnosisRun,
-};
+use palpate_reports::{CalibrationReport, DiagnosisReport};
+use palpate_wire::api::{CalibrationRequest, CalibrationRun, DiagnosisRequest, DiagnosisRun};
 use utoipa::{
     IntoResponses, PartialSchema, ToSchema,
     openapi::{PathItem, Paths, Ref, RefOr, Schema, path::Operation, response::Response as Answer},

@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use palpate_diagnosis::{DiagnosisConfig, diagnose, null_bar, report};
 use palpate_recording::{Session, Take};
+use palpate_reports::DiagnosisReport;
 use palpate_sim::{
     SensorModel, effects,
     job::{Cancel, Progress},
 };
-use palpate_wire::api::DiagnosisReport;
 
 use super::{Section, accepted_takes};
 use crate::{

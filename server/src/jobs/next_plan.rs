@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use palpate_motion::{Experiment, Plan, Primitive, Primitives, experiment_plan, plan_text};
 use palpate_recording::{Session, Take};
+use palpate_reports::{NextExperiment, Purpose};
 use palpate_robot_model::{PoseConfig, Station};
-use palpate_wire::api::{NextExperiment, Purpose};
 
 use super::accepted_takes;
 use crate::{Error, assets, data::library::Library};

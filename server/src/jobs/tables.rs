@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use palpate_wire::api::{CalibrationReport, DiagnosisReport, MetricIntervals, Metrics};
+use palpate_reports::{CalibrationReport, DiagnosisReport, MetricIntervals, Metrics};
 use serde_json::Value;
 
 use crate::Error;
@@ -228,7 +228,7 @@ impl Table {
 
 #[cfg(test)]
 mod tests {
-    use palpate_wire::api::WaterfallStep;
+    use palpate_reports::WaterfallStep;
 
     use super::*;
 
@@ -254,7 +254,7 @@ mod tests {
 
     /// A diagnosis that found nothing.
     fn empty() -> DiagnosisReport {
-        use palpate_wire::api::{Bar, Gap, Unexplained, Verdict};
+        use palpate_reports::{Bar, Gap, Unexplained, Verdict};
         DiagnosisReport {
             verdict: Verdict::NoDiscrepancy,
             sentence: String::new(),

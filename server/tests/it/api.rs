@@ -3,11 +3,12 @@
 use axum::http::header;
 use palpate_messages::bits;
 use palpate_recording::Session;
+use palpate_reports::CheckReport;
 use palpate_robot_model::{Station, StationFiles};
 use palpate_wire::{
     api::{
-        CheckReport, Info, ModelSummary, ObjectEntry, SessionDetail, SessionSummary, Source, StationDocument,
-        TrashEntry, TrashSort,
+        Info, ModelSummary, ObjectEntry, SessionDetail, SessionSummary, Source, StationDocument, TrashEntry,
+        TrashSort,
     },
     proto::{ReplayTrace, TakeTrace},
 };

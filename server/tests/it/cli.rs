@@ -123,7 +123,7 @@ fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
     let files = ["--out", arg(&model), "--report", arg(&report_dir), "--plan", arg(&next), "--json"];
     let json = palpate_ok(&[&common[..], &files].concat());
     let report: Value = serde_json::from_str(&json).unwrap();
-    let whole: palpate_wire::api::DiagnosisReport = serde_json::from_str(&json).unwrap();
+    let whole: palpate_reports::DiagnosisReport = serde_json::from_str(&json).unwrap();
     assert_eq!(serde_json::to_value(&whole).unwrap(), report, "nothing beside the report");
     for key in ["verdict", "where", "gap", "held_out", "metrics", "unexplained", "next_experiment", "seconds"]
     {

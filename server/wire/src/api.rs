@@ -22,7 +22,7 @@ pub use jobs::*;
 pub use lineage::*;
 pub use live::*;
 pub use objects::*;
-pub use palpate_reports::*;
+use palpate_reports::{CalibrationReport, DiagnosisReport, ModelEffect, StreamThetaReport, ThetaReport};
 pub use people::*;
 pub use problem::*;
 pub use recording::*;

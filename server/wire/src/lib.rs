@@ -1,8 +1,8 @@
 //! Messages between the server and those who talk to it: the page, scripts, policies.
 //!
 //! [`proto`] holds what is compact and binary (traces, the stream and control sockets), [`api`] the JSON of the HTTP API and
-//! of the command line, reports included, [`markdown`] how headings of the manual are found and addressed. What recordings
-//! hold is `palpate_messages`. Pure; runs in the browser.
+//! of the command line, [`markdown`] how headings of the manual are found and addressed. What recordings hold is
+//! `palpate_messages`; reports of checks, calibrations and diagnoses are `palpate_reports`. Pure; runs in the browser.
 
 pub mod api;
 pub mod markdown;

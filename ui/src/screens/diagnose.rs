@@ -12,7 +12,8 @@ mod results;
 use std::{collections::BTreeSet, sync::Arc};
 
 use egui::RichText;
-use palpate_wire::api::{DiagnosisReport, DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
+use palpate_reports::DiagnosisReport;
+use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
 
 use super::{
     About, Part, ScreenContext, Subject, View,

@@ -3,8 +3,8 @@
 use std::{collections::BTreeSet, sync::Arc};
 
 use egui::RichText;
-use palpate_reports::wording;
-use palpate_wire::api::{Artifact, ArtifactKey, ArtifactSort, Lineage, ModelEffect};
+use palpate_reports::{ModelEffect, wording};
+use palpate_wire::api::{Artifact, ArtifactKey, ArtifactSort, Lineage};
 
 use super::{
     About, Part, ScreenContext, Subject, View, controls::name_button, empty_ui, failed_ui, heading_ui,

@@ -14,9 +14,10 @@ mod step;
 use std::{collections::BTreeMap, sync::Arc};
 
 use egui::{Key, Panel};
+use palpate_reports::TakeVerdict;
 use palpate_robot_model::Station;
 use palpate_wire::{
-    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StepState, TakeVerdict},
+    api::{RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StepState},
     proto::{RecordingStatus, control_state::Phase},
 };
 

@@ -5,16 +5,16 @@ use std::collections::BTreeMap;
 use base64::Engine as _;
 use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
+use palpate_reports::{
+    CalibrationReport, HeldOut, Intervals, MetricIntervals, Metrics, MetricsPair, Objective, StreamFit,
+    StreamThetaReport, TakeMetrics, ThetaReport,
+};
 use palpate_ui::{
     api_client::{ApiEvent, Request},
     playback::ModelRef,
 };
 use palpate_wire::{
-    api::{
-        CalibrationReport, CalibrationRequest, CalibrationRun, HeldOut, Intervals, JobState, MetricIntervals,
-        Metrics, MetricsPair, Objective, StationDocument, StreamFit, StreamThetaReport, TakeMetrics,
-        ThetaReport,
-    },
+    api::{CalibrationRequest, CalibrationRun, JobState, StationDocument},
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;

@@ -4,6 +4,10 @@ use std::collections::BTreeMap;
 
 use egui::accesskit::Role;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
+use palpate_reports::{
+    Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, Gap, Metrics, ModelEffect, NamedEffect,
+    NextExperiment, Purpose, Rival, ThetaReport, Unexplained, Verdict, WaterfallStep,
+};
 use palpate_robot_model::Place;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
@@ -12,10 +16,8 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{
-        Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, DiagnosisRequest, DiagnosisRun, Gap, Info,
-        JobState, Metrics, ModelEffect, ModelSummary, NamedEffect, NextExperiment, Purpose,
-        RecordingDocument, Rival, SaveDiagnosisRequest, Source, ThetaReport, Unexplained, Verdict,
-        WantedTake, WaterfallStep,
+        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, RecordingDocument,
+        SaveDiagnosisRequest, Source, WantedTake,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };

@@ -11,6 +11,7 @@ use std::{
 use base64::Engine as _;
 use egui_kittest::Harness;
 use palpate_messages::bits;
+use palpate_reports::ThetaReport;
 use palpate_robot_model::Station;
 use palpate_ui::{
     Platform, StudioApp,
@@ -19,9 +20,7 @@ use palpate_ui::{
     screens::PickedFile,
 };
 use palpate_wire::{
-    api::{
-        Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary, ThetaReport,
-    },
+    api::{Info, ModelSummary, SessionDetail, SessionSummary, Source, StationDocument, TakeSummary},
     proto::{ReplayTrace, SpanTrace, StreamTrace, TakeTrace, control_request},
 };
 use prost::Message as _;

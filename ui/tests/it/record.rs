@@ -3,6 +3,7 @@
 use egui::{Key, accesskit::Role};
 use egui_kittest::kittest::Queryable as _;
 use palpate_messages::bits;
+use palpate_reports::TakeVerdict;
 use palpate_ui::{
     api_client::{ApiEvent, Request},
     route::Screen,
@@ -10,7 +11,7 @@ use palpate_ui::{
 use palpate_wire::{
     api::{
         FreeTake, FreeTakeState, PlanSummary, RecordingAction, RecordingDocument, RecordingPhase,
-        RecordingSession, RecordingStep, StartRecording, StepState, TakeAction, TakeVerdict, WantedTake,
+        RecordingSession, RecordingStep, StartRecording, StepState, TakeAction, WantedTake,
     },
     proto::{RecordingStatus, control_request::Request as Command, control_state::Phase},
 };

@@ -2,10 +2,9 @@
 
 use egui::accesskit::Role;
 use egui_kittest::kittest::Queryable as _;
+use palpate_reports::{ChannelCoverage, CheckReport, Problem, Severity};
 use palpate_ui::{api_client::Request, screens::PickedFile};
-use palpate_wire::api::{
-    ChannelCoverage, CheckReport, Problem, Role as May, Severity, TrashEntry, TrashSort, Via,
-};
+use palpate_wire::api::{Role as May, TrashEntry, TrashSort, Via};
 
 use crate::{
     fixture::{FakeWindow, full_api, page, page_of, station},

@@ -14,7 +14,8 @@ use axum::{
 };
 use http_body_util::BodyExt as _;
 use palpate_recording::check_session;
-use palpate_wire::api::{CheckReport, SessionDetail, SessionSummary, StationDocument};
+use palpate_reports::CheckReport;
+use palpate_wire::api::{SessionDetail, SessionSummary, StationDocument};
 use serde::Deserialize;
 use tokio::io::AsyncWriteExt as _;
 use utoipa::IntoParams;

@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
-use palpate_wire::api::{CampaignPlan, CampaignPolicy, JobSpec, ThetaReport, Trial};
+use palpate_reports::ThetaReport;
+use palpate_wire::api::{CampaignPlan, CampaignPolicy, JobSpec, Trial};
 use serde_json::json;
 
 use super::*;

@@ -1,6 +1,7 @@
 //! Calibration runs.
 
-use palpate_wire::api::{CalibrationReport, CalibrationRequest, ModelSummary};
+use palpate_reports::CalibrationReport;
+use palpate_wire::api::{CalibrationRequest, ModelSummary};
 
 use super::{RunKind, Runs};
 use crate::{

@@ -1,8 +1,8 @@
 //! Diagnoses, and what becomes of the effects that they name.
 
-use palpate_reports::wording;
+use palpate_reports::{DiagnosisReport, NamedEffect, wording};
 use palpate_sim::SensorModel;
-use palpate_wire::api::{DiagnosisReport, DiagnosisRequest, ModelSummary, NamedEffect, SaveDiagnosisRequest};
+use palpate_wire::api::{DiagnosisRequest, ModelSummary, SaveDiagnosisRequest};
 
 use super::{RunKind, Runs};
 use crate::{

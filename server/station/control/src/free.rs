@@ -6,9 +6,10 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_recording::{SpanKind, TakeMeta};
+use palpate_reports::TakeVerdict;
 use palpate_safety::Phase;
 use palpate_wire::{
-    api::{FreeTake, FreeTakeState, MarkKind, TakeAction, TakeVerdict},
+    api::{FreeTake, FreeTakeState, MarkKind, TakeAction},
     proto::{ObjectPose, RecordingStatus},
 };
 

@@ -13,7 +13,8 @@
 
 use nalgebra::Isometry3;
 use palpate_recording::{PlannedStep, RecordedTake, RecordingFile, Span, TakeMeta, TakeState};
-use palpate_wire::api::{RecordingAction, RecordingPhase, TakeVerdict};
+use palpate_reports::TakeVerdict;
+use palpate_wire::api::{RecordingAction, RecordingPhase};
 
 use crate::recorder::RecorderCommand;
 

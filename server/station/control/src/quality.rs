@@ -1,9 +1,8 @@
 //! Whether a take can be trusted: what is in the file is compared with what was meant to be.
 
 use palpate_recording::{JointLog, Span, SpanKind, StreamLog, Take};
-use palpate_reports::wording::counted;
+use palpate_reports::{TakeVerdict, wording::counted};
 use palpate_robot_model::{JointKind, StreamConfig};
-use palpate_wire::api::TakeVerdict;
 
 /// Relative difference from a nominal rate that is no cause for doubt.
 const RATE_TOLERANCE: f64 = 0.1;

@@ -18,8 +18,8 @@ use std::{
 
 use nalgebra::Isometry3;
 use palpate_recording::{GrowingSession, PlannedStep, SpanKind, TakeMeta};
+use palpate_reports::TakeVerdict;
 use palpate_robot_model::Station;
-use palpate_wire::api::TakeVerdict;
 
 mod worker;
 

@@ -1,7 +1,7 @@
 //! The objective as pictures: a heat map over (alpha, lambda_pre) and a curve over lambda_con, optima marked.
 
 use egui::{Align2, Color32, FontId, Pos2, Rect, Sense, Stroke, Ui, pos2, vec2};
-use palpate_wire::api::{CalibrationReport, Objective, StreamThetaReport, ThetaReport};
+use palpate_reports::{CalibrationReport, Objective, StreamThetaReport, ThetaReport};
 
 use crate::theme::{Palette, taxel_scale};
 

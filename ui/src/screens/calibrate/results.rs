@@ -1,7 +1,8 @@
 //! What a finished run found: one sentence, the picture, the numbers, and what to do with it.
 
 use egui::RichText;
-use palpate_wire::api::{CalibrationReport, CalibrationRun, MetricIntervals, Metrics, StreamFit};
+use palpate_reports::{CalibrationReport, MetricIntervals, Metrics, StreamFit};
+use palpate_wire::api::CalibrationRun;
 
 use super::{CalibrateState, objective, tables};
 use crate::{

@@ -1,7 +1,7 @@
 //! The details of a result: by sensor type, by take, by channel, each metric in numbers and as a line from before to after.
 
 use egui::{Align2, FontId, Pos2, Rect, Sense, Stroke, accesskit::Role, pos2, vec2};
-use palpate_wire::api::{CalibrationReport, Metrics, MetricsPair};
+use palpate_reports::{CalibrationReport, Metrics, MetricsPair};
 
 use crate::{
     playback::ShownChannels,

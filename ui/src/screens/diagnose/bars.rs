@@ -1,9 +1,8 @@
 //! Two pictures in rows of bars: the gap step by step, and the evidence for what was tried against the bar.
 
 use egui::{Align2, Color32, FontId, Rect, Sense, Stroke, Ui, accesskit::Role, pos2, vec2};
-use palpate_reports::wording;
+use palpate_reports::{DiagnosisReport, WaterfallStep, wording};
 use palpate_robot_model::Place;
-use palpate_wire::api::{DiagnosisReport, WaterfallStep};
 
 use super::Start;
 use crate::theme::Palette;

@@ -1,11 +1,11 @@
 //! What is left, what to record next, and the figures behind it all.
 
 use egui::RichText;
-use palpate_reports::wording::{self, counted};
-use palpate_wire::api::{
-    Cell, DiagnosisReport, Metrics, NextExperiment, Purpose, RecordingDocument, StepState, Verdict,
-    WantedTake,
+use palpate_reports::{
+    Cell, DiagnosisReport, Metrics, NextExperiment, Purpose, Verdict,
+    wording::{self, counted},
 };
+use palpate_wire::api::{RecordingDocument, StepState, WantedTake};
 
 use super::Start;
 use crate::{

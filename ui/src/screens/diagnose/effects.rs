@@ -1,8 +1,7 @@
 //! The named effects: a sentence each, whether to add it, and the evidence one click away.
 
 use egui::{RichText, accesskit::Role};
-use palpate_reports::wording;
-use palpate_wire::api::{DiagnosisReport, NamedEffect};
+use palpate_reports::{DiagnosisReport, NamedEffect, wording};
 
 use super::{DiagnoseState, Shown};
 use crate::screens::ScreenContext;

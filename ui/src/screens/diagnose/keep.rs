@@ -1,8 +1,8 @@
 //! Adding what was named to a model, undoing it, and what the saved models hold.
 
 use egui::RichText;
-use palpate_reports::wording;
-use palpate_wire::api::{DiagnosisReport, DiagnosisRun, ModelSummary, SaveDiagnosisRequest};
+use palpate_reports::{DiagnosisReport, wording};
+use palpate_wire::api::{DiagnosisRun, ModelSummary, SaveDiagnosisRequest};
 
 use super::Shown;
 use crate::{

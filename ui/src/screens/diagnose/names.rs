@@ -1,7 +1,7 @@
 //! Channels and patches of a report under the names that they have everywhere on the page.
 
+use palpate_reports::DiagnosisReport;
 use palpate_robot_model::{Place, Station};
-use palpate_wire::api::DiagnosisReport;
 
 use crate::screens::channel_label;
 

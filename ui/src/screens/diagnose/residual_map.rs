@@ -1,9 +1,9 @@
 //! Where simulation and hand disagree: channels by phases as a heat map, and the same on the flat map of the hand.
 
 use egui::{Align2, Color32, FontId, Rect, RichText, Sense, Stroke, accesskit::Role, pos2, vec2};
-use palpate_reports::wording;
+use palpate_reports::{ChannelResidual, DiagnosisReport, wording};
 use palpate_robot_model::Station;
-use palpate_wire::api::{ChannelResidual, DiagnosisReport, DiagnosisRun};
+use palpate_wire::api::DiagnosisRun;
 
 use super::details::cells_ui;
 use crate::{

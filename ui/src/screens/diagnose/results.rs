@@ -1,8 +1,8 @@
 //! What a finished diagnosis says: the sentence, the picture, the names, what is left, what to do next.
 
 use egui::{RichText, accesskit::Role};
-use palpate_reports::wording;
-use palpate_wire::api::{DiagnosisReport, DiagnosisRun, Verdict};
+use palpate_reports::{DiagnosisReport, Verdict, wording};
+use palpate_wire::api::DiagnosisRun;
 
 use super::{DiagnoseState, Start, bars, details, effects, keep, residual_map};
 use crate::screens::{ScreenContext, controls::file_link_ui, heading_ui, help_ui};

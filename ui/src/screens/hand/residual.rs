@@ -1,7 +1,7 @@
 //! How much simulation and recording differ, channel by channel, over the confirm takes of a diagnosis.
 
+use palpate_reports::{ChannelResidual, DiagnosisReport};
 use palpate_robot_model::Station;
-use palpate_wire::api::{ChannelResidual, DiagnosisReport};
 
 use super::signal::Signal;
 

@@ -430,7 +430,7 @@ mod tests {
         let model = |id: &str, line: &str| ModelSummary {
             id: id.into(),
             name: id.into(),
-            theta: palpate_wire::api::ThetaReport { lambda_con_m: 0.0, alpha_per_m: 1.0, lambda_pre_pa: 0.0 },
+            theta: palpate_reports::ThetaReport { lambda_con_m: 0.0, alpha_per_m: 1.0, lambda_pre_pa: 0.0 },
             streams: Default::default(),
             provenance: vec![line.into()],
             effects: Vec::new(),

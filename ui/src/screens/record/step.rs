@@ -3,8 +3,9 @@
 use std::{sync::Arc, time::Duration};
 
 use egui::{RichText, accesskit::Role};
+use palpate_reports::TakeVerdict;
 use palpate_robot_model::Station;
-use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState, TakeVerdict};
+use palpate_wire::api::{RecordingAction, RecordingPhase, RecordingStep, StepState};
 
 use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{

@@ -1,7 +1,7 @@
 //! Check results of a session: what is wrong, how often each taxel was touched, rates and gaps.
 
 use egui::{Align2, FontId, RichText, Sense, Stroke, pos2, vec2};
-use palpate_wire::api::{ChannelCoverage, CheckReport, Problem, Severity};
+use palpate_reports::{ChannelCoverage, CheckReport, Problem, Severity};
 
 use crate::{
     screens::{ScreenContext, channel_label, failed_ui, heading_ui},
