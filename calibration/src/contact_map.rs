@@ -12,6 +12,9 @@
 //!   for each channel. The loss is the logistic one, minimised by AdamW.
 //! - **Switching**: two thresholds, on and off, with the largest F1 on the fitted takes.
 //!
+//! The network and its AdamW are this module's own, although `policy/training` has an AdamW too, because calibration comes before
+//! policy and may not use its crates.
+//!
 //! [`MapTake`] is what the map reads of a take, [`fit`] learns, [`ContactMap`] is the file, [`LiveMap`] runs it reading by
 //! reading, [`judge`] compares it with the station's thresholds.
 
