@@ -3,6 +3,7 @@
 mod campaigns;
 mod comparison;
 mod docs;
+mod imitation;
 mod jobs;
 mod lineage;
 mod live;
@@ -18,6 +19,7 @@ use std::collections::BTreeMap;
 pub use campaigns::*;
 pub use comparison::*;
 pub use docs::*;
+pub use imitation::*;
 pub use jobs::*;
 pub use lineage::*;
 pub use live::*;

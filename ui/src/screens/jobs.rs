@@ -3,6 +3,7 @@
 mod curves;
 mod needs;
 mod start;
+mod trainings;
 
 use egui::RichText;
 use palpate_wire::api::{Job, JobState, RolloutsRequest};

@@ -151,7 +151,7 @@ fn no_job_yet_says_what_a_job_is() {
     harness.get_by_label_contains("A job is long work in a process of its own");
 }
 
-fn kinds(api: &SharedApi, problem: Option<&str>) {
+pub(crate) fn kinds(api: &SharedApi, problem: Option<&str>) {
     let trainings = [
         "expert",
         "evaluation",
@@ -220,6 +220,15 @@ fn a_viewer_is_told_why_nothing_starts_or_ends() {
     assert!(!api.0.borrow().sent.iter().any(asks));
 }
 
+/// Chooses `choice` in the list called `list`.
+pub(crate) fn choose(harness: &mut Harness<'_, Option<StudioApp>>, list: &str, choice: &str) {
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ComboBox, list).click();
+    harness.run_steps(3);
+    harness.get_by_role_and_label(Role::ListBoxOption, choice).click();
+    harness.run_steps(3);
+}
+
 #[test]
 fn an_imitation_learns_from_the_gathering_that_is_pressed() {
     let api = with(vec![
@@ -229,21 +238,25 @@ fn an_imitation_learns_from_the_gathering_that_is_pressed() {
     ]);
     kinds(&api, None);
     let mut harness = page(&api, &FakeWindow::at("#/jobs?job=new"));
-    harness.run_steps(3);
-    harness.get_by_role_and_label(Role::ComboBox, "What to start").click();
-    harness.run_steps(3);
-    harness.get_by_role_and_label(Role::ListBoxOption, "Imitate an expert").click();
-    harness.run_steps(3);
+    choose(&mut harness, "What to start", "Imitate an expert");
     harness.get_by_label_contains("which gathered trials? Give jobs such as gathering-1");
     assert!(harness.query_by_role_and_label(Role::Button, "gathering-1").is_none(), "it has failed");
     harness.get_by_role_and_label(Role::Button, "gathering-2").click();
     harness.get_by_role_and_label(Role::CheckBox, "trials that were won only").click();
-    harness.run_steps(3);
+    // What does not go together is said by field, and nothing starts.
+    choose(&mut harness, "Policy of the paper", "kinematic-dp");
+    choose(&mut harness, "What predicts", "act");
+    harness.get_by_label_contains("What predicts: the policy \"kinematic-dp\" says this itself");
+    assert!(harness.query_by_role_and_label(Role::Button, "Start").is_none());
+    choose(&mut harness, "Policy of the paper", "none");
+    harness.get_by_label_contains("Transformers that predict the commonest answer");
     harness.get_by_role_and_label(Role::Button, "Start").click();
     harness.run_steps(3);
     let asked = Request::SubmitJob(JobRequest {
         kind: "imitation".into(),
-        request: serde_json::json!({ "trials": ["gathering-2"], "preset": "small", "only_won": true }),
+        request: serde_json::json!({
+            "trials": ["gathering-2"], "preset": "small", "head": "act", "only_won": true,
+        }),
         seed: 1,
         priority: 0,
         resources: None,

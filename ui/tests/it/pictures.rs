@@ -136,6 +136,18 @@ fn jobs() {
 }
 
 #[test]
+fn training_form() {
+    let gathered = jobs::job("gathering-2", "gathering", JobState::Done);
+    let api = jobs::with(vec![gathered, jobs::job("pretraining-1", "pretraining", JobState::Done)]);
+    jobs::kinds(&api, None);
+    compare_pages("training_form", "#/jobs?job=new", |window, size| {
+        let mut page = page_of(&api, &window, size);
+        jobs::choose(&mut page, "What to start", "Imitate an expert");
+        page
+    });
+}
+
+#[test]
 fn models() {
     compare("models", &models::from_takes_to_trials(), "#/models?artifact=policy%3Aimitation-1");
 }

@@ -282,13 +282,15 @@ class Jobs:
         *,
         count: int | None = None,
         protocol: str | None = None,
+        expert: str | None = None,
         model: str | Model | None = None,
         seed: int = 0,
         key: str | None = None,
     ) -> Job:
-        """Lets the searching expert grasp, `count` times on each object, and keeps every trial to imitate.
+        """Lets an expert grasp, `count` times on each object, and keeps every trial to imitate.
 
-        `objects` are ids, or one of `seen`, `unseen` and `all`; None means the seen ones.
+        `objects` are ids, or one of `seen`, `unseen` and `all`; None means the seen ones. `expert` is `search`
+        (without), `search:touch`, `search:tracking` or `repetition`.
         """
         return self._train(
             "gathering",
@@ -297,6 +299,7 @@ class Jobs:
             objects=[objects] if isinstance(objects, str) else objects,
             count=count,
             protocol=protocol,
+            expert=expert,
             model=model,
         )
 
@@ -306,10 +309,15 @@ class Jobs:
         *,
         preset: str | None = None,
         config: str | None = None,
+        policy: str | None = None,
         head: str | None = None,
+        memory: str | None = None,
         updates: int | None = None,
         silence_touch: bool = False,
         hide_tracking: bool = False,
+        features: bool = False,
+        encoder: str | Job | None = None,
+        region: bool = False,
         only_won: bool = False,
         seed: int = 0,
         key: str | None = None,
@@ -320,10 +328,16 @@ class Jobs:
             trials: Jobs of `gathering`.
             preset: How to learn: `small` (without) or `paper`.
             config: The text of a configuration in place of a preset.
-            head: What predicts, `regression` or `diffusion`; None means the configuration's.
+            policy: A policy of the paper, `raw-dp`, `kinematic-dp`, `pretrained-dp`, `pretrained-act` or
+                `pretrained-bc`. It says how touch is seen and what predicts, so leave `head` and `features` out.
+            head: What predicts, `regression`, `diffusion` or `act`; None means the configuration's.
+            memory: How the frames of a window are joined, `window` or `recurrent`; None means the configuration's.
             updates: Updates of the weights.
             silence_touch: The policy does not feel touch.
             hide_tracking: The policy does not see how far joints are from where they were sent.
+            features: The policy sees the features that `encoder` makes of touch.
+            encoder: A job of `pretraining`, whose encoder becomes part of the policy's file.
+            region: The policy is told how wide the region is that objects begin in; `trials` have to be of several.
             only_won: Learn from the trials that were won only.
             seed: Seed of everything random.
             key: The same text again gives the same job again.
@@ -336,10 +350,15 @@ class Jobs:
             trials=trials,
             preset=preset,
             config=config,
+            policy=policy,
             head=head,
+            memory=memory,
             updates=updates,
             silence_touch=silence_touch,
             hide_tracking=hide_tracking,
+            features=features,
+            encoder=encoder,
+            region=region,
             only_won=only_won,
         )
 

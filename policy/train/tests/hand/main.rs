@@ -7,6 +7,7 @@ mod campaign_page;
 mod campaigns;
 mod jobs;
 mod recorded;
+mod region;
 mod rollouts;
 mod station;
 mod training_page;

@@ -1,7 +1,8 @@
 //! What the searching expert does, kept, learned from and tried.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use palpate_wire::api::{EXPERTS, HEADS, MEMORIES, PAPER_POLICIES};
 use serde_json::Value;
 
 use super::palpate_train;
@@ -20,6 +21,32 @@ fn text(path: &Path) -> &str {
 /// A policy so small and so little trained that it knows nothing.
 const CONFIG: &str = "updates = 4\nbatch_size = 32\ncheckpoint_updates = 2\ntrunk = [16]\nhead = \"diffusion\"\n\
     [observation]\nframes = 2\nstride = 4\n[diffusion]\nchannels = [4, 8]\nsteps = 8\nsampled_steps = 2\n";
+
+/// The file of this configuration in `folder`.
+fn small_training(folder: &Path) -> PathBuf {
+    small_training_where(folder, "stride = 4")
+}
+
+/// The same, whose line on the stride is `observation`.
+fn small_training_where(folder: &Path, observation: &str) -> PathBuf {
+    let path = folder.join("tiny.toml");
+    std::fs::write(&path, CONFIG.replace("stride = 4", observation)).expect("a file");
+    path
+}
+
+/// What `policy` came to in `trials` trials on the cube under the protocol `wide`, but for how long that took.
+fn on_the_cube(policy: &str, trials: &str, more: &[&str]) -> Value {
+    let fixed = ["evaluate", "--protocol", "wide", "--object", "cube", "--json", "--policy", policy];
+    let said = printed(&[&fixed[..], &["--trials", trials], more].concat());
+    let mut compared: Value = serde_json::from_str(&said).expect("a comparison");
+    compared["seconds"] = Value::Null;
+    compared
+}
+
+/// The policy of the training in `folder`, as an evaluation names it.
+fn policy_of(folder: &Path) -> String {
+    format!("clone:{}", text(folder))
+}
 
 #[test]
 fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
@@ -45,8 +72,7 @@ fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
     let problem = refused(&other.iter().map(String::as_str).collect::<Vec<_>>());
     assert!(problem.contains("cube.safetensors.zst") && problem.contains("another --out"), "{problem}");
 
-    let config = folder.path().join("tiny.toml");
-    std::fs::write(&config, CONFIG).expect("a file");
+    let config = small_training(folder.path());
     let out = folder.path().join("run");
     let clone =
         ["clone", "--data", text(&gathered), "--config", text(&config), "--json", "--out", text(&out)];
@@ -61,15 +87,8 @@ fn an_expert_is_kept_learned_from_and_tried_again_to_the_same_bits() {
     let twice = ["clone", "--data", data, data, "--out", text(&out), "--config", text(&config)];
     assert!(refused(&twice).contains("holds 3 trials on ball, protocol wide, seed 101 once more"));
 
-    let policy = format!("clone:{}", text(&out));
-    let evaluate = |threads: &str| -> Value {
-        let args =
-            ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy"];
-        let said = printed(&[&args[..], &[&policy, "--controls", "--threads", threads]].concat());
-        let mut document: Value = serde_json::from_str(&said).expect("a comparison");
-        document["seconds"] = Value::Null;
-        document
-    };
+    let policy = policy_of(&out);
+    let evaluate = |threads: &str| on_the_cube(&policy, "2", &["--controls", "--threads", threads]);
     let compared = evaluate("1");
     assert_eq!(compared, evaluate("2"), "a trial draws the same chunks on any number of threads");
     assert_eq!(compared["controls"].as_object().map(serde_json::Map::len), Some(6), "{compared}");
@@ -96,8 +115,8 @@ fn a_policy_takes_the_features_of_an_encoder_that_learned_from_the_same_trials()
     let path = |name: &str| folder.path().join(name);
     let (gathered, encoder, exported) = (path("gathered"), path("encoder"), path("encoder.safetensors"));
     printed(&["gather", "--objects", "cube", "--count", "4", "--out", text(&gathered)]);
-    let (config, encoder_config) = (path("tiny.toml"), path("encoder.toml"));
-    std::fs::write(&config, CONFIG.replace("stride = 4", "stride = 4\nfeatures = true")).expect("a file");
+    let config = small_training_where(folder.path(), "stride = 4\nfeatures = true");
+    let encoder_config = path("encoder.toml");
     std::fs::write(&encoder_config, ENCODER).expect("a file");
     let encode = ["encode", "--demos", text(&gathered), "--config", text(&encoder_config), "--json", "--out"];
     let pretrained: Value =
@@ -123,15 +142,8 @@ fn a_policy_takes_the_features_of_an_encoder_that_learned_from_the_same_trials()
     assert!(policy("one").windows(inside.len()).any(|window| window == inside), "it has the encoder inside");
     call(&clone("one", &exported, "1", &["--resume"]));
 
-    let imitation = format!("clone:{}", text(&path("one")));
-    let evaluate = |threads: &str| -> Value {
-        let args =
-            ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "2", "--json", "--policy"];
-        let said = printed(&[&args[..], &[&imitation, "--controls", "--threads", threads]].concat());
-        let mut document: Value = serde_json::from_str(&said).expect("a comparison");
-        document["seconds"] = Value::Null;
-        document
-    };
+    let imitation = policy_of(&path("one"));
+    let evaluate = |threads: &str| on_the_cube(&imitation, "2", &["--controls", "--threads", threads]);
     assert_eq!(evaluate("1"), evaluate("2"));
 
     // Another encoder, and none, and one that nobody looks at.
@@ -186,8 +198,7 @@ fn a_policy_is_told_its_region_by_trials_of_several_and_by_the_protocol() {
     };
     gather(&wide, &[]);
     gather(&paper, &["--protocol", "paper", "--expert", "repetition"]);
-    let config = path("tiny.toml");
-    std::fs::write(&config, CONFIG).expect("a file");
+    let config = small_training(folder.path());
     let clone = |data: &[&Path]| -> Vec<String> {
         let fixed = ["clone", "--region", "--config", text(&config), "--out", text(&out), "--data"];
         fixed.iter().copied().chain(data.iter().map(|path| text(path))).map(str::to_owned).collect()
@@ -206,7 +217,7 @@ fn a_policy_is_told_its_region_by_trials_of_several_and_by_the_protocol() {
     assert!(std::fs::read(&cube).expect("a file") == whole, "what is added is what is kept now");
 
     printed(&clone(&[&wide, &paper]).iter().map(String::as_str).collect::<Vec<_>>());
-    let policy = format!("clone:{}", text(&out));
+    let policy = policy_of(&out);
     for protocol in ["paper", "wide"] {
         let args = ["evaluate", "--protocol", protocol, "--trials", "1", "--json", "--policy", &policy];
         let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
@@ -224,8 +235,7 @@ fn an_expert_takes_over_from_a_policy_and_teaches_from_there_on() {
         printed(&[&fixed[..], more].concat())
     };
     gather(&first, &[]);
-    let config = path("tiny.toml");
-    std::fs::write(&config, CONFIG).expect("a file");
+    let config = small_training(folder.path());
     let clone = |data: &[&Path], out: &Path, more: &[&str]| -> Value {
         let data = data.iter().map(|path| text(path));
         let fixed = ["clone", "--config", text(&config), "--json", "--out", text(out)];
@@ -234,7 +244,7 @@ fn an_expert_takes_over_from_a_policy_and_teaches_from_there_on() {
     };
     // Of another head, that of action chunking with Transformers.
     let alone = clone(&[&first], &out, &["--head", "act"]);
-    let student = format!("clone:{}", text(&out));
+    let student = policy_of(&out);
     gather(&taken, &["--takeover", &student, "--seed", "102", "--threads", "1"]);
     let cube = taken.join("cube.safetensors.zst");
     let bytes = std::fs::read(&cube).expect("a file");
@@ -263,50 +273,22 @@ fn an_expert_takes_over_from_a_policy_and_teaches_from_there_on() {
 fn points_of_the_hand_are_seen_by_the_papers_policy_that_has_no_encoder() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let (gathered, out, config) = (path("gathered"), path("run"), path("tiny.toml"));
+    let (gathered, out, config) = (path("gathered"), path("run"), small_training(folder.path()));
     printed(&["gather", "--objects", "cube", "--count", "3", "--out", text(&gathered)]);
-    std::fs::write(&config, CONFIG).expect("a file");
     let clone = ["clone", "--data", text(&gathered), "--config", text(&config), "--out", text(&out)];
     let said = refused(&[&clone[..], &["--policy", "dp"]].concat());
     assert!(said.contains("none of raw-dp, kinematic-dp, pretrained-dp"), "{said}");
     let said = refused(&[&clone[..], &["--policy", "pretrained-act"]].concat());
     assert!(said.contains("there is no encoder to make features"), "{said}");
     printed(&[&clone[..], &["--policy", "kinematic-dp"]].concat());
-    let policy = format!("clone:{}", text(&out));
-    let evaluate = [
-        "evaluate",
-        "--protocol",
-        "wide",
-        "--object",
-        "cube",
-        "--trials",
-        "1",
-        "--json",
-        "--policy",
-        &policy,
-    ];
-    let compared: Value = serde_json::from_str(&printed(&evaluate)).expect("a comparison");
-    assert_eq!(compared["overall"]["trials"], 1);
+    assert_eq!(on_the_cube(&policy_of(&out), "1", &[])["overall"]["trials"], 1);
 }
 
 #[test]
 fn the_shipped_policies_fit_the_shipped_station() {
     for name in ["searching", "region"] {
         let policy = format!("clone:assets/policies/imitation/{name}.safetensors");
-        let args = [
-            "evaluate",
-            "--protocol",
-            "wide",
-            "--object",
-            "cube",
-            "--trials",
-            "2",
-            "--json",
-            "--policy",
-            &policy,
-        ];
-        let compared: Value = serde_json::from_str(&printed(&args)).expect("a comparison");
-        assert_eq!(compared["overall"]["trials"], 2, "{name}");
+        assert_eq!(on_the_cube(&policy, "2", &[])["overall"]["trials"], 2, "{name}");
     }
 }
 
@@ -325,6 +307,13 @@ fn what_cannot_be_learned_from_is_named() {
         clone(&["--head", "transformer"])
             .contains("\"transformer\" is none of regression, diffusion and act")
     );
+    // The studio's requests know the same names.
+    for (flag, known) in [("--head", &HEADS[..]), ("--memory", &MEMORIES), ("--policy", &PAPER_POLICIES)] {
+        let said = clone(&[flag, "other"]);
+        assert!(known.iter().all(|name| said.contains(name)), "{said}");
+    }
+    let said = refused(&["gather", "--out", text(&out), "--expert", "other"]);
+    assert!(EXPERTS.iter().all(|name| said.contains(name)), "{said}");
     assert!(clone(&["--updates", "0"]).contains("updates is 0, expected 1 or more"));
     std::fs::write(empty.join("cube.safetensors.zst"), b"not compressed").expect("a file");
     assert!(clone(&[]).contains("cube.safetensors.zst\" holds no trials of an expert"));

@@ -3,17 +3,17 @@
 use std::{ops::Range, path::PathBuf};
 
 use palpate_jobs::{JobFolder, Shard};
-use palpate_wire::api::{ArtifactSort, GatheringRequest};
+use palpate_wire::api::{ArtifactSort, EXPERTS, GatheringRequest};
 use serde_json::Value;
 
 use super::{
     JobKind, JobWork, Sharding, names, parse, shards,
     training::{
         Arguments, TRIALS_DIR, check_counts, check_objects, check_protocol, model_file, named_objects,
-        objects, training,
+        objects, request_of, training,
     },
 };
-use crate::{Error, Store};
+use crate::{Error, Store, assets};
 
 /// Keeps what the searching expert does.
 pub(crate) const GATHERING: JobKind = JobKind {
@@ -23,12 +23,30 @@ pub(crate) const GATHERING: JobKind = JobKind {
 
 /// Objects of a request that names none.
 const USUAL_OBJECTS: &str = "seen";
+/// The protocol of a request that names none.
+const USUAL_PROTOCOL: &str = "wide";
+
+/// Half the edge length of the square that the objects of the gathering `id` began in, m.
+pub(super) fn half_width_m(store: &Store, id: &str) -> Result<f64, Error> {
+    let request: GatheringRequest = parse(GATHERING.name, &request_of(store, id)?)?;
+    let protocol = request.protocol.as_deref().unwrap_or(USUAL_PROTOCOL);
+    let text = assets::text(&format!("grasp/protocols/{protocol}.toml")).unwrap_or_default();
+    let file: toml::Table = text.parse().unwrap_or_default();
+    file.get("half_width_m").and_then(toml::Value::as_float).ok_or_else(|| {
+        Error::Argument(format!(
+            "the gathering {id:?} is of the protocol {protocol:?}, which this version does not ship; leave it out"
+        ))
+    })
+}
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: GatheringRequest = parse(GATHERING.name, request)?;
     check_counts(&[("count", request.count)])?;
     if let Some(protocol) = &request.protocol {
         check_protocol(protocol)?;
+    }
+    if let Some(expert) = request.expert.as_deref().filter(|expert| !EXPERTS.contains(expert)) {
+        return Err(Error::Argument(format!("expert: {expert:?} is none of {}", EXPERTS.join(", "))));
     }
     let mut files = check_objects(store, &request.objects)?;
     files.extend(model_file(store, request.model.as_deref())?);
@@ -57,6 +75,7 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let mut arguments = Arguments::of("gather")
         .maybe("count", request.count)
         .maybe("protocol", request.protocol)
+        .maybe("expert", request.expert)
         .with("seed", cx.seed.to_string())
         .path("model", model_file(cx.store, request.model.as_deref())?)
         .with("out", cx.folder.file(TRIALS_DIR));

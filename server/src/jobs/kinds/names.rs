@@ -6,6 +6,8 @@ pub(super) const TUNE: &str = "tune";
 pub(super) const EXPERT: &str = "expert";
 /// `demonstrations`.
 pub(super) const DEMONSTRATIONS: &str = "demonstrations";
+/// `pretraining`.
+pub(super) const PRETRAINING: &str = "pretraining";
 /// `gathering`.
 pub(super) const GATHERING: &str = "gathering";
 /// `imitation`.

@@ -6,7 +6,7 @@ use palpate_wire::api::{ArtifactSort, PretrainingRequest};
 use serde_json::Value;
 
 use super::{
-    JobKind, JobWork, parse,
+    JobKind, JobWork, names, parse,
     training::{
         Arguments, ENCODER_FILE, TRAINING_DIR, check_counts, check_preset, demonstrations, learned_from,
         training,
@@ -16,7 +16,7 @@ use crate::{Error, Store};
 
 /// Pretrains the tactile encoder.
 pub(crate) const PRETRAINING: JobKind =
-    training("pretraining", "pretraining-", ArtifactSort::Encoder, check, work);
+    training(names::PRETRAINING, "pretraining-", ArtifactSort::Encoder, check, work);
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: PretrainingRequest = parse(PRETRAINING.name, request)?;

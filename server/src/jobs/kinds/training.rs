@@ -364,13 +364,29 @@ pub(super) fn trials(store: &Store, id: &str) -> Result<(PathBuf, Vec<PathBuf>),
     folder_of(store, id, names::GATHERING, TRIALS_DIR)
 }
 
+/// The folder of job `id` and what it was asked; one of `kind` is expected.
+fn named(store: &Store, id: &str, kind: &str) -> Result<(JobFolder, JobSpec), Error> {
+    job(store, id)?.ok_or_else(|| {
+        Error::Argument(format!(
+            "no job {id:?}; give jobs of kind {kind:?}, which GET /api/v1/jobs?kind={kind} lists"
+        ))
+    })
+}
+
+/// The encoder of job `id`, which must be a pretraining that is done.
+pub(super) fn encoder_file(store: &Store, id: &str) -> Result<PathBuf, Error> {
+    let (folder, spec) = named(store, id, names::PRETRAINING)?;
+    outcome(&folder, &spec, id, names::PRETRAINING, ENCODER_FILE)
+}
+
+/// What job `id` was asked.
+pub(super) fn request_of(store: &Store, id: &str) -> Result<Value, Error> {
+    Ok(named(store, id, names::GATHERING)?.1.request)
+}
+
 /// Folder `name` of job `id`, which must be of `kind` and done, and every file in it.
 fn folder_of(store: &Store, id: &str, kind: &str, name: &str) -> Result<(PathBuf, Vec<PathBuf>), Error> {
-    let Some((folder, spec)) = job(store, id)? else {
-        return Err(Error::Argument(format!(
-            "no job {id:?}; give jobs of kind {kind:?}, which GET /api/v1/jobs?kind={kind} lists"
-        )));
-    };
+    let (folder, spec) = named(store, id, kind)?;
     let dir = outcome(&folder, &spec, id, kind, name)?;
     let mut found = Vec::new();
     for entry in fs::read_dir(&dir).map_err(Error::io("read", &dir))? {

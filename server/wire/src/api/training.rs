@@ -114,6 +114,10 @@ pub struct PretrainingRequest {
     pub silence_touch: bool,
 }
 
+/// Experts of a [`GatheringRequest`], the usual one first: the searching expert with both senses, with one of them, and blind
+/// repetition.
+pub const EXPERTS: [&str; 4] = ["search", "search:touch", "search:tracking", "repetition"];
+
 /// Request of a job of kind `gathering`: lets the searching expert grasp and keeps every trial, to imitate. An attempt that
 /// was cut off goes on from the last object.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -128,6 +132,9 @@ pub struct GatheringRequest {
     /// Where objects start, and for how long the expert may search: a shipped protocol; absent means `wide`. The job's seed
     /// must not be the protocol's.
     pub protocol: Option<String>,
+    /// Who grasps, one of [`EXPERTS`]; absent means `search`. The others do not feel what they have no sense for.
+    #[serde(default)]
+    pub expert: Option<String>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
     pub model: Option<String>,
 }
@@ -174,33 +181,6 @@ impl RolloutsRequest {
         let usual = || format!("{}-takes", self.campaign);
         (!self.without_recording).then(|| self.session.clone().unwrap_or_else(usual))
     }
-}
-
-/// Request of a job of kind `imitation`: learns to do what an expert did. An attempt that was cut off goes on from its last
-/// checkpoint.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[serde(deny_unknown_fields)]
-pub struct ImitationRequest {
-    /// Jobs of kind `gathering`, at least one.
-    pub trials: Vec<String>,
-    /// How to learn: `small` or `paper`; absent means `small`.
-    pub preset: Option<String>,
-    /// How to learn: the text of a configuration (docs/learning.md) in place of a preset.
-    pub config: Option<String>,
-    /// What predicts: `regression` or `diffusion`; absent means the configuration's.
-    pub head: Option<String>,
-    /// Updates of the weights; absent means the configuration's.
-    pub updates: Option<u64>,
-    /// The policy does not feel touch.
-    #[serde(default)]
-    pub silence_touch: bool,
-    /// The policy does not see how far joints are from where they were sent.
-    #[serde(default)]
-    pub hide_tracking: bool,
-    /// Learn from the trials that were won, and not from the others.
-    #[serde(default)]
-    pub only_won: bool,
 }
 
 /// Request of a job of kind `tune`: tunes a closing script on one object by the cross-entropy method.

@@ -1,9 +1,9 @@
-//! The form that starts a job: every kind that `palpate-train` does, and the blind bench, each a list of fields.
+//! The form that starts a job: every kind that `palpate-train` does, and the blind bench.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use egui::RichText;
-use palpate_wire::api::{Job, JobRequest, JobState};
+use palpate_wire::api::{ConfiguredObservation, ImitationRequest, Job, JobRequest, JobState};
 use serde_json::{Map, Value};
 
 use super::super::{
@@ -11,184 +11,11 @@ use super::super::{
     controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as,
 };
-use super::needs::Needs;
-use crate::store::Loadable;
-
-/// What can be started.
-struct Training {
-    /// As requests name it.
-    kind: &'static str,
-    words: &'static str,
-    explained: &'static str,
-    fields: &'static [Field],
-    /// Whether the seed of the job is used.
-    is_seeded: bool,
-    /// What the parts are into which its work can be divided, if it can be.
-    parts: Option<&'static str>,
-    /// Whether it can work on the graphics card.
-    may_use_gpu: bool,
-}
-
-/// Neither divided nor on the graphics card.
-const PLAIN: Training = Training {
-    kind: "",
-    words: "",
-    explained: "",
-    fields: &[],
-    is_seeded: true,
-    parts: None,
-    may_use_gpu: false,
+use super::{
+    needs::Needs,
+    trainings::{Field, TRAININGS, Training, help, shown},
 };
-
-/// A field of a request. What is left as it is, is left to the studio.
-#[derive(Clone, Copy)]
-enum Field {
-    /// The object to grasp.
-    Object,
-    /// Which objects, by group; the first says nothing. The form keeps the choice as `slot`.
-    Objects { slot: &'static str, groups: &'static [&'static str] },
-    /// A policy: a job of one of these kinds that is done, or a shipped one.
-    Policy(&'static [&'static str]),
-    /// Jobs to learn from, of this kind.
-    Jobs { key: &'static str, label: &'static str, kind: &'static str },
-    /// A count, and what is usual in words; where it has to be said, the usual one.
-    Number { key: &'static str, label: &'static str, usual: &'static str, otherwise: Option<u64> },
-    /// One of these; the empty one says nothing.
-    Choice { key: &'static str, label: &'static str, choices: &'static [&'static str] },
-    /// The sensor model that makes touch.
-    Model,
-    /// Yes, or nothing.
-    Flag { key: &'static str, label: &'static str, words: &'static str },
-}
-
-const PRESET: Field = Field::Choice { key: "preset", label: "Preset", choices: &["quick", "paper"] };
-const PROTOCOLS: &[&str] = &["wide", "paper", "wide_20s", "claim"];
-const SILENCE: Field = Field::Flag { key: "silence_touch", label: "Touch", words: "feels nothing" };
-
-const fn number(key: &'static str, label: &'static str, usual: &'static str) -> Field {
-    Field::Number { key, label, usual, otherwise: None }
-}
-
-const TRAININGS: &[Training] = &[
-    Training {
-        kind: "expert",
-        words: "Train an expert",
-        explained: "Learns to grasp one object by touch in simulation: minutes to hours on every core.",
-        fields: &[
-            Field::Object,
-            PRESET,
-            number("total_steps", "Steps", "as the preset says"),
-            Field::Model,
-            SILENCE,
-        ],
-        ..PLAIN
-    },
-    Training {
-        kind: "evaluation",
-        words: "Evaluate a policy",
-        explained: "Scores a policy in fresh trials in simulation. A policy that imitates needs a protocol.",
-        fields: &[
-            Field::Policy(&["expert", "imitation", "pipeline"]),
-            number("trials", "Trials", "50, or the protocol's"),
-            Field::Choice {
-                key: "protocol",
-                label: "Protocol",
-                choices: &["", "paper", "wide", "wide_20s", "claim"],
-            },
-            Field::Objects { slot: "scored", groups: &["", "seen", "unseen", "all"] },
-            Field::Model,
-            SILENCE,
-        ],
-        parts: Some("objects"),
-        ..PLAIN
-    },
-    Training {
-        kind: "demonstrations",
-        words: "Make demonstrations",
-        explained: "Rolls a policy out in simulation and keeps the trials that succeed, to learn from.",
-        fields: &[
-            Field::Policy(&["expert"]),
-            Field::Number { key: "count", label: "How many", usual: "64", otherwise: Some(64) },
-            Field::Model,
-        ],
-        ..PLAIN
-    },
-    Training {
-        kind: "pretraining",
-        words: "Pretrain the encoder",
-        explained: "Teaches the tactile encoder what demonstrations know beyond touch.",
-        fields: &[
-            Field::Jobs { key: "demonstrations", label: "Demonstrations", kind: "demonstrations" },
-            PRESET,
-            number("epochs", "Epochs", "as the preset says"),
-            SILENCE,
-        ],
-        ..PLAIN
-    },
-    Training {
-        kind: "gathering",
-        words: "Gather an expert's trials",
-        explained: "Lets the searching expert grasp in simulation and keeps every trial, won or lost, to imitate.",
-        fields: &[
-            Field::Objects { slot: "objects", groups: GROUPS },
-            number("count", "Trials on each object", "300"),
-            Field::Choice { key: "protocol", label: "Protocol", choices: PROTOCOLS },
-            Field::Model,
-        ],
-        parts: Some("objects"),
-        ..PLAIN
-    },
-    Training {
-        kind: "imitation",
-        words: "Imitate an expert",
-        explained: "Learns one policy for all objects from gathered trials: a quarter of an hour on two cores.",
-        fields: &[
-            Field::Jobs { key: "trials", label: "Gathered trials", kind: "gathering" },
-            Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
-            Field::Choice { key: "head", label: "What predicts", choices: &["", "regression", "diffusion"] },
-            number("updates", "Updates", "as the preset says"),
-            SILENCE,
-            Field::Flag { key: "hide_tracking", label: "Tracking errors", words: "are not seen" },
-            Field::Flag { key: "only_won", label: "Learns from", words: "trials that were won only" },
-        ],
-        may_use_gpu: true,
-        ..PLAIN
-    },
-    Training {
-        kind: "pipeline",
-        words: "Do it all, from model to scored policies",
-        explained: "Lets the expert gather trials, learns policies from them, scores them and writes a report: hours on every \
-                    core. It goes on where it was when it is tried again.",
-        fields: &[
-            Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
-            Field::Model,
-        ],
-        is_seeded: false,
-        may_use_gpu: true,
-        ..PLAIN
-    },
-    Training {
-        kind: "tune",
-        words: "Tune a script",
-        explained: "Makes a closing script better on one object, by trying variants of it.",
-        fields: &[Field::Object, number("generations", "Generations", "8"), Field::Model],
-        ..PLAIN
-    },
-    Training {
-        kind: "blind",
-        words: "Bench the diagnosis blind",
-        explained: "Hides known effects in emulated sessions, has them diagnosed and scores the names: minutes a round.",
-        fields: &[
-            Field::Choice { key: "domain", label: "Effects of", choices: &["tactile", "actuator"] },
-            number("seeds", "Rounds", "1"),
-            number("nulls", "Sessions with nothing hidden", "20"),
-            Field::Flag { key: "raw_only", label: "Without raw readings", words: "is not tried too" },
-            Field::Flag { key: "whole_library", label: "Effects taken out", words: "are not tried too" },
-        ],
-        parts: Some("rounds"),
-        ..PLAIN
-    },
-];
+use crate::store::Loadable;
 
 /// What the operator filled in. A word that several trainings share is kept from one to the other.
 #[derive(Debug)]
@@ -244,6 +71,9 @@ impl StartState {
                 request.insert(key.to_owned(), value);
             }
         }
+        if training.kind == "imitation" {
+            go_together(training, &request)?;
+        }
         let resources = self.needs.resources(training.parts.is_some(), training.may_use_gpu);
         if training.kind == "evaluation" {
             let is_divided = resources.is_some();
@@ -283,6 +113,10 @@ impl StartState {
                 }
                 policy => Some(("policy", policy.into())),
             },
+            Field::Job { key, .. } => match self.text(key) {
+                "" => None,
+                job => Some((key, job.into())),
+            },
             Field::Jobs { key, label, kind } => {
                 let words = self.text(key).split([',', ' ']).filter(|word| !word.is_empty());
                 let jobs: Vec<&str> = words.collect();
@@ -309,10 +143,19 @@ impl StartState {
     }
 }
 
+/// Refuses fields of an imitation that do not go together, by what the form calls them.
+fn go_together(training: &Training, request: &Map<String, Value>) -> Result<(), String> {
+    let asked = serde_json::from_value::<ImitationRequest>(Value::Object(request.clone()));
+    let asked = asked.map_err(|err| err.to_string())?;
+    asked.check(ConfiguredObservation::default()).map_err(|problem| {
+        let mut names = training.fields.iter().filter_map(|field| field.names());
+        let label = names.find(|(key, _)| *key == problem.field).map(|(_, label)| label);
+        format!("{}: {}", label.unwrap_or(problem.field), problem.problem)
+    })
+}
+
 /// Less wide than this, points, what fills a field stands below it.
 const BESIDE: f32 = 500.0;
-/// Groups of objects; the first is the usual one.
-const GROUPS: &[&str] = &["seen", "unseen", "all"];
 
 /// The form. `jobs` are those that are known.
 pub(super) fn start_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut StartState, jobs: &[Job]) {
@@ -376,6 +219,7 @@ fn field_ui(
     jobs: &[Job],
     field: Field,
 ) {
+    let weak = cx.palette.text_weak;
     match field {
         Field::Object => {
             ui.label("Object");
@@ -386,10 +230,17 @@ fn field_ui(
                 }
             });
         }
-        Field::Objects { slot, groups } => choice_ui(ui, state, slot, "Objects", groups),
+        Field::Objects { slot, groups } => choice_ui(ui, state, slot, weak, "Objects", groups),
         Field::Policy(kinds) => {
             let known = kinds.iter().flat_map(|kind| done(jobs, kind)).collect();
             text_ui(ui, "Policy", "expert-1 or cube", state.texts.entry("policy").or_default(), known);
+        }
+        Field::Job { key, label, kind } => {
+            let hint = format!("none, or {kind}-1");
+            let known = done(jobs, kind);
+            beside_ui(ui, weak, [label, key, ""], |ui, name| {
+                line_ui(ui, name, &hint, state.texts.entry(key).or_default(), known);
+            });
         }
         Field::Jobs { key, label, kind } => {
             let hint = format!("{kind}-1");
@@ -398,7 +249,7 @@ fn field_ui(
         Field::Number { key, label, usual, .. } => {
             text_ui(ui, label, usual, state.texts.entry(key).or_default(), Vec::new());
         }
-        Field::Choice { key, label, choices } => choice_ui(ui, state, key, label, choices),
+        Field::Choice { key, label, choices } => choice_ui(ui, state, key, weak, label, choices),
         Field::Model => {
             ui.label("Sensor model");
             let models = cx.store.models();
@@ -412,15 +263,16 @@ fn field_ui(
             });
         }
         Field::Flag { key, label, words } => {
-            ui.label(label);
             let mut is_set = state.flags.contains(key);
-            if ui.checkbox(&mut is_set, words).changed() {
-                if is_set {
-                    state.flags.insert(key)
-                } else {
-                    state.flags.remove(key)
-                };
-            }
+            beside_ui(ui, weak, [label, key, ""], |ui, _| {
+                if ui.checkbox(&mut is_set, words).changed() {
+                    if is_set {
+                        state.flags.insert(key)
+                    } else {
+                        state.flags.remove(key)
+                    };
+                }
+            });
         }
     }
 }
@@ -429,32 +281,53 @@ fn choice_ui(
     ui: &mut egui::Ui,
     state: &mut StartState,
     key: &'static str,
-    label: &str,
+    weak: egui::Color32,
+    label: &'static str,
     choices: &'static [&'static str],
 ) {
-    let shown = |choice: &'static str| match (choice, key) {
-        ("", "protocol") => "none",
-        ("", "scored") => "as usual",
-        ("", _) => "as the preset says",
-        _ => choice,
-    };
-    ui.label(label);
     let mut chosen = state.chosen(key, choices);
-    combo_ui(ui, label, shown(chosen), 140.0, |ui| {
-        for choice in choices {
-            option_ui(ui, &mut chosen, *choice, shown(choice));
-        }
+    let before = chosen;
+    beside_ui(ui, weak, [label, key, before], |ui, _| {
+        combo_ui(ui, label, shown(key, chosen), 140.0, |ui| {
+            for choice in choices {
+                option_ui(ui, &mut chosen, *choice, shown(key, choice));
+            }
+        });
     });
     state.choices.insert(key, chosen);
 }
 
+/// A row: `label`, what fills it, and below that the line of help of `choice`, if there is one.
+fn beside_ui(
+    ui: &mut egui::Ui,
+    weak: egui::Color32,
+    [label, key, choice]: [&str; 3],
+    fill: impl FnOnce(&mut egui::Ui, egui::Id),
+) {
+    let name = ui.label(label).id;
+    match help(key, choice) {
+        "" => fill(ui, name),
+        line => {
+            ui.vertical(|ui| {
+                fill(ui, name);
+                ui.add(egui::Label::new(RichText::new(line).color(weak)).wrap());
+            });
+        }
+    }
+}
+
 /// A line to fill in; what is known fills it by a press.
 fn text_ui(ui: &mut egui::Ui, name: &str, hint: &str, text: &mut String, known: Vec<&str>) {
-    let label = ui.label(name);
+    let label = ui.label(name).id;
+    line_ui(ui, label, hint, text, known);
+}
+
+/// The same without its label, which is `label`.
+fn line_ui(ui: &mut egui::Ui, label: egui::Id, hint: &str, text: &mut String, known: Vec<&str>) {
     let is_narrow = ui.available_width() < BESIDE;
     let contents = |ui: &mut egui::Ui| {
         let field = egui::TextEdit::singleline(text).desired_width(170.0).char_limit(400).hint_text(hint);
-        ui.add(field).labelled_by(label.id);
+        ui.add(field).labelled_by(label);
         for id in known.into_iter().take(3) {
             if ui.button(id).clicked() {
                 *text = id.to_owned();
@@ -478,8 +351,8 @@ fn done<'a>(jobs: &'a [Job], kind: &str) -> Vec<&'a str> {
 #[cfg(test)]
 mod tests {
     use palpate_wire::api::{
-        BlindRequest, DemonstrationsRequest, EvaluationRequest, ExpertRequest, GatheringRequest,
-        ImitationRequest, PipelineRequest, PretrainingRequest, TuneRequest,
+        BlindRequest, DemonstrationsRequest, EXPERTS, EvaluationRequest, ExpertRequest, GatheringRequest,
+        HEADS, MEMORIES, PAPER_POLICIES, PipelineRequest, PretrainingRequest, TuneRequest,
     };
     use serde::de::DeserializeOwned;
     use serde_json::json;
@@ -548,8 +421,11 @@ mod tests {
                     Field::Policy(_) => {
                         state.texts.insert("policy", "cube".to_owned());
                     }
-                    Field::Jobs { key, .. } => {
+                    Field::Job { key, .. } => {
                         state.texts.insert(key, "job-1".to_owned());
+                    }
+                    Field::Jobs { key, .. } => {
+                        state.texts.insert(key, "job-1, job-2".to_owned());
                     }
                     Field::Number { key, .. } => {
                         state.texts.insert(key, "7".to_owned());
@@ -562,8 +438,19 @@ mod tests {
                     }
                 }
             }
+            let mut num_fields = training.fields.len();
+            if training.kind == "imitation" {
+                // A policy of the paper says what these two say.
+                assert!(
+                    state.request().unwrap_err().starts_with("What predicts: the policy \"pretrained-bc\"")
+                );
+                state.choices.remove("head");
+                assert!(state.request().unwrap_err().starts_with("Features of touch: the policy"));
+                state.flags.remove("features");
+                num_fields -= 2;
+            }
             let request = state.request().unwrap();
-            assert_eq!(request.request.as_object().unwrap().len(), training.fields.len(), "{request:?}");
+            assert_eq!(request.request.as_object().unwrap().len(), num_fields, "{request:?}");
             let read = match training.kind {
                 "expert" => reads::<ExpertRequest>(request.request),
                 "evaluation" => reads::<EvaluationRequest>(request.request),
@@ -577,6 +464,28 @@ mod tests {
                 other => panic!("{other} is no kind of training"),
             };
             assert!(read.is_ok(), "{}: {read:?}", training.kind);
+        }
+    }
+
+    #[test]
+    fn choices_are_those_of_the_studio_and_each_has_a_line_of_help() {
+        let choices_of = |kind: &str, wanted: &str| {
+            let fields = TRAININGS.iter().filter(|training| training.kind == kind).flat_map(|one| one.fields);
+            let mut choices = fields.filter_map(|field| match field {
+                Field::Choice { key, choices, .. } if *key == wanted => Some(*choices),
+                _ => None,
+            });
+            choices.next().unwrap()
+        };
+        for (kind, key, known) in [
+            ("imitation", "policy", &PAPER_POLICIES[..]),
+            ("imitation", "head", &HEADS),
+            ("imitation", "memory", &MEMORIES),
+            ("gathering", "expert", &EXPERTS),
+        ] {
+            let choices = choices_of(kind, key);
+            assert_eq!(choices[1..], *known, "{key}");
+            assert!(choices.iter().all(|choice| !help(key, choice).is_empty()), "{key}");
         }
     }
 
