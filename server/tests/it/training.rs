@@ -342,30 +342,6 @@ async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored()
     assert_eq!(text(&app, "/api/v1/jobs/imitation-1/files/policy.safetensors").await, "imitator\n");
     assert!(text(&app, "/api/v1/jobs/imitation-1/metrics").await.contains("\"loss\":0.25"));
 
-    // One that is told its region needs trials of two, and one that sees features an encoder that is done.
-    let wide = start(&app, "gathering", json!({ "count": 3, "protocol": "wide" })).await;
-    let paper = start(&app, "gathering", json!({ "protocol": "paper", "expert": "repetition" })).await;
-    for id in [&wide, &paper] {
-        assert_eq!(ended(&app, id).await.state, JobState::Done);
-    }
-    for (request, words) in [
-        (json!({ "trials": ["gathering-1", "gathering-2"], "region": true }), "of the region ±8 cm"),
-        (json!({ "trials": ["gathering-1"], "region": true }), "region: one gathering is of one region"),
-        (
-            json!({ "trials": ["gathering-1"], "policy": "pretrained-act", "encoder": "gathering-1" }),
-            "give one of kind \"pretraining\"",
-        ),
-    ] {
-        let answer = post(&app, "/api/v1/jobs", &json!({ "kind": "imitation", "request": request })).await;
-        let detail = answer.problem(400);
-        assert!(detail.contains(words), "{request}: {detail}");
-    }
-    let request = json!({ "trials": ["gathering-1", "gathering-3"], "region": true, "head": "act", "memory": "recurrent" });
-    assert_eq!(ended(&app, &start(&app, "imitation", request).await).await.state, JobState::Done);
-    let asked = fs::read_to_string(data.root().join("runs/asked.txt")).unwrap();
-    assert!(asked.contains("gather --protocol paper --expert repetition --seed 5"), "{asked}");
-    assert!(asked.contains("--resume --head act --memory recurrent --region --data"), "{asked}");
-
     // It is a policy under a protocol, and nowhere else.
     for (kind, request, words) in [
         ("evaluation", json!({ "policy": "imitation-1" }), "give a protocol"),
@@ -394,6 +370,32 @@ async fn what_an_expert_does_is_gathered_and_imitated_and_the_imitation_scored()
          --by-object runs/evaluation-2/trials --out runs/evaluation-2/comparison.json",
     ];
     assert_eq!(asked, expected);
+
+    // One that is told its region needs trials of two, and one that sees features an encoder that is done.
+    let wide = start(&app, "gathering", json!({ "count": 3, "protocol": "wide" })).await;
+    let paper = start(&app, "gathering", json!({ "protocol": "paper", "expert": "repetition" })).await;
+    for id in [&wide, &paper] {
+        assert_eq!(ended(&app, id).await.state, JobState::Done);
+    }
+    for (request, words) in [
+        (json!({ "trials": ["gathering-1", "gathering-2"], "region": true }), "of the region ±8 cm"),
+        (json!({ "trials": ["gathering-1"], "region": true }), "region: one gathering is of one region"),
+        (
+            json!({ "trials": ["gathering-1"], "policy": "pretrained-act", "encoder": "gathering-1" }),
+            "give one of kind \"pretraining\"",
+        ),
+    ] {
+        let answer = post(&app, "/api/v1/jobs", &json!({ "kind": "imitation", "request": request })).await;
+        let detail = answer.problem(400);
+        assert!(detail.contains(words), "{request}: {detail}");
+    }
+    let request = json!({
+        "trials": ["gathering-1", "gathering-3"], "region": true, "head": "act", "memory": "recurrent",
+    });
+    assert_eq!(ended(&app, &start(&app, "imitation", request).await).await.state, JobState::Done);
+    let asked = fs::read_to_string(data.root().join("runs/asked.txt")).unwrap();
+    assert!(asked.contains("gather --protocol paper --expert repetition --seed 5"), "{asked}");
+    assert!(asked.contains("--resume --head act --memory recurrent --region --data"), "{asked}");
 }
 
 #[tokio::test]

@@ -13,7 +13,7 @@ use palpate_wire::{
 use prost::Message as _;
 
 use crate::{
-    fixture::{FakeWindow, SharedApi, full_api, page},
+    fixture::{FakeWindow, SharedApi, full_api, page, page_of},
     home::me,
 };
 
@@ -237,7 +237,8 @@ fn an_imitation_learns_from_the_gathering_that_is_pressed() {
         job("expert-1", "expert", JobState::Done),
     ]);
     kinds(&api, None);
-    let mut harness = page(&api, &FakeWindow::at("#/jobs?job=new"));
+    // All of the form is in sight.
+    let mut harness = page_of(&api, &FakeWindow::at("#/jobs?job=new"), [1280.0, 1400.0]);
     choose(&mut harness, "What to start", "Imitate an expert");
     harness.get_by_label_contains("which gathered trials? Give jobs such as gathering-1");
     assert!(harness.query_by_role_and_label(Role::Button, "gathering-1").is_none(), "it has failed");
