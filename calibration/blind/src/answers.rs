@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use palpate_reports::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Verdict};
+use palpate_reports::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Unexplained, Verdict};
 use palpate_truth::{Expected, Hidden};
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +64,9 @@ pub(crate) struct Answer {
     pub(crate) gap: Gap,
     /// The first of what was tried in the first round and not named.
     pub(crate) candidates: Vec<Candidate>,
+    /// Why something is left, without where.
+    #[serde(default)]
+    pub(crate) unexplained: Unexplained,
     pub(crate) notes: Vec<String>,
 }
 
@@ -81,6 +84,7 @@ impl Answer {
             withheld: report.in_doubt,
             gap: report.held_out,
             candidates: report.candidates,
+            unexplained: Unexplained { cells: Vec::new(), ..report.unexplained },
             notes: report.notes,
         }
     }

@@ -238,6 +238,7 @@ mod tests {
             gap: Gap { calibrated: 0.02, diagnosed: 0.01, ..Gap::default() },
             withheld: Vec::new(),
             candidates: Vec::new(),
+            unexplained: palpate_reports::Unexplained::default(),
             notes: Vec::new(),
         }
     }

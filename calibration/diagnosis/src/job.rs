@@ -15,7 +15,7 @@ use crate::prepare::{Prepared, check, prepare};
 use crate::steps::Steps;
 use crate::tactile::adequacy::{
     Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal, leave_most_at_a_patch,
-    repeating_by_patch,
+    repeating_by_patch, touch_to_touch,
 };
 use crate::tactile::posture::with_posture;
 use crate::withhold::withhold;
@@ -92,7 +92,7 @@ pub fn diagnose(
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
-    let (mut adequacy, left) = adequacy(station, &domain, &naming.model, &fitted)?;
+    let (mut adequacy, mut left) = adequacy(station, &domain, &naming.model, &fitted)?;
     let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
     let complete = complete_by_signal(station);
     let names = &naming.model.effects[start.effects.len()..];
@@ -116,12 +116,14 @@ pub fn diagnose(
     };
     if let Some(why) = fired {
         naming.withhold(&start, why);
-        adequacy = before;
+        (adequacy, left) = (before, left_before);
         bent = with_posture(&domain, &start, &fitted)?;
         steps.models.truncate(1);
     }
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
     watch(0.95, "writing the report")?;
+    let streams = station.layout.streams.iter().zip(touch_to_touch(station, &left));
+    let touch_to_touch = streams.filter_map(|(stream, of)| Some((stream.id.clone(), of?))).collect();
     let report = show::report(&show::Evidence {
         config,
         station,
@@ -131,6 +133,7 @@ pub fn diagnose(
         nominal,
         fitted: &fitted,
         adequacy,
+        touch_to_touch,
         with_posture: &bent,
         bar,
         least_evidence,

@@ -26,8 +26,15 @@ impl NullBar {
     pub const DEFAULT_EVIDENCE: f64 = 12.0;
 
     /// Limits of the adequacy statistics, tuned likewise.
-    pub const ADEQUACY: Adequacy =
-        Adequacy { repeating: 0.5, at_patch: 0.85, common_mode: 1.5, loss: 0.61, switching: 0.03 };
+    pub const ADEQUACY: Adequacy = Adequacy {
+        repeating: 0.5,
+        at_patch: 0.85,
+        common_mode: 1.5,
+        loss: 0.61,
+        switching: 0.03,
+        patch: 0,
+        stream: 0,
+    };
 
     /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The
     /// normal distribution would not do in their place: standard errors leave out that the model is only roughly right,

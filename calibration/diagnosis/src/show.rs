@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use palpate_reports::{
-    Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
+    Bar, Candidate, DiagnosisReport, Gap, NamedEffect, Rival, TooMuchLeft, Unexplained, Verdict,
+    WaterfallStep,
 };
-use palpate_robot_model::Station;
+use palpate_robot_model::{Place, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::{self, Effect};
 
@@ -34,6 +35,8 @@ pub(crate) struct Evidence<'a> {
     pub(crate) nominal: &'a SensorModel,
     pub(crate) fitted: &'a [usize],
     pub(crate) adequacy: Adequacy,
+    /// As in the report.
+    pub(crate) touch_to_touch: BTreeMap<String, f64>,
     /// What is left that changes with posture.
     pub(crate) with_posture: &'a [WithPosture],
     pub(crate) bar: Option<&'a NullBar>,
@@ -79,12 +82,15 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     for (idx, effect) in named.iter().enumerate() {
         reported.push(named_effect(evidence, effect, idx, [&gaps[idx + 1], &gaps[idx + 2]], &judged)?);
     }
-    let verdict = verdict(evidence, &reported, repeats);
+    let because = too_much_left(evidence);
+    let verdict = verdict(!because.is_empty(), &reported, repeats);
     let fraction = share_left(&held_out);
     let unexplained = Unexplained {
         fraction,
         significant: matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained),
         cells: cells(station, &observed, &judged[last], config.seed),
+        because,
+        touch_to_touch: evidence.touch_to_touch.clone(),
     };
     let ids =
         |takes: &[usize]| takes.iter().map(|&take| domain.take(take).take.id.clone()).collect::<Vec<_>>();
@@ -108,7 +114,6 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             effect_at(&effect.id, &effect.place)
         ));
     }
-    notes.extend(evidence.with_posture.iter().map(|change| change.sentence(station)));
     Ok(DiagnosisReport {
         verdict,
         sentence: sentence(verdict, &reported, &held_out),
@@ -223,16 +228,42 @@ fn share_left(gap: &Gap) -> f64 {
     if removable > 0.0 { ((gap.diagnosed - floor) / removable).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// `repeats`: whether any motion is repeated, by which to tell what is left.
-fn verdict(evidence: &Evidence<'_>, named: &[NamedEffect], repeats: bool) -> Verdict {
-    let limits = NullBar::ADEQUACY;
-    let of = &evidence.adequacy;
-    let left = of.repeating > limits.repeating
-        || of.at_patch > limits.at_patch
-        || of.common_mode > limits.common_mode
-        || of.switching > limits.switching
-        || !evidence.with_posture.is_empty()
-        || (evidence.domain.num_raw_takes() > 0 && of.loss > limits.loss);
+/// What is left, by the measures that are above their limits.
+fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
+    let (of, limits) = (&evidence.adequacy, NullBar::ADEQUACY);
+    let (patches, streams) = (&evidence.station.layout.patches, &evidence.station.layout.streams);
+    let patch = patches.get(of.patch).map_or("", |patch| patch.id.as_str());
+    let stream = streams.get(of.stream).map_or("", |stream| stream.id.as_str());
+    let mut left = Vec::new();
+    let mut measure = |check: &str, measured: f64, limit: f64, place: Option<Place>, says: String| {
+        if measured > limit {
+            let sentence = format!("{says}: {measured:.2} (at most {limit} where nothing is missing)");
+            left.push(TooMuchLeft { check: check.to_owned(), measured, limit, place, sentence });
+        }
+    };
+    let repeating = "residuals of repeated motions have this much in common, in variances";
+    measure("repeating", of.repeating, limits.repeating, None, repeating.to_owned());
+    let (place, says) = (Place::Patch(patch.to_owned()), format!("in readings of {patch} {repeating}"));
+    measure("repeating_at_patch", of.at_patch, limits.at_patch, Some(place), says);
+    let (place, says) = (
+        Place::Stream(stream.to_owned()),
+        format!(
+            "quiet channels of {stream} wander together: variance of their mean, over that of independent noise"
+        ),
+    );
+    measure("common_mode", of.common_mode, limits.common_mode, Some(place), says);
+    let says = "events differ from what the thresholds make of the readings: loss a sample, in variances";
+    measure("switching", of.switching, limits.switching, None, says.to_owned());
+    if evidence.domain.num_raw_takes() > 0 {
+        let says = "events and readings are farther off than noise: loss a sample, in variances";
+        measure("loss", of.loss, limits.loss, None, says.to_owned());
+    }
+    left.extend(evidence.with_posture.iter().map(|change| change.too_much_left(evidence.station)));
+    left
+}
+
+/// `left`: whether more is left than where nothing is missing; `repeats`: whether any motion is repeated, by which to tell.
+fn verdict(left: bool, named: &[NamedEffect], repeats: bool) -> Verdict {
     match (named.is_empty(), left) {
         (_, false) if !repeats => Verdict::CannotBeJudged,
         (true, true) => Verdict::Unexplained,

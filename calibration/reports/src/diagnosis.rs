@@ -222,6 +222,31 @@ pub struct Unexplained {
     /// Where it is.
     #[serde(rename = "where")]
     pub cells: Vec<Cell>,
+    /// Why the verdict says that something is left (touch only): each measure that is above its limit.
+    #[serde(default)]
+    pub because: Vec<TooMuchLeft>,
+    /// By stream of touch, how much the response of a channel differs from take to take beyond the model: what a gain of its own
+    /// for each take removes beyond one gain for all takes, in variances for each such gain. 1 where noise is all that is left;
+    /// of a stream that no two takes press there is none.
+    #[serde(default)]
+    pub touch_to_touch: BTreeMap<String, f64>,
+}
+
+/// A measure of what is left after naming that is above its limit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct TooMuchLeft {
+    /// Id of the measure, as in `docs/diagnosis.md`.
+    pub check: String,
+    /// What it measured.
+    pub measured: f64,
+    /// What it allows.
+    pub limit: f64,
+    /// The patch or stream in which it is largest; none of a measure over all signals.
+    #[serde(rename = "where", default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<Place>,
+    /// The same as a sentence for an operator.
+    pub sentence: String,
 }
 
 /// What an experiment is for.

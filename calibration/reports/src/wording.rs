@@ -2,7 +2,7 @@
 
 use palpate_robot_model::Place;
 
-use crate::{Cell, DiagnosisReport, EffectInDoubt, ModelEffect, NamedEffect, StreamThetaReport};
+use crate::{Cell, DiagnosisReport, EffectInDoubt, ModelEffect, NamedEffect, StreamThetaReport, Unexplained};
 
 /// An id in the words it is made of: `joint_backlash` gives `joint backlash`.
 pub fn words(id: &str) -> String {
@@ -129,6 +129,22 @@ pub fn in_doubt_sentence(effect: &EffectInDoubt) -> String {
         })
         .collect();
     format!("{} comes near, but is in doubt: {}", effect_at(&effect.id, &effect.place), doubts.join("; "))
+}
+
+/// In which streams touches differ most from the model and from each other; `None` of takes without readings.
+pub fn touch_to_touch_sentence(left: &Unexplained) -> Option<String> {
+    let streams: Vec<String> = left
+        .touch_to_touch
+        .iter()
+        .map(|(stream, variances)| format!("{stream} {}", number(*variances)))
+        .collect();
+    (!streams.is_empty()).then(|| {
+        format!(
+            "Response differs from touch to touch, beyond the model, by this many variances (1 is noise alone; up to 24 where \
+             nothing is missing on emulated stations): {}.",
+            streams.join(", ")
+        )
+    })
 }
 
 /// How likely evidence as strong as that for a named effect is by chance, where null sessions of the station tell.

@@ -223,6 +223,8 @@ fn text(report: &DiagnosisReport) -> String {
         if left.significant { "and it repeats: something is missing" } else { "and it does not repeat" };
     lines
         .push(format!("\nUnexplained: {} of the excess is left, {repeats}", wording::percent(left.fraction)));
+    lines.extend(left.because.iter().map(|because| format!("  {}", because.sentence)));
+    lines.extend(wording::touch_to_touch_sentence(left).map(|sentence| format!("  {sentence}")));
     lines.extend(
         left.cells
             .iter()

@@ -6,7 +6,7 @@ use egui::accesskit::Role;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use palpate_reports::{
     Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, Gap, Metrics, ModelEffect, NamedEffect,
-    NextExperiment, Purpose, Rival, ThetaReport, Unexplained, Verdict, WaterfallStep,
+    NextExperiment, Purpose, Rival, ThetaReport, TooMuchLeft, Unexplained, Verdict, WaterfallStep,
 };
 use palpate_robot_model::Place;
 use palpate_ui::{
@@ -108,6 +108,17 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
         fraction,
         significant: verdict == Verdict::Unexplained,
         cells: vec![cell("no_contact", fraction)],
+        because: match verdict {
+            Verdict::Unexplained => vec![TooMuchLeft {
+                check: "common_mode".into(),
+                measured: 11.2,
+                limit: 1.5,
+                place: Some(Place::Stream("film".into())),
+                sentence: "quiet channels of film wander together".into(),
+            }],
+            _ => Vec::new(),
+        },
+        touch_to_touch: BTreeMap::from([("film".into(), 12.4)]),
     };
     let next = NextExperiment {
         primitive: "tap_two_speeds".into(),
@@ -355,6 +366,8 @@ fn nothing_missing_and_nothing_fitting_are_said_as_plainly_as_a_name() {
     harness.get_by_label("UNEXPLAINED");
     harness.get_by_label_contains("no effect of the library explains");
     harness.get_by_label_contains("repeats between repetitions more than chance");
+    harness.get_by_label_contains("quiet channels of film wander together");
+    harness.get_by_label_contains("film 12.4");
     harness.get_by_label_contains("film: film.0, film.1; no contact; take-01, take-02");
 }
 

@@ -155,6 +155,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             },
             significant: left,
             cells: cells_after,
+            ..Unexplained::default()
         },
         held_out,
         waterfall,

@@ -24,6 +24,10 @@ pub struct Adequacy {
     pub loss: f64,
     /// The same over what firmware makes of readings.
     pub switching: f64,
+    /// Index of the patch of [`Self::at_patch`].
+    pub patch: usize,
+    /// Index of the stream of [`Self::common_mode`].
+    pub stream: usize,
 }
 
 impl Adequacy {
@@ -54,6 +58,39 @@ pub(crate) struct Left {
     products: [f64; 2],
     /// Huber's loss, and the number of rows.
     losses: [f64; 2],
+    gains: Gains,
+}
+
+/// What gains of one channel's response would remove from its residuals, in variances, over the takes that press it enough to
+/// tell.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gains {
+    /// By a gain of its own for each take.
+    by_take: f64,
+    num_takes: f64,
+    /// Product of response and residual over all these takes, and the square of the response.
+    along: f64,
+    square: f64,
+}
+
+impl Gains {
+    /// Adds a take of which the product and the square are these.
+    fn add(&mut self, along: f64, square: f64) {
+        if square > PRESSES {
+            self.by_take += along * along / square;
+            self.num_takes += 1.0;
+            self.along += along;
+            self.square += square;
+        }
+    }
+
+    /// What gains by take remove beyond one gain for all takes, and how many more they are.
+    fn beyond_one(&self) -> [f64; 2] {
+        if self.num_takes < 2.0 {
+            return [0.0; 2];
+        }
+        [(self.by_take - self.along * self.along / self.square).max(0.0), self.num_takes - 1.0]
+    }
 }
 
 impl Left {
@@ -62,6 +99,7 @@ impl Left {
         signals.fold(Self::default(), |sum, one| Self {
             products: [0, 1].map(|idx| sum.products[idx] + one.products[idx]),
             losses: [0, 1].map(|idx| sum.losses[idx] + one.losses[idx]),
+            ..sum
         })
     }
 
@@ -222,7 +260,9 @@ pub(crate) fn adequacy(
         let observed = domain.take(take);
         let prediction = domain.predict(take, model)?;
         let repeated = repeated(observed);
-        for ((signal, predicted), Left { products, losses }) in prediction.iter().enumerate().zip(&mut left) {
+        for ((signal, predicted), Left { products, losses, gains }) in
+            prediction.iter().enumerate().zip(&mut left)
+        {
             let weights = domain.weights(take, signal, predicted);
             let rows = observed.signals[signal].iter().zip(predicted.iter()).zip(&weights);
             let deviation: Vec<f64> =
@@ -232,6 +272,12 @@ pub(crate) fn adequacy(
                 losses[1] += 1.0;
             }
             let residual = |frame: usize| deviation[frame].clamp(-CLIP, CLIP);
+            let of_gain = predicted.iter().zip(&weights).map(|(predicted, weight)| predicted * weight);
+            let pressing = of_gain.enumerate().filter(|(frame, _)| deviation[*frame].is_finite());
+            let [along, square] = pressing.fold([0.0, 0.0], |[along, square], (frame, of_gain)| {
+                [along + of_gain * residual(frame), square + of_gain * of_gain]
+            });
+            gains.add(along, square);
             for (a, b) in repeated.iter().flat_map(|(first, second)| first.clone().zip(second.clone())) {
                 let (x, y) = (residual(a), residual(b));
                 let near = predicted[a] > QUIET || predicted[b] > QUIET;
@@ -251,12 +297,33 @@ pub(crate) fn adequacy(
         Left::sum(of_kind.map(|(_, left)| left))
     };
     let (touch, switching) = (of(false), of(true).loss());
-    let common_mode = quiet.iter().map(Quiet::ratio).fold(0.0, f64::max);
-    let at_patch = repeating_by_patch(station, &left).into_iter().fold(0.0, f64::max);
-    Ok((
-        Adequacy { repeating: touch.repeating(), at_patch, common_mode, loss: touch.loss(), switching },
-        left,
-    ))
+    let (stream, common_mode) = largest(quiet.iter().map(Quiet::ratio));
+    let (patch, at_patch) = largest(repeating_by_patch(station, &left));
+    let (repeating, loss) = (touch.repeating(), touch.loss());
+    Ok((Adequacy { repeating, at_patch, common_mode, loss, switching, patch, stream }, left))
+}
+
+/// The largest of `values`, none of which is negative, and its index; 0 of none.
+fn largest(values: impl IntoIterator<Item = f64>) -> (usize, f64) {
+    let values = values.into_iter().enumerate();
+    values.fold((0, 0.0), |most, one| if one.1 > most.1 { one } else { most })
+}
+
+/// Squared signal of a channel in a take, in variances, from which its gain is known to a fifth.
+const PRESSES: f64 = 25.0;
+
+/// Per stream, how much the response of a channel differs from take to take beyond the model: what a gain of its own for each
+/// take removes from the readings beyond one gain for all takes, in variances for each such gain; none of a stream that no two
+/// takes press.
+///
+/// This is the dispersion of a quasi-likelihood whose clusters are the channels of a take: 1 where noise is all that is left.
+pub(crate) fn touch_to_touch(station: &Station, left: &[Left]) -> Vec<Option<f64>> {
+    let of_stream = |channels: std::ops::Range<usize>| {
+        let gains = channels.map(|channel| left[Signal::Reading.of(channel)].gains.beyond_one());
+        let [removed, count] = gains.fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+        (count > 0.0).then(|| removed / count)
+    };
+    station.layout.streams.iter().map(|stream| of_stream(stream.channels.clone())).collect()
 }
 
 /// Sums over all events and readings, in variances.
@@ -348,6 +415,7 @@ mod tests {
         let left = |repeating: f64, loss: f64| Left {
             products: [10.0 * repeating, 10.0],
             losses: [100.0 * loss, 100.0],
+            ..Left::default()
         };
         let of = |idx: usize| {
             let mut signals = [Left::default(); 2 * Signal::COUNT];
@@ -382,7 +450,7 @@ mod tests {
     #[test]
     fn a_rule_says_what_it_measured_and_is_silent_when_it_is_off() {
         let mut left = [Left::default(); Signal::COUNT];
-        left[0] = Left { products: [0.0, 10.0], losses: [456.0, 100.0] };
+        left[0] = Left { products: [0.0, 10.0], losses: [456.0, 100.0], ..Left::default() };
         let mut after = left;
         after[0].losses[0] = 256.0;
         let mut changed = [false; Signal::COUNT];
@@ -409,7 +477,8 @@ mod tests {
     #[test]
     fn names_of_what_firmware_makes_of_readings_stand() {
         let mut left = [Left::default(); Signal::COUNT];
-        left[Signal::Switched as usize] = Left { products: [90.0, 10.0], losses: [900.0, 10.0] };
+        left[Signal::Switched as usize] =
+            Left { products: [90.0, 10.0], losses: [900.0, 10.0], ..Left::default() };
         let mut changed = [false; Signal::COUNT];
         changed[Signal::Switched as usize] = true;
         let complete = [0.0; Signal::COUNT];
@@ -427,6 +496,22 @@ mod tests {
         assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
         assert!(leaves(0.9, 1.4), "it is worse than before");
         assert!(leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[]).is_none(), "names of several limbs");
+    }
+
+    #[test]
+    fn a_gain_that_is_wrong_and_always_the_same_is_no_difference_from_touch_to_touch() {
+        let of = |gains: &[f64]| {
+            let mut sums = Gains::default();
+            gains.iter().for_each(|gain| sums.add(100.0 * gain, 100.0));
+            sums.beyond_one()
+        };
+        assert_eq!(of(&[0.3, 0.3, 0.3]), [0.0, 2.0]);
+        let [removed, more] = of(&[0.2, 0.4]);
+        assert!((removed - 2.0).abs() < 1e-9 && more == 1.0, "{removed} {more}");
+        assert_eq!(of(&[0.3]), [0.0; 2], "one take has nothing to differ from");
+        let mut weak = Gains::default();
+        weak.add(9.0, 0.5 * PRESSES);
+        assert_eq!(weak.num_takes, 0.0);
     }
 
     #[test]

@@ -8,7 +8,8 @@
 
 use std::collections::BTreeMap;
 
-use palpate_robot_model::{SensorKind, Station};
+use palpate_reports::TooMuchLeft;
+use palpate_robot_model::{Place, SensorKind, Station};
 
 use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
@@ -37,11 +38,19 @@ impl WithPosture {
         is_more.then_some(Fired { rule: fired::POSTURE, measured, limit: MOST_OF_EVIDENCE })
     }
 
-    /// What it says, for people.
-    pub(crate) fn sentence(&self, station: &Station) -> String {
+    /// As a report has it.
+    pub(crate) fn too_much_left(&self, station: &Station) -> TooMuchLeft {
         let joint = station.robot.dofs().nth(self.dof).map_or("a joint", |joint| joint.name.as_str());
         let (patch, percent) = (&station.layout.patches[self.patch].id, 100.0 * self.per_rad);
-        format!("what {patch} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for")
+        TooMuchLeft {
+            check: fired::POSTURE.to_owned(),
+            measured: self.evidence,
+            limit: LEAST_EVIDENCE,
+            place: Some(Place::Patch(patch.clone())),
+            sentence: format!(
+                "what {patch} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for"
+            ),
+        }
     }
 }
 

@@ -407,12 +407,25 @@ class WaterfallStep:
 
 
 @dataclass(frozen=True)
+class TooMuchLeft:
+    """A measure of what is left after naming that is above its limit."""
+
+    check: str
+    measured: float
+    limit: float
+    sentence: str
+    where: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """What no named effect accounts for."""
 
     fraction: float
     significant: bool
     where: list[Cell]
+    because: list[TooMuchLeft] = field(default_factory=list)
+    touch_to_touch: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,12 @@ pub(super) fn unexplained_ui(
     };
     let colour = if left.significant { cx.palette.warning } else { cx.palette.real };
     ui.colored_label(colour, text);
+    for because in &left.because {
+        ui.label(&because.sentence);
+    }
+    if let Some(sentence) = wording::touch_to_touch_sentence(left) {
+        ui.label(RichText::new(sentence).color(cx.palette.text_weak));
+    }
     // What chance gives as well is nothing to look at.
     let (beyond, within): (Vec<Cell>, Vec<Cell>) =
         left.cells.iter().cloned().partition(|cell| cell.p_value < SIGNIFICANT);
