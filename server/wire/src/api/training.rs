@@ -132,7 +132,7 @@ pub struct GatheringRequest {
     /// Where objects start, and for how long the expert may search: a shipped protocol; absent means `wide`. The job's seed
     /// must not be the protocol's.
     pub protocol: Option<String>,
-    /// Who grasps, one of [`EXPERTS`]; absent means `search`. The others do not feel what they have no sense for.
+    /// Who grasps: `search`, `search:touch`, `search:tracking` or `repetition`; absent means `search`.
     #[serde(default)]
     pub expert: Option<String>,
     /// Saved sensor model that makes touch; absent means the station's nominal model.
