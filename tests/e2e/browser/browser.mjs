@@ -1,5 +1,5 @@
 // A headless Chromium that renders WebGL 2 in software, and a page that fails the test on any error of its own.
-import { mkdtempSync } from "node:fs";
+import { mkdtempSync, rmSync } from "node:fs";
 import { setPriority, tmpdir } from "node:os";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
@@ -21,13 +21,10 @@ const executablePath = process.env.PALPATE_CHROMIUM ?? "/usr/bin/chromium";
 export async function openBrowser({ width = 1280, height = 800, colorScheme = "light" } = {}) {
   // Pictures are drawn by the processor here: they must not keep a station that runs in real time waiting.
   setPriority(10);
-  const profile = mkdtempSync(join(tmpdir(), "palpate-chromium-"));
-  const context = await chromium.launchPersistentContext(profile, {
-    executablePath,
-    args: FLAGS,
-    viewport: { width, height },
-    colorScheme,
-  });
+  const viewport = { width, height };
+  const context = await inOwnFolder((folder, options) =>
+    chromium.launchPersistentContext(join(folder, "profile"), { ...options, viewport, colorScheme }),
+  );
   context.setDefaultTimeout(60_000);
   const page = context.pages()[0] ?? (await context.newPage());
   return { context, page, errors: collectErrors(page) };
@@ -36,7 +33,19 @@ export async function openBrowser({ width = 1280, height = 800, colorScheme = "l
 /** A browser whose contexts share nothing, as computers of several people do. */
 export async function launchBrowser() {
   setPriority(10);
-  return chromium.launch({ executablePath, args: FLAGS });
+  return inOwnFolder((_folder, options) => chromium.launch(options));
+}
+
+/** Launches a browser that keeps all its files in one folder. The folder goes when this process ends, because nobody else removes a
+ * profile, or what a browser leaves that is killed in the middle of a test that fails. */
+async function inOwnFolder(launch) {
+  const folder = mkdtempSync(join(tmpdir(), "chromium-"));
+  try {
+    return await launch(folder, { executablePath, args: FLAGS, env: { ...process.env, TMPDIR: folder } });
+  } finally {
+    // After the launch: Playwright kills the browser when this process ends, and has to come first.
+    process.on("exit", () => rmSync(folder, { recursive: true, force: true, maxRetries: 10, retryDelay: 50 }));
+  }
 }
 
 /** The first window of somebody else's computer, which trusts whatever certificate a studio made for itself. */
@@ -54,23 +63,30 @@ export async function openPage(context) {
   return { page, errors: collectErrors(page) };
 }
 
+/** The id of the element that has the focus, unless it is `known`; runs in the page. The canvas keeps the browser's focus and names the
+ * element that has its own; text fields take the browser's. */
+function focusBeside(known) {
+  const active = document.activeElement;
+  const id = active?.getAttribute("aria-activedescendant") ?? active?.id ?? "";
+  return id !== known && { id };
+}
+
+/** Within this Tab has moved the focus, if there is anything else that takes it. */
+const TAB_MS = 2000;
+
 /** Goes to an element with Tab, and presses a key there: what somebody without a pointer does. */
 export async function byKeyboard(page, role, name, key = "Enter") {
   const wanted = page.getByRole(role, { name, exact: true }).first();
   await wanted.waitFor();
   for (let presses = 0; presses < 400; presses += 1) {
-    // The canvas keeps the browser's focus and names the element that has its own; text fields take the browser's.
-    const isFocused = await wanted.evaluate((element) => {
-      const active = document.activeElement;
-      return element === active || active?.getAttribute("aria-activedescendant") === element.id;
-    });
-    if (isFocused) {
+    const focus = await page.evaluate(focusBeside, null);
+    if (focus.id === (await wanted.getAttribute("id"))) {
       await page.keyboard.press(key);
       return;
     }
     await page.keyboard.press("Tab");
     // The page draws a frame before its mirror has the focus.
-    await page.waitForTimeout(120);
+    await page.waitForFunction(focusBeside, focus.id, { timeout: TAB_MS }).catch(() => {});
   }
   throw new Error(`Tab never reaches ${role} ${name}`);
 }
