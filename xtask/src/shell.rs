@@ -1,6 +1,7 @@
 //! Running other programs.
 
 use std::{
+    os::unix::process::CommandExt as _,
     path::Path,
     process::{Command, Stdio},
     sync::{Mutex, PoisonError},
@@ -35,6 +36,14 @@ pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
         }
         Ok(())
     })
+}
+
+/// Runs `command` in place of this process: signals reach it, and whoever waits for this process waits until it has ended.
+/// Returns only if it cannot be started.
+pub(crate) fn become_command(command: &mut Command) -> anyhow::Result<()> {
+    let line = describe(command);
+    eprintln!("$ {line}");
+    Err(command.stdin(Stdio::null()).exec()).with_context(|| format!("failed to start {line}"))
 }
 
 /// Does `work` and notes under `name` how long that took.

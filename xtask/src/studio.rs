@@ -34,7 +34,7 @@ pub(crate) fn run(args: &StudioArgs) -> anyhow::Result<()> {
             Command::new(&palpate).arg("emulate").arg("--truth").arg(&truth).arg("--out").arg(&session),
         )?;
     }
-    shell::run(
+    shell::become_command(
         Command::new(&palpate)
             .args(["serve", "--listen", &args.listen])
             .arg("--data")

@@ -265,7 +265,7 @@ fn read_log(stderr: ChildStderr, kept: &Mutex<String>) {
 
 impl Drop for Studio {
     fn drop(&mut self) {
-        // The studio may be xtask and the server that it started: the whole group ends.
+        // Before it serves, the studio may be xtask and what it has started: the whole group ends.
         let group = format!("-{}", self.process.id());
         let _ = Command::new("kill").args(["-TERM", "--", &group]).stderr(Stdio::null()).status();
         let _ = self.process.wait();
