@@ -83,24 +83,26 @@ pub fn run_json(command: &mut Command) -> anyhow::Result<Value> {
 
 /// The data folder with the emulated demo session `sessions/demo`, recorded once for all tests.
 pub fn demo_session(tools: &Tools) -> anyhow::Result<PathBuf> {
-    static DATA: OnceLock<Result<tempfile::TempDir, String>> = OnceLock::new();
+    static DATA: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let data = DATA.get_or_init(|| record_demo(tools).map_err(|err| format!("{err:#}")));
-    match data {
-        Ok(dir) => Ok(dir.path().to_owned()),
-        Err(problem) => bail!("{problem}"),
-    }
+    data.clone().map_err(anyhow::Error::msg)
 }
 
-fn record_demo(tools: &Tools) -> anyhow::Result<tempfile::TempDir> {
-    let dir = tempfile::tempdir()?;
-    std::fs::create_dir(dir.path().join("sessions"))?;
+/// Records it anew in each run, in a folder beside the tests' pictures: a temporary folder in a static would never be removed,
+/// because statics are not dropped.
+fn record_demo(tools: &Tools) -> anyhow::Result<PathBuf> {
+    let dir = tools.artifacts.join("demo");
+    if dir.exists() {
+        std::fs::remove_dir_all(&dir).with_context(|| format!("failed to remove {dir:?}"))?;
+    }
+    std::fs::create_dir_all(dir.join("sessions"))?;
     let output = tools
         .palpate()
         .arg("emulate")
         .arg("--truth")
         .arg(root().join("assets/truth/demo.toml"))
         .arg("--out")
-        .arg(dir.path().join("sessions/demo"))
+        .arg(dir.join("sessions/demo"))
         .output()?;
     if !output.status.success() {
         bail!("failed to record the demo session: {}", String::from_utf8_lossy(&output.stderr));

@@ -23,16 +23,20 @@ fn own_data(tools: &Tools) -> anyhow::Result<tempfile::TempDir> {
     Ok(data)
 }
 
-/// Runs a script of the browser tests on `studio`.
+/// Runs a script of the browser tests on `studio`. It must leave nothing in the temporary folder.
 fn run_script(tools: &Tools, studio: &Studio, script: &str) {
+    let temporary = tempfile::tempdir().expect("a folder");
     let status = Command::new("node")
         .arg(script)
         .arg(&studio.url)
         .arg(&tools.artifacts)
         .current_dir(&tools.browser_tests)
+        .env("TMPDIR", temporary.path())
         .status()
         .expect("node");
     assert!(status.success(), "{script} failed; see above and the pictures in target/e2e");
+    let left: Vec<_> = fs::read_dir(temporary.path()).expect("the folder").flatten().collect();
+    assert!(left.is_empty(), "{script} left {left:?} in the temporary folder");
 }
 
 /// Runs a script of the browser tests on a studio with the demonstration session.
