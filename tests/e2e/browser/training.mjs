@@ -100,6 +100,9 @@ await step("the expert is imitated by what was gathered, which a press fills in"
   await button("gathering-1").click();
   await write("Updates", "4");
   await look("imitation");
+  // The form is longer than the window.
+  await page.mouse.move(640, 500);
+  await page.mouse.wheel(0, 2000);
   await button("Start").click();
   await page.waitForURL(/job=imitation-1/);
   await page.getByRole("img", { name: /^Curve loss: [\d.]+ at step 4$/ }).waitFor();
