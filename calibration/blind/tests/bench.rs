@@ -137,8 +137,9 @@ fn a_weak_gain_that_bends_with_a_joint_is_unexplained_and_the_joint_is_told() {
     let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
     let report = outcome.unwrap().report;
     assert_eq!(report.verdict, Verdict::Unexplained);
-    let about = report.notes.iter().filter(|note| note.contains("a rad of index_mcp_forward"));
-    assert_eq!(about.count(), 1, "{:?}", report.notes);
+    let because = &report.unexplained.because;
+    let about = because.iter().filter(|because| because.sentence.contains("a rad of index_mcp_forward"));
+    assert_eq!(about.count(), 1, "{because:?}");
     let next = report.next_experiment.unwrap();
     assert!(matches!(next.purpose, Purpose::ShowMore | Purpose::Separate), "{next:?}");
     assert!(next.expected_gain > 0.0 && !next.primitive.is_empty() && !next.object.is_empty(), "{next:?}");
