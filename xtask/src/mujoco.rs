@@ -55,7 +55,7 @@ pub(crate) fn link_dir() -> anyhow::Result<PathBuf> {
 
 /// Downloads the wheel and leaves its library in `dir`.
 fn fetch(dir: &Path) -> anyhow::Result<()> {
-    let python = python::interpreter()?;
+    let python = python::bare()?;
     let scratch = dir.join("wheel");
     std::fs::create_dir_all(&scratch).with_context(|| format!("failed to create {scratch:?}"))?;
     // The library does not depend on the Python version of its wheel, so one wheel serves all.

@@ -96,8 +96,12 @@ pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
     command
 }
 
+/// Held by whoever installs Debian packages: one at a time can.
+static DEBIAN: Mutex<()> = Mutex::new(());
+
 /// Installs Debian packages, or says which command a person must run.
 pub(crate) fn install_debian_packages(packages: &[&str], purpose: &str) -> anyhow::Result<()> {
+    let _turn = DEBIAN.lock().unwrap_or_else(PoisonError::into_inner);
     let by_hand = format!("apt-get install --no-install-recommends {}", packages.join(" "));
     let is_root = output(Command::new("id").arg("-u")).is_ok_and(|uid| uid == "0");
     if !is_root || !exists("apt-get") {

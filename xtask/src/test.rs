@@ -36,14 +36,7 @@ impl Tests {
     /// Installs what the tests need, and builds them.
     fn build(args: &TestArgs) -> anyhow::Result<Self> {
         skip::check()?;
-        let python = python::interpreter()?;
-        if !skip::names("browser") {
-            browser::install()?;
-        }
-        slurm::install()?;
-        if !shell::exists("curl") {
-            shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
-        }
+        let python = install_tools()?;
         let (page, grasp_world) = (wasm::build_page()?, grasp_world()?);
         let artifacts = paths::target().join("e2e");
         std::fs::create_dir_all(&artifacts)?;
@@ -98,6 +91,18 @@ impl Tests {
     }
 }
 
+/// Installs what the tests need besides compilers, and gives the Python interpreter.
+fn install_tools() -> anyhow::Result<PathBuf> {
+    if !skip::names("browser") {
+        browser::install()?;
+    }
+    slurm::install()?;
+    if !shell::exists("curl") {
+        shell::install_debian_packages(&["curl"], "carrying out the examples of the HTTP API")?;
+    }
+    python::interpreter()
+}
+
 /// Formatting, lints and documentation with warnings denied, whether `palpate` and the fuzz targets compile by themselves,
 /// and every test.
 pub(crate) fn check() -> anyhow::Result<()> {
@@ -110,12 +115,15 @@ pub(crate) fn check() -> anyhow::Result<()> {
         mujoco::add(&mut lints, &dir);
     }
     lints.args(["--", "--deny", "warnings"]);
-    // Beside each other: at its end, the page keeps one core busy for a minute. The tests find it built.
+    // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
+    // The tests find it all there.
     std::thread::scope(|scope| {
         let page = scope.spawn(|| wasm::build_page().and_then(|_| wasm::lint_page()));
+        let tools = scope.spawn(install_tools);
         let linted = shell::run(&mut lints);
         let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;
-        linted.and(built)
+        let installed = tools.join().map_err(|_| anyhow::anyhow!("the installation of tools panicked"))?;
+        linted.and(built).and(installed)
     })?;
     // Links in the documentation lead somewhere. It shares its work on dependencies with the lints.
     let mut documents = shell::cargo(&root);
