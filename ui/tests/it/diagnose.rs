@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use egui::accesskit::Role;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use palpate_reports::{
-    Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, Gap, Metrics, ModelEffect, NamedEffect,
-    NextExperiment, Purpose, Rival, ThetaReport, TooMuchLeft, Unexplained, Verdict, WaterfallStep,
+    Bar, Candidate, Cell, ChannelResidual, DiagnosisReport, Doubt, EffectInDoubt, Gap, Metrics, ModelEffect,
+    NamedEffect, NextExperiment, Purpose, Rival, ThetaReport, TooMuchLeft, Unexplained, Verdict,
+    WaterfallStep,
 };
 use palpate_robot_model::Place;
 use palpate_ui::{
@@ -109,13 +110,7 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
         significant: verdict == Verdict::Unexplained,
         cells: vec![cell("no_contact", fraction)],
         because: match verdict {
-            Verdict::Unexplained => vec![TooMuchLeft {
-                check: "common_mode".into(),
-                measured: 11.2,
-                limit: 1.5,
-                place: Some(Place::Stream("film".into())),
-                sentence: "quiet channels of film wander together".into(),
-            }],
+            Verdict::Unexplained => because(),
             _ => Vec::new(),
         },
         touch_to_touch: BTreeMap::from([("film".into(), 12.4)]),
@@ -163,6 +158,60 @@ pub(crate) fn named() -> DiagnosisReport {
         Verdict::PartlyExplained,
         "Two effects are missing: they remove 52 % of the gap.",
     )
+}
+
+/// A report that leaves no part of the screen out, with names and numbers as long as they get.
+pub(crate) fn full() -> DiagnosisReport {
+    let bench = station();
+    let ids = |count: usize| -> Vec<String> {
+        bench.layout.channels.iter().take(count).map(|channel| channel.id.clone()).collect()
+    };
+    let crosstalk = NamedEffect {
+        id: "electrical_crosstalk".into(),
+        place: Place::Channels(ids(5)),
+        parameters: BTreeMap::from([("share".into(), 0.12), ("delay_s".into(), 0.002)]),
+        interval: BTreeMap::from([("share".into(), [0.08, 0.15]), ("delay_s".into(), [0.001, 0.003])]),
+        p_value: None,
+        gap_before: 0.24,
+        gap_after: 0.25,
+        ..backlash()
+    };
+    let mut full = report(
+        vec![latency(), backlash(), crosstalk],
+        Verdict::PartlyExplained,
+        "Three effects are missing from the simulator; adding them removes 52 % of the gap on takes they have not seen.",
+    );
+    full.in_doubt = vec![EffectInDoubt {
+        id: "low_pass".into(),
+        place: Place::Stream("film".into()),
+        parameters: BTreeMap::new(),
+        doubt: vec![Doubt { check: "repeating_left".into(), measured: 0.52, limit: 0.36 }],
+    }];
+    full.notes = vec!["no null bar of this station: the shipped one applies".into()];
+    full.candidates.push(Candidate { place: Place::Channels(ids(9)), ..full.candidates[1].clone() });
+    full.cells = vec![
+        Cell { channels: ids(9), joints: vec!["x".into(), "y".into()], ..cell("sustained", 0.51) },
+        Cell { takes: (1..=9).map(|take| format!("take-0{take}")).collect(), ..cell("no_contact", 0.33) },
+    ];
+    full.unexplained.cells.push(Cell { p_value: 0.4, ..cell("release", 0.02) });
+    full.unexplained.because = because();
+    full.bar.null_sessions = 0;
+    full.takes = BTreeMap::from([
+        ("fit".into(), (1..=6).map(|take| format!("take-0{take}")).collect()),
+        ("confirm".into(), (7..=9).map(|take| format!("take-0{take}")).collect()),
+    ]);
+    full.seconds = 754.0;
+    full
+}
+
+fn because() -> Vec<TooMuchLeft> {
+    vec![TooMuchLeft {
+        check: "common_mode".into(),
+        measured: 11.2,
+        limit: 1.5,
+        place: Some(Place::Stream("film".into())),
+        sentence: "quiet channels of film wander together".into(),
+    }]
 }
 
 fn request() -> DiagnosisRequest {
@@ -477,6 +526,33 @@ fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
     harness.get_by_role_and_label(Role::Button, "Record this next").click();
     harness.run_steps(4);
     harness.get_by_label_contains("The list was not changed: nothing at POST /api/v1/recording/wanted");
+}
+
+#[test]
+fn nothing_of_a_full_report_reaches_beyond_a_narrow_window() {
+    // From a saved model with a long name, which is a heading of the table.
+    let from = DiagnosisRequest { model: Some("bench-fit".into()), ..request() };
+    for width in [360.0, 390.0, 900.0, 1280.0] {
+        let at = FakeWindow::at(&format!("#/diagnose/bench-1?run={ID}"));
+        let mut harness = page_of(&finished(from.clone(), full()), &at, [width, 844.0]);
+        for name in ["latency, stream film", "joint backlash, joint x", "electrical crosstalk"] {
+            let button = format!("Evidence for {name}");
+            harness.get_by_label_contains(&button).scroll_to_me();
+            harness.run_steps(20);
+            harness.get_by_label_contains(&button).click();
+            harness.run_steps(4);
+        }
+        assert_eq!(harness.query_all_by_label_contains("Takes that it improves").count(), 3, "{width}");
+        let beyond: Vec<_> = harness
+            .query_all_by_label_contains("")
+            .filter(|node| node.rect().right() > width + 0.5)
+            .map(|node| (node.accesskit_node().label(), node.rect()))
+            .collect();
+        assert!(beyond.is_empty(), "{width}: {beyond:#?}");
+        // What is said stands on the page from its first line to its last.
+        let lead = harness.get_by_label_contains("Three effects are missing from the simulator").rect();
+        assert!(lead.width() > 0.5 * (width - 80.0).min(300.0), "{width}: {lead:?}");
+    }
 }
 
 /// A page with a finished diagnosis, asked for with `request`.

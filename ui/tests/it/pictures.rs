@@ -35,31 +35,38 @@ fn compare_pages(
     hash: &str,
     open: impl Fn(FakeWindow, [f32; 2]) -> Harness<'static, Option<StudioApp>>,
 ) {
-    let mut differences = Vec::new();
-    for size in SIZES {
-        for theme in [egui::Theme::Light, egui::Theme::Dark] {
-            let window = FakeWindow::of("Ada", hash);
-            window.0.borrow_mut().theme = Some(theme);
-            let mut page = open(window, size);
-            let word = if theme == egui::Theme::Dark { "dark" } else { "light" };
-            let name = format!("{name}_{}_{word}", size[0]);
-            let picture = page.render().expect("it is painted on the CPU");
-            if let Some(folder) = std::env::var_os("PALPATE_ARTIFACTS") {
-                let folder = PathBuf::from(folder).join("pages");
-                std::fs::create_dir_all(&folder).expect("the folder of artifacts can be written");
-                picture.save(folder.join(format!("{name}.png"))).expect("the folder can be written");
-            }
-            if !KEPT.contains(&(size[0], theme)) {
-                continue;
-            }
-            // As much as egui's own pictures: a processor with other vectors may round the edge of a glyph otherwise.
-            let options = SnapshotOptions::new().threshold(0.6);
-            if let Err(err) = try_image_snapshot_options(&picture, &name, &options) {
-                differences.push(err.to_string());
-            }
-        }
-    }
+    let themes = [egui::Theme::Light, egui::Theme::Dark];
+    let pages = SIZES.into_iter().flat_map(|size| themes.map(|theme| (size, theme)));
+    let differences: Vec<String> =
+        pages.filter_map(|(size, theme)| difference(name, hash, size, theme, &open)).collect();
     assert!(differences.is_empty(), "{}", differences.join("\n"));
+}
+
+/// Draws the page that `open` makes of a window at `hash`; how it differs from the picture of before, if one is kept.
+fn difference(
+    name: &str,
+    hash: &str,
+    size: [f32; 2],
+    theme: egui::Theme,
+    open: impl Fn(FakeWindow, [f32; 2]) -> Harness<'static, Option<StudioApp>>,
+) -> Option<String> {
+    let window = FakeWindow::of("Ada", hash);
+    window.0.borrow_mut().theme = Some(theme);
+    let mut page = open(window, size);
+    let word = if theme == egui::Theme::Dark { "dark" } else { "light" };
+    let name = format!("{name}_{}_{word}", size[0]);
+    let picture = page.render().expect("it is painted on the CPU");
+    if let Some(folder) = std::env::var_os("PALPATE_ARTIFACTS") {
+        let folder = PathBuf::from(folder).join("pages");
+        std::fs::create_dir_all(&folder).expect("the folder of artifacts can be written");
+        picture.save(folder.join(format!("{name}.png"))).expect("the folder can be written");
+    }
+    if !KEPT.contains(&(size[0], theme)) {
+        return None;
+    }
+    // As much as egui's own pictures: a processor with other vectors may round the edge of a glyph otherwise.
+    let options = SnapshotOptions::new().threshold(0.6);
+    try_image_snapshot_options(&picture, &name, &options).err().map(|err| err.to_string())
 }
 
 #[test]
@@ -98,6 +105,17 @@ fn diagnose() {
     let run = diagnose::run(JobState::Done, Some(diagnose::named()));
     let (api, window) = diagnose::result_page(&run);
     compare("diagnose", &api, &window.current());
+}
+
+/// From its first line to its last: what only shows when one scrolls.
+#[test]
+fn diagnose_on_a_tall_phone() {
+    let run = diagnose::run(JobState::Done, Some(diagnose::full()));
+    let (api, window) = diagnose::result_page(&run);
+    let (size, hash) = ([390.0, 3600.0], window.current());
+    let open = |window, size| page_of(&api, &window, size);
+    let difference = difference("diagnose_tall", &hash, size, egui::Theme::Light, open);
+    assert_eq!(difference, None);
 }
 
 #[test]

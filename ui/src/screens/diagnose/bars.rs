@@ -5,11 +5,14 @@ use palpate_reports::{DiagnosisReport, WaterfallStep, wording};
 use palpate_robot_model::Place;
 
 use super::Start;
-use crate::theme::Palette;
+use crate::{screens::as_sentence, theme::Palette};
 
 const NAME_WIDTH: f32 = 290.0;
 const NUMBER_WIDTH: f32 = 132.0;
 const ROW_HEIGHT: f32 = 26.0;
+const FONT_SIZE: f32 = 14.0;
+/// A bar that is shorter than this between its name and its number stands below them.
+const LEAST_PLOT_WIDTH: f32 = 120.0;
 /// Candidates shown until the operator wants them all.
 const FEW: usize = 8;
 
@@ -24,46 +27,97 @@ struct Bar<'a> {
     colour: Color32,
 }
 
-/// Draws `bars` on one scale that ends at `full`; `place` turns a value into its share of the width. Gives the rectangle
-/// of the plot.
-fn bars_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64) -> f32) -> Rect {
-    ui.scope(|ui| rows_ui(ui, palette, bars, place)).inner
+/// Where bars were drawn, from top to bottom: one rectangle where their names stand beside them, one for each where the
+/// names stand above.
+struct Plot(Vec<Rect>);
+
+impl Plot {
+    /// All of it.
+    fn whole(&self) -> Rect {
+        self.0.iter().fold(Rect::NOTHING, |whole, area| whole.union(*area))
+    }
 }
 
-fn rows_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64) -> f32) -> Rect {
-    ui.spacing_mut().item_spacing.y = 0.0;
-    let width = (ui.available_width() - 12.0).max(NAME_WIDTH + NUMBER_WIDTH + 80.0);
-    let mut plot = Rect::NOTHING;
-    for bar in bars {
-        let (row, response) = ui.allocate_exact_size(vec2(width, ROW_HEIGHT), Sense::hover());
-        response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, &bar.about));
-        let area = Rect::from_x_y_ranges(row.left() + NAME_WIDTH..=row.right() - NUMBER_WIDTH, row.y_range());
-        plot = if plot.is_positive() { plot.union(area) } else { area };
-        if !ui.is_rect_visible(row) {
-            continue;
+/// Draws `bars` on one scale; `place` turns a value into its share of the width.
+fn bars_ui(ui: &mut Ui, palette: &Palette, bars: &[Bar<'_>], place: impl Fn(f64) -> f32) -> Plot {
+    ui.scope(|ui| {
+        ui.spacing_mut().item_spacing.y = 0.0;
+        let width = ui.available_width() - 12.0;
+        if width >= NAME_WIDTH + NUMBER_WIDTH + LEAST_PLOT_WIDTH {
+            let areas = bars.iter().map(|bar| row_ui(ui, palette, bar, width, &place));
+            Plot(vec![areas.fold(Rect::NOTHING, |whole, area| whole.union(area))])
+        } else {
+            Plot(bars.iter().map(|bar| narrow_row_ui(ui, palette, bar, width, &place)).collect())
         }
-        let font = FontId::proportional(14.0);
+    })
+    .inner
+}
+
+/// Name, bar and number beside one another.
+fn row_ui(ui: &mut Ui, palette: &Palette, bar: &Bar<'_>, width: f32, place: impl Fn(f64) -> f32) -> Rect {
+    let (row, response) = bar.allocate(ui, vec2(width, ROW_HEIGHT));
+    let area = Rect::from_x_y_ranges(row.left() + NAME_WIDTH..=row.right() - NUMBER_WIDTH, row.y_range());
+    if ui.is_rect_visible(row) {
+        let font = FontId::proportional(FONT_SIZE);
         let names = Rect::from_min_max(row.min, pos2(area.left() - 8.0, row.bottom()));
         let clipped = ui.painter().with_clip_rect(names.intersect(ui.clip_rect()));
         clipped.text(names.left_center(), Align2::LEFT_CENTER, bar.name, font.clone(), palette.real);
+        bar.paint(ui.painter(), palette, area, place);
+        let at = pos2(area.right() + 10.0, row.center().y);
+        ui.painter().text(at, Align2::LEFT_CENTER, &bar.number, font, palette.real);
+        response.on_hover_text(&bar.about);
+    }
+    area
+}
+
+/// Name and number above the bar, the name on as many lines as it needs.
+fn narrow_row_ui(
+    ui: &mut Ui,
+    palette: &Palette,
+    bar: &Bar<'_>,
+    width: f32,
+    place: impl Fn(f64) -> f32,
+) -> Rect {
+    let font = FontId::proportional(FONT_SIZE);
+    let number = ui.painter().layout_no_wrap(bar.number.clone(), font.clone(), palette.real);
+    let name_width = width - number.size().x - 10.0;
+    let name = ui.painter().layout(bar.name.to_owned(), font, palette.real, name_width);
+    let text_height = name.size().y.max(number.size().y) + 2.0;
+    let (row, response) = bar.allocate(ui, vec2(width, text_height + ROW_HEIGHT));
+    let area = Rect::from_x_y_ranges(row.x_range(), row.top() + text_height..=row.bottom() - 4.0);
+    if ui.is_rect_visible(row) {
         let painter = ui.painter();
+        painter.galley(row.min, name, palette.real);
+        painter.galley(pos2(row.right() - number.size().x, row.top()), number, palette.real);
+        bar.paint(painter, palette, area, place);
+        response.on_hover_text(&bar.about);
+    }
+    area
+}
+
+impl Bar<'_> {
+    /// Room for its row, under the words that say it.
+    fn allocate(&self, ui: &mut Ui, size: egui::Vec2) -> (Rect, egui::Response) {
+        let (row, response) = ui.allocate_exact_size(size, Sense::hover());
+        response.widget_info(|| egui::WidgetInfo::labeled(Role::Image, true, &self.about));
+        (row, response)
+    }
+
+    /// The bar in `area`, and its interval.
+    fn paint(&self, painter: &egui::Painter, palette: &Palette, area: Rect, place: impl Fn(f64) -> f32) {
         painter.rect_filled(area.shrink2(vec2(0.0, 2.0)), 0.0, palette.surface);
         let x_of = |value: f64| egui::lerp(area.x_range(), place(value).clamp(0.0, 1.0));
-        let filled =
-            Rect::from_x_y_ranges(area.left()..=x_of(bar.value).max(area.left() + 1.5), row.y_range());
-        painter.rect_filled(filled.shrink2(vec2(0.0, 5.0)), 1.0, bar.colour);
-        if let Some([low, high]) = bar.interval {
-            let (y, stroke) = (row.center().y, Stroke::new(1.5, palette.real));
+        let end = x_of(self.value).max(area.left() + 1.5);
+        let filled = Rect::from_x_y_ranges(area.left()..=end, area.y_range());
+        painter.rect_filled(filled.shrink2(vec2(0.0, 5.0)), 1.0, self.colour);
+        if let Some([low, high]) = self.interval {
+            let (y, stroke) = (area.center().y, Stroke::new(1.5, palette.real));
             painter.hline(x_of(low)..=x_of(high), y, stroke);
             for x in [x_of(low), x_of(high)] {
                 painter.vline(x, y - 4.0..=y + 4.0, stroke);
             }
         }
-        let at = pos2(area.right() + 10.0, row.center().y);
-        painter.text(at, Align2::LEFT_CENTER, &bar.number, font, palette.real);
-        response.on_hover_text(&bar.about);
     }
-    plot
 }
 
 /// The gap on confirm takes: nominal, calibrated, then one more effect each.
@@ -75,7 +129,7 @@ pub(super) fn waterfall_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisRep
     let calibrated = report.waterfall.iter().find(|step| step.step == "calibrated").map(|step| step.gap);
     let name = |(idx, step): (usize, &WaterfallStep)| match step.step.as_str() {
         "nominal" => start.title(),
-        _ => wording::step_name(report, idx),
+        _ => as_sentence(&wording::step_name(report, idx)),
     };
     let names: Vec<String> = report.waterfall.iter().enumerate().map(name).collect();
     let bars: Vec<Bar<'_>> = report
@@ -113,9 +167,12 @@ pub(super) fn waterfall_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisRep
     let plot = bars_ui(ui, palette, &bars, place);
     let floor = report.held_out.noise_floor.filter(|floor| *floor <= full);
     if let Some(floor) = floor {
-        let x = egui::lerp(plot.x_range(), place(floor));
-        let line = [pos2(x, plot.top()), pos2(x, plot.bottom())];
-        ui.painter().extend(egui::Shape::dashed_line(&line, Stroke::new(1.5, palette.text_weak), 4.0, 3.0));
+        for area in &plot.0 {
+            let x = egui::lerp(area.x_range(), place(floor));
+            let line = [pos2(x, area.top()), pos2(x, area.bottom())];
+            let stroke = Stroke::new(1.5, palette.text_weak);
+            ui.painter().extend(egui::Shape::dashed_line(&line, stroke, 4.0, 3.0));
+        }
     }
     ui.add_space(4.0);
     let floor = if floor.is_some() { " Dashed: what repetitions of one motion differ by." } else { "" };
@@ -180,19 +237,22 @@ pub(super) fn evidence_ui(ui: &mut Ui, palette: &Palette, report: &DiagnosisRepo
     // Evidence is a square: its root spreads the candidates near the bar over the picture.
     let place = |value: f64| (value.max(0.0) / (highest * 1.05)).sqrt() as f32;
     let plot = bars_ui(ui, palette, &bars, place);
-    let x_of = |value: f64| egui::lerp(plot.x_range(), place(value).clamp(0.0, 1.0));
+    let whole = plot.whole();
+    let x_of = |value: f64| egui::lerp(whole.x_range(), place(value).clamp(0.0, 1.0));
     let painter = ui.painter();
-    painter.vline(x_of(bar), plot.y_range(), Stroke::new(2.0, palette.mismatch));
+    for area in &plot.0 {
+        painter.vline(x_of(bar), area.y_range(), Stroke::new(2.0, palette.mismatch));
+    }
     // What chance gave, session by session.
     for &chance in &report.bar.null_maxima {
-        let y = plot.bottom();
+        let y = whole.bottom();
         painter.vline(x_of(chance), y..=y + 7.0, Stroke::new(1.0, palette.text_weak));
     }
     let font = FontId::proportional(13.0);
-    let (x, right) = (x_of(bar), x_of(bar) > plot.center().x);
+    let (x, right) = (x_of(bar), x_of(bar) > whole.center().x);
     let (align, offset) = if right { (Align2::RIGHT_TOP, -5.0) } else { (Align2::LEFT_TOP, 5.0) };
     let text = format!("the bar, {}", wording::number(bar));
-    painter.text(pos2(x + offset, plot.bottom() + 8.0), align, text, font, palette.mismatch);
+    painter.text(pos2(x + offset, whole.bottom() + 8.0), align, text, font, palette.mismatch);
     ui.add_space(26.0);
     let sessions = report.bar.null_sessions;
     let source = if sessions == 0 {

@@ -171,6 +171,9 @@ fn place_on_list(document: &RecordingDocument, next: &NextExperiment) -> Option<
     Some(format!("Take {} of session {} records it.", step + 1, session.session))
 }
 
+/// Room for a row of the metrics; where there is less, the name of each stands above its numbers.
+const TABLE_WIDTH: f32 = 560.0;
+
 /// Event metrics on confirm takes, and which takes did what.
 pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {
     let columns = [
@@ -186,28 +189,43 @@ pub(super) fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &Dia
         ("False positive rate, %", |m| m.fpr, 100.0, 2),
         ("Real contacts with a partner, %", |m| m.onset_coverage, 100.0, 0),
     ];
-    if !report.metrics.is_empty() {
-        egui::Grid::new("diagnose_metrics").striped(true).min_row_height(22.0).spacing([28.0, 6.0]).show(
-            ui,
-            |ui| {
-                ui.label("");
-                for (_, name, colour) in &columns {
-                    ui.label(RichText::new(name).color(cx.palette.text_of(*colour)).strong());
+    let text = |key: &str, value: Value, factor: f64, digits: usize| {
+        let value = report.metrics.get(key).and_then(value);
+        value.map_or_else(|| "\u{2013}".to_owned(), |value| format!("{:.digits$}", value * factor))
+    };
+    let head = |ui: &mut egui::Ui, name: &str, colour| {
+        ui.label(RichText::new(name).color(cx.palette.text_of(colour)).strong());
+    };
+    if !report.metrics.is_empty() && ui.available_width() < TABLE_WIDTH {
+        ui.columns(columns.len(), |uis| {
+            for (ui, (_, name, colour)) in uis.iter_mut().zip(&columns) {
+                head(ui, name, *colour);
+            }
+        });
+        for (name, value, factor, digits) in rows {
+            ui.label(RichText::new(name).color(cx.palette.text_weak));
+            ui.columns(columns.len(), |uis| {
+                for (ui, (key, ..)) in uis.iter_mut().zip(&columns) {
+                    ui.label(text(key, value, factor, digits));
+                }
+            });
+        }
+    } else if !report.metrics.is_empty() {
+        let grid = egui::Grid::new("diagnose_metrics").striped(true).min_row_height(22.0);
+        grid.spacing([28.0, 6.0]).show(ui, |ui| {
+            ui.label("");
+            for (_, name, colour) in &columns {
+                head(ui, name, *colour);
+            }
+            ui.end_row();
+            for (name, value, factor, digits) in rows {
+                ui.label(name);
+                for (key, ..) in &columns {
+                    ui.label(text(key, value, factor, digits));
                 }
                 ui.end_row();
-                for (name, value, factor, digits) in rows {
-                    ui.label(name);
-                    for (key, ..) in &columns {
-                        let value = report.metrics.get(*key).and_then(value);
-                        ui.label(value.map_or_else(
-                            || "\u{2013}".to_owned(),
-                            |value| format!("{:.digits$}", value * factor),
-                        ));
-                    }
-                    ui.end_row();
-                }
-            },
-        );
+            }
+        });
     }
     for (part, about) in [("fit", "fitted on"), ("confirm", "judged on, opened once")] {
         if let Some(takes) = report.takes.get(part).filter(|takes| !takes.is_empty()) {

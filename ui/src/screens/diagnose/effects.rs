@@ -55,6 +55,8 @@ fn helps(effect: &NamedEffect) -> bool {
 /// Room for what can be done with an effect, which stands beside its sentence where both have room.
 const ACTIONS_WIDTH: f32 = 400.0;
 const SENTENCE_WIDTH: f32 = 720.0;
+/// Room for the evidence with names beside values; they stand above them where there is less.
+const EVIDENCE_WIDTH: f32 = 480.0;
 
 fn effect_ui(
     ui: &mut egui::Ui,
@@ -136,47 +138,49 @@ fn evidence_ui(
     idx: usize,
     effect: &NamedEffect,
 ) {
-    egui::Grid::new(("evidence", idx)).num_columns(2).min_row_height(20.0).spacing([20.0, 4.0]).show(
-        ui,
-        |ui| {
-            let mut row = |name: &str, value: String| {
-                ui.label(RichText::new(name).color(cx.palette.text_weak));
-                ui.label(value);
-                ui.end_row();
-            };
-            row("Effect", wording::effect_at(&effect.id, &effect.place));
-            for (name, &value) in &effect.parameters {
-                let interval = effect.interval.get(name).map_or_else(String::new, |&interval| {
-                    format!(" (95 % interval {})", wording::range(name, interval))
-                });
-                row(&wording::parameter_name(name), format!("{}{interval}", wording::quantity(name, value)));
-            }
-            row(
-                "Evidence",
-                format!(
-                    "{}, the bar is {} ({})",
-                    wording::number(effect.evidence),
-                    wording::number(report.bar.evidence),
-                    wording::chance(effect.p_value)
-                ),
-            );
-            if let Some((improved, all)) = effect.takes_improved.split_once('/') {
-                row("Takes that it improves", format!("{improved} of {all}"));
-            }
-            row(
-                "Gap on the judging takes",
-                format!("{} to {}", wording::number(effect.gap_before), wording::number(effect.gap_after)),
-            );
-            for rival in &effect.rivals {
-                row(
-                    "Instead of it",
-                    format!(
-                        "{}: gap {}",
-                        wording::effect_at(&rival.id, &rival.place),
-                        wording::number(rival.gap_after)
-                    ),
-                );
-            }
-        },
-    );
+    let mut rows = vec![("Effect".to_owned(), wording::effect_at(&effect.id, &effect.place))];
+    for (name, &value) in &effect.parameters {
+        let interval = effect.interval.get(name).map_or_else(String::new, |&interval| {
+            format!(" (95 % interval {})", wording::range(name, interval))
+        });
+        rows.push((wording::parameter_name(name), format!("{}{interval}", wording::quantity(name, value))));
+    }
+    rows.push((
+        "Evidence".to_owned(),
+        format!(
+            "{}, the bar is {} ({})",
+            wording::number(effect.evidence),
+            wording::number(report.bar.evidence),
+            wording::chance(effect.p_value)
+        ),
+    ));
+    if let Some((improved, all)) = effect.takes_improved.split_once('/') {
+        rows.push(("Takes that it improves".to_owned(), format!("{improved} of {all}")));
+    }
+    rows.push((
+        "Gap on the judging takes".to_owned(),
+        format!("{} to {}", wording::number(effect.gap_before), wording::number(effect.gap_after)),
+    ));
+    for rival in &effect.rivals {
+        let name = wording::effect_at(&rival.id, &rival.place);
+        rows.push(("Instead of it".to_owned(), format!("{name}: gap {}", wording::number(rival.gap_after))));
+    }
+    let weak = |name: String| RichText::new(name).color(cx.palette.text_weak);
+    let width = ui.available_width();
+    if width < EVIDENCE_WIDTH {
+        for (name, value) in rows {
+            ui.label(weak(name));
+            ui.label(value);
+        }
+        return;
+    }
+    // Cells of a grid wrap where they have a width.
+    let grid = egui::Grid::new(("evidence", idx)).num_columns(2).min_row_height(20.0);
+    grid.spacing([20.0, 4.0]).max_col_width(width - 200.0).show(ui, |ui| {
+        for (name, value) in rows {
+            ui.label(weak(name));
+            ui.label(value);
+            ui.end_row();
+        }
+    });
 }

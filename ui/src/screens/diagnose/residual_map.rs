@@ -1,5 +1,7 @@
 //! Where simulation and hand disagree: channels by phases as a heat map, and the same on the flat map of the hand.
 
+use std::sync::Arc;
+
 use egui::{Align2, Color32, FontId, Rect, RichText, Sense, Stroke, accesskit::Role, pos2, vec2};
 use palpate_reports::{ChannelResidual, DiagnosisReport, wording};
 use palpate_robot_model::Station;
@@ -22,6 +24,8 @@ const PHASES: [&str; 4] = ["onset", "sustained", "release", "no_contact"];
 const NAME_WIDTH: f32 = 84.0;
 const ROW_HEIGHT: f32 = 26.0;
 const MAP_SIZE: egui::Vec2 = egui::vec2(340.0, 300.0);
+/// Room for the map and what stands beside it, which stands below where there is less.
+const BESIDE_WIDTH: f32 = MAP_SIZE.x + 280.0;
 
 /// The mismatch of one channel in one phase.
 fn value(channel: &ChannelResidual, phase: &str, before: bool) -> Option<f64> {
@@ -70,26 +74,46 @@ pub(super) fn residual_map_ui(
         open_channel(cx, station, &report.residual_map[idx].channel);
     }
     ui.add_space(6.0);
-    ui.horizontal_top(|ui| {
-        let (rect, _) = ui.allocate_exact_size(MAP_SIZE, Sense::hover());
-        match station {
-            Loadable::Ready(station) => hand_map_ui(ui, cx, rect, &station, report, *before),
-            Loadable::Failed(error) => {
-                ui.colored_label(cx.palette.mismatch, error);
-            }
-            Loadable::Idle | Loadable::Loading => {
-                ui.put(rect, egui::Spinner::new());
-            }
-        }
-        ui.vertical(|ui| {
-            if report.cells.is_empty() {
-                ui.label("No part of the data stands out over the noise.");
-                return;
-            }
-            ui.label(RichText::new("Most of the calibrated model's excess lies here:").strong());
-            cells_ui(ui, cx, &report.cells, &run.request.session);
+    if ui.available_width() >= BESIDE_WIDTH {
+        ui.horizontal_top(|ui| {
+            on_hand_ui(ui, cx, station, report, *before);
+            ui.vertical(|ui| parts_ui(ui, cx, run, report));
         });
-    });
+    } else {
+        on_hand_ui(ui, cx, station, report, *before);
+        parts_ui(ui, cx, run, report);
+    }
+}
+
+/// The parts of the data in which the excess lies.
+fn parts_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, run: &DiagnosisRun, report: &DiagnosisReport) {
+    if report.cells.is_empty() {
+        ui.label("No part of the data stands out over the noise.");
+        return;
+    }
+    ui.label(RichText::new("Most of the calibrated model's excess lies here:").strong());
+    cells_ui(ui, cx, &report.cells, &run.request.session);
+}
+
+/// The same on the map of the hand, or why there is none.
+fn on_hand_ui(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    station: Loadable<Arc<Station>>,
+    report: &DiagnosisReport,
+    before: bool,
+) {
+    let size = MAP_SIZE.min(vec2(ui.available_width(), MAP_SIZE.y));
+    let (rect, _) = ui.allocate_exact_size(size, Sense::hover());
+    match station {
+        Loadable::Ready(station) => hand_map_ui(ui, cx, rect, &station, report, before),
+        Loadable::Failed(error) => {
+            ui.colored_label(cx.palette.mismatch, error);
+        }
+        Loadable::Idle | Loadable::Loading => {
+            ui.put(rect, egui::Spinner::new());
+        }
+    }
 }
 
 fn hand_map_ui(
@@ -138,7 +162,7 @@ fn heat_map_ui(
     let both = channels.iter().flat_map(|c| c.calibrated.values().chain(c.diagnosed.values()));
     // One scale for both, so that the change can be seen.
     let full = both.copied().fold(f64::MIN_POSITIVE, f64::max);
-    let width = (ui.available_width() - NAME_WIDTH - 16.0).clamp(200.0, 1100.0);
+    let width = (ui.available_width() - NAME_WIDTH - 16.0).clamp(120.0, 1100.0);
     let size = vec2(NAME_WIDTH + width, ROW_HEIGHT * PHASES.len() as f32 + 24.0);
     let (rect, response) = ui.allocate_exact_size(size, Sense::click());
     let total: f64 =
@@ -190,9 +214,9 @@ fn heat_map_ui(
             text(false)
         ));
     }
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label("0");
-        taxel_scale_ui(ui, 150.0);
+        taxel_scale_ui(ui, (0.3 * size.x).min(150.0));
         ui.label(format!("{} mismatch a second", wording::number(full)));
     });
     pointed.filter(|_| clicked).map(|(_, column)| column)
@@ -224,7 +248,7 @@ fn patch_names(
         if column < channels.len() {
             ui.painter().vline(right, area.y_range(), Stroke::new(1.0, palette.background));
         }
-        if x >= free_from && x + galley.size().x <= area.right() + 60.0 {
+        if x >= free_from && x + galley.size().x <= (area.right() + 60.0).min(ui.clip_rect().right()) {
             free_from = x + galley.size().x + 6.0;
             ui.painter().galley(pos2(x, area.bottom() + 3.0), galley, palette.text_weak);
         }

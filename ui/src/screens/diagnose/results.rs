@@ -52,8 +52,7 @@ pub(super) fn results_ui(
     again
 }
 
-/// A heading, with help about the `word` that what is below it turns on.
-/// A heading with what explains its `word`, and `more` beside it.
+/// A heading with help about the `word` that what is below it turns on, and `more` beside it.
 fn section(ui: &mut egui::Ui, title: &str, word: &'static str, more: impl FnOnce(&mut egui::Ui)) {
     ui.add_space(14.0);
     ui.horizontal_wrapped(|ui| {
@@ -69,7 +68,7 @@ fn table_ui(ui: &mut egui::Ui, face: &str, label: &str, file: &str, run: &Diagno
 }
 
 fn lead_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, report: &DiagnosisReport, start: &Start) {
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         heading_ui(ui, "3  See");
         let (word, colour) = match report.verdict {
             Verdict::Explained => ("EXPLAINED", cx.palette.diagnosed),
