@@ -231,32 +231,43 @@ fn share_left(gap: &Gap) -> f64 {
 /// What is left, by the measures that are above their limits.
 fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
     let (of, limits) = (&evidence.adequacy, NullBar::ADEQUACY);
-    let (patches, streams) = (&evidence.station.layout.patches, &evidence.station.layout.streams);
-    let patch = patches.get(of.patch).map_or("", |patch| patch.id.as_str());
-    let stream = streams.get(of.stream).map_or("", |stream| stream.id.as_str());
+    let layout = &evidence.station.layout;
+    let patch = layout.patches.get(of.patch);
+    let patch = patch.map_or(("", ""), |patch| (patch.id.as_str(), patch.label.as_str()));
+    let stream = layout.streams.get(of.stream);
+    let stream = stream.map_or(("", ""), |stream| (stream.id.as_str(), stream.label.as_str()));
     let mut left = Vec::new();
     let mut measure = |check: &str, measured: f64, limit: f64, place: Option<Place>, says: String| {
         if measured > limit {
-            let sentence = format!("{says}: {measured:.2} (at most {limit} where nothing is missing)");
+            let sentence = format!("{says} (at most {limit} where nothing is missing).");
             left.push(TooMuchLeft { check: check.to_owned(), measured, limit, place, sentence });
         }
     };
-    let repeating = "residuals of repeated motions have this much in common, in variances";
-    measure("repeating", of.repeating, limits.repeating, None, repeating.to_owned());
-    let (place, says) = (Place::Patch(patch.to_owned()), format!("in readings of {patch} {repeating}"));
-    measure("repeating_at_patch", of.at_patch, limits.at_patch, Some(place), says);
-    let (place, says) = (
-        Place::Stream(stream.to_owned()),
-        format!(
-            "quiet channels of {stream} wander together: variance of their mean, over that of independent noise"
-        ),
+    let says = format!("Residuals of repeated motions have {:.2} variances in common", of.repeating);
+    measure("repeating", of.repeating, limits.repeating, None, says);
+    let says = format!(
+        "In the readings of patch {}, residuals of repeated motions have {:.2} variances in common",
+        patch.1, of.at_patch
     );
+    measure("repeating_at_patch", of.at_patch, limits.at_patch, Some(Place::Patch(patch.0.to_owned())), says);
+    let says = format!(
+        "Quiet channels of the {} stream wander together: the variance of their mean is {:.2} times that of independent \
+         noise",
+        stream.1, of.common_mode
+    );
+    let place = Place::Stream(stream.0.to_owned());
     measure("common_mode", of.common_mode, limits.common_mode, Some(place), says);
-    let says = "events differ from what the thresholds make of the readings: loss a sample, in variances";
-    measure("switching", of.switching, limits.switching, None, says.to_owned());
+    let says = format!(
+        "Events differ from what the thresholds make of the readings by a loss of {:.2} variances a sample",
+        of.switching
+    );
+    measure("switching", of.switching, limits.switching, None, says);
     if evidence.domain.num_raw_takes() > 0 {
-        let says = "events and readings are farther off than noise: loss a sample, in variances";
-        measure("loss", of.loss, limits.loss, None, says.to_owned());
+        let says = format!(
+            "Events and readings are farther off than noise, by a loss of {:.2} variances a sample",
+            of.loss
+        );
+        measure("loss", of.loss, limits.loss, None, says);
     }
     left.extend(evidence.with_posture.iter().map(|change| change.too_much_left(evidence.station)));
     left

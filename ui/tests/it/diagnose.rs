@@ -415,7 +415,7 @@ fn nothing_missing_and_nothing_fitting_are_said_as_plainly_as_a_name() {
     harness.get_by_label("UNEXPLAINED");
     harness.get_by_label_contains("no effect of the library explains");
     harness.get_by_label_contains("repeats between repetitions more than chance");
-    harness.get_by_label_contains("quiet channels of film wander together");
+    harness.get_by_label_contains("Quiet channels of Film wander together");
     harness.get_by_label_contains("film 12.4");
     harness.get_by_label_contains("film: film.0, film.1; no contact; take-01, take-02");
 }

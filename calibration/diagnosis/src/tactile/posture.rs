@@ -41,14 +41,15 @@ impl WithPosture {
     /// As a report has it.
     pub(crate) fn too_much_left(&self, station: &Station) -> TooMuchLeft {
         let joint = station.robot.dofs().nth(self.dof).map_or("a joint", |joint| joint.name.as_str());
-        let (patch, percent) = (&station.layout.patches[self.patch].id, 100.0 * self.per_rad);
+        let (patch, percent) = (&station.layout.patches[self.patch], 100.0 * self.per_rad);
         TooMuchLeft {
             check: fired::POSTURE.to_owned(),
             measured: self.evidence,
             limit: LEAST_EVIDENCE,
-            place: Some(Place::Patch(patch.clone())),
+            place: Some(Place::Patch(patch.id.clone())),
             sentence: format!(
-                "what {patch} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for"
+                "What patch {} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for.",
+                patch.label
             ),
         }
     }

@@ -10,7 +10,7 @@ use palpate_wire::api::{RecordingDocument, StepState, WantedTake};
 use super::Start;
 use crate::{
     route::Screen,
-    screens::{ScreenContext, channel_label, words},
+    screens::{ScreenContext, as_sentence, channel_label, words},
     store::Loadable,
 };
 
@@ -61,7 +61,7 @@ pub(super) fn unexplained_ui(
     let colour = if left.significant { cx.palette.warning } else { cx.palette.real };
     ui.colored_label(colour, text);
     for because in &left.because {
-        ui.label(&because.sentence);
+        ui.label(as_sentence(&because.sentence));
     }
     if let Some(sentence) = wording::touch_to_touch_sentence(left) {
         ui.label(RichText::new(sentence).color(cx.palette.text_weak));
