@@ -98,14 +98,23 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, plan: &PlanDocument, 
     }
 }
 
+/// How long a plan is before its motions are planned: a take may ask for less time than the robot's limits let it have.
+pub(super) fn extent_text(takes: usize, duration_s: f64) -> String {
+    let takes = wording::counted(takes as u64, "take");
+    format!("{takes}, at least {} of motion", duration_text(duration_s))
+}
+
+/// What is to be known of [`extent_text`].
+pub(super) const EXTENT_HINT: &str = "As the plan asks. Starting a session plans the motions: they last longer where the robot's limits make it slower.";
+
 fn plan_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, plan: &PlanDocument) {
     let station = cx.store.live_station();
     egui::ScrollArea::vertical().id_salt(&plan.id).auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);
         heading_ui(ui, &plan.label);
         let duration_s: f64 = plan.takes.iter().map(|take| take.duration_s).sum();
-        let takes = wording::counted(plan.takes.len() as u64, "take");
-        ui.label(format!("{takes}, {} of motion. File {}.toml", duration_text(duration_s), plan.id));
+        let extent = extent_text(plan.takes.len(), duration_s);
+        ui.label(format!("{extent}. File {}.toml", plan.id)).on_hover_text(EXTENT_HINT);
         if ui.button("Record it").on_hover_text("To the screen that leads through its takes").clicked() {
             *cx.go_to = Some(Route { plan: Some(plan.id.clone()), ..Route::to(Screen::Record) });
         }

@@ -50,13 +50,13 @@ pub(crate) fn with_plans(window: FakeWindow, size: [f32; 2]) -> Bench {
 fn a_plan_says_what_it_touches_and_leads_to_its_recording() {
     let mut bench = with_plans(FakeWindow::of("Ada", "#/plans"), [1280.0, 800.0]);
     bench.harness.run_steps(4);
-    bench.harness.get_by_label("2 takes, 2 min 10 s of motion. File nine_takes.toml");
+    bench.harness.get_by_label("2 takes, at least 2 min 10 s of motion. File nine_takes.toml");
     bench.harness.get_by_label_contains("3 of 44 channels, the most often touched 3 times");
     assert_eq!(bench.harness.query_all_by_label("470, \u{2212}20, 190").count(), 2);
     bench.harness.get_by_role_and_label(Role::Button, "Plan Taps").click();
     bench.harness.run_steps(3);
     assert_eq!(bench.window.current(), "#/plans?plan=taps");
-    bench.harness.get_by_label("1 take, 1 min 05 s of motion. File taps.toml");
+    bench.harness.get_by_label("1 take, at least 1 min 05 s of motion. File taps.toml");
     bench.harness.get_by_label_contains("1 of 44 channels, the most often touched once");
     bench.click("Record it");
     assert_eq!(bench.window.current(), "#/record?plan=taps");

@@ -121,7 +121,7 @@ fn a_session_starts_under_a_free_name() {
     let empty =
         RecordingDocument { revision: 1, plans: plans(), wanted: Vec::new(), session: None, free: None };
     let mut bench = Bench::new("#/record", &empty);
-    bench.harness.get_by_label("9 takes, 5 min 25 s of motion");
+    bench.harness.get_by_label("9 takes, at least 5 min 25 s of motion");
     bench.take_control_and_arm();
     bench.click("Start session");
     let wanted = StartRecording {

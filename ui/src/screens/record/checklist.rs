@@ -38,7 +38,8 @@ pub(super) fn checklist_ui(
     let left_s: f64 = left.map(|step| step.duration_s).sum();
     if left_s > 0.0 {
         let text = format!("about {} of motion left", duration_text(left_s));
-        ui.label(RichText::new(text).color(cx.palette.text_weak));
+        let hint = "As planned within this robot's limits. Placing objects and deciding come on top.";
+        ui.label(RichText::new(text).color(cx.palette.text_weak)).on_hover_text(hint);
     }
     ui.add_space(6.0);
     let bottom = 44.0;

@@ -9,7 +9,9 @@ use crate::{
     screens::{
         ScreenContext,
         controls::{combo_ui, name_button, option_ui},
-        duration_text, heading_ui, topic_ui, words,
+        heading_ui,
+        plans::{EXTENT_HINT, extent_text},
+        topic_ui, words,
     },
     store::control::Holder,
 };
@@ -90,10 +92,11 @@ fn form_ui(
             *cx.go_to = Some(Route { plan: Some(plan.id.clone()), ..Route::to(Screen::Plans) });
         }
     });
-    ui.label(match state.only_wanted {
-        true => "Of this plan, only where objects stand and how the robot moves".to_owned(),
-        false => format!("{} takes, {} of motion", plan.takes, duration_text(plan.duration_s)),
-    });
+    if state.only_wanted {
+        ui.label("Of this plan, only where objects stand and how the robot moves");
+    } else {
+        ui.label(extent_text(plan.takes, plan.duration_s)).on_hover_text(EXTENT_HINT);
+    }
     if !wanted.is_empty() {
         ui.add_space(6.0);
         wanted_ui(ui, cx, state, wanted);
