@@ -20,10 +20,13 @@ pub mod settings;
 pub mod timelines;
 pub mod trials;
 
+use std::sync::Arc;
+
 pub use about::{About, Subject, View};
 pub use help::{help_ui, said_ui, topic_heading_ui, topic_ui};
 pub use palpate_reports::wording::words;
 use palpate_robot_model::Station;
+use palpate_wire::api::SessionSummary;
 
 use crate::{
     playback::Playback,
@@ -81,23 +84,12 @@ impl ScreenContext<'_> {
 /// the state (loading, none recorded, failed) is then on the screen already.
 pub fn ensure_take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
     if cx.playback.session.is_none() {
-        match cx.store.sessions() {
-            Loadable::Ready(sessions) => match sessions.iter().find(|session| session.error.is_none()) {
-                Some(session) => cx.playback.session = Some(session.id.clone()),
-                None => {
-                    no_sessions_ui(ui, cx);
-                    return false;
-                }
-            },
-            Loadable::Failed(error) => {
-                failed_ui(ui, cx, "The list of sessions did not arrive", &error);
-                return false;
-            }
-            Loadable::Idle | Loadable::Loading => {
-                loading_ui(ui, "Looking for sessions");
-                return false;
-            }
-        }
+        let Some(sessions) = sessions_ui(ui, cx) else { return false };
+        let Some(session) = sessions.iter().find(|session| session.error.is_none()) else {
+            no_sessions_ui(ui, cx);
+            return false;
+        };
+        cx.playback.session = Some(session.id.clone());
     }
     let Some(session) = cx.playback.session.clone() else { return false };
     let detail = cx.store.session(&session);
@@ -114,36 +106,22 @@ pub fn ensure_take_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> bool {
             return false;
         }
     }
-    match detail {
-        Loadable::Ready(detail) => {
-            let first = detail.takes.iter().find(|take| take.accepted).or(detail.takes.first());
-            match first {
-                Some(take) => {
-                    cx.playback.open(&session, &take.id);
-                    true
-                }
-                None => {
-                    let text = "Record or import takes into it, or choose another session.";
-                    if empty_ui(ui, &format!("Session {session} holds no takes"), text, "Choose a session") {
-                        cx.go_to_screen(Screen::Sessions);
-                    }
-                    false
-                }
-            }
-        }
-        Loadable::Failed(_) if is_missing(cx, &session) => {
-            missing_session_ui(ui, cx, &session);
-            false
-        }
-        Loadable::Failed(error) => {
-            failed_ui(ui, cx, &format!("Session {session} did not open"), &error);
-            false
-        }
-        Loadable::Idle | Loadable::Loading => {
-            loading_ui(ui, &format!("Opening session {session}"));
-            false
-        }
+    if detail.error().is_some() && is_missing(cx, &session) {
+        missing_session_ui(ui, cx, &session);
+        return false;
     }
+    let [looking, failed] = [format!("Opening session {session}"), format!("Session {session} did not open")];
+    let Some(detail) = loaded_ui(ui, cx, detail, &looking, &failed) else { return false };
+    let first = detail.takes.iter().find(|take| take.accepted).or(detail.takes.first());
+    if let Some(take) = first {
+        cx.playback.open(&session, &take.id);
+        return true;
+    }
+    let text = "Record or import takes into it, or choose another session.";
+    if empty_ui(ui, &format!("Session {session} holds no takes"), text, "Choose a session") {
+        cx.go_to_screen(Screen::Sessions);
+    }
+    false
 }
 
 /// Whether the list of sessions is here and has no `session`.
@@ -297,6 +275,28 @@ pub fn loading_ui(ui: &mut egui::Ui, what: &str) {
         ui.spinner();
         announced_ui(ui, format!("{what}\u{2026}"), false);
     });
+}
+
+/// What was asked for, if it is here; if not, the screen says that it is `looking` for it or that `failed`.
+pub fn loaded_ui<T>(
+    ui: &mut egui::Ui,
+    cx: &mut ScreenContext<'_>,
+    wanted: Loadable<T>,
+    looking: &str,
+    failed: &str,
+) -> Option<T> {
+    match wanted {
+        Loadable::Ready(value) => return Some(value),
+        Loadable::Failed(error) => failed_ui(ui, cx, failed, &error),
+        Loadable::Idle | Loadable::Loading => loading_ui(ui, looking),
+    }
+    None
+}
+
+/// The list of sessions, if it is here; else the screen says why not.
+pub fn sessions_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) -> Option<Arc<Vec<SessionSummary>>> {
+    let sessions = cx.store.sessions();
+    loaded_ui(ui, cx, sessions, "Looking for sessions", "The list of sessions did not arrive")
 }
 
 /// Something did not come: what, why, and a way to try again.

@@ -4,17 +4,14 @@ mod objective;
 mod results;
 mod tables;
 
-use std::sync::Arc;
-
 use palpate_robot_model::TactileLayout;
-use palpate_wire::api::{CalibrationRequest, CalibrationRun, JobState};
+use palpate_wire::api::CalibrationRequest;
 
 use super::{
-    About, Part, ScreenContext, Subject, View, copy_as, empty_ui, failed_ui, heading_ui, is_missing,
-    loading_ui, missing_session_ui,
+    About, Part, ScreenContext, Subject, View, copy_as, heading_ui, loaded_ui,
     run_controls::{
-        HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
-        route_to_run, session_ui, start_ui,
+        HoldOutChoice, below_start_ui, earlier_runs_ui, follow_started_run, found_ui, intro_ui,
+        open_session_ui, session_ui, start_ui, unfinished,
     },
     two_parts_ui,
 };
@@ -35,6 +32,14 @@ pub const ABOUT: About = About {
     new: || Box::<CalibrateState>::default(),
 };
 
+/// What stands where no run is shown.
+const INTRO: [&str; 3] = [
+    "Make the simulator feel what the hand felt",
+    "A calibration replays every take, then looks for the three parameters of the sensor model with which simulated touch \
+     events differ least from the recorded ones. It is judged on takes it has not seen.",
+    "Start calibration",
+];
+
 /// What the operator chose on this screen and has not run yet.
 #[derive(Debug, Default)]
 struct CalibrateState {
@@ -51,25 +56,13 @@ struct CalibrateState {
 
 impl View for CalibrateState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let sessions = match cx.store.sessions() {
-            Loadable::Ready(sessions) => sessions,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-        };
-        if sessions.iter().all(|session| session.error.is_some()) {
-            let text = "Calibration fits the simulator's sense of touch to recorded takes. It needs a session first.";
-            if empty_ui(ui, "Nothing to calibrate on", text, "Bring in a session") {
-                cx.go_to_screen(Screen::Sessions);
-            }
-            return;
-        }
-        if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
-            return missing_session_ui(ui, cx, &session);
-        }
-        open_a_session(cx, &sessions);
-        follow_started_run(cx, self);
+        let nothing = [
+            "Nothing to calibrate on",
+            "Calibration fits the simulator's sense of touch to recorded takes. It needs a session first.",
+        ];
+        let Some(sessions) = open_session_ui(ui, cx, nothing) else { return };
+        let started = cx.store.started_run.clone();
+        follow_started_run(cx, &mut self.waits_for_start, &started, Screen::Calibrate);
 
         let chosen = cx.route.run.clone();
         two_parts_ui(ui, "calibrate_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
@@ -88,42 +81,13 @@ impl View for CalibrateState {
                 }
                 Part::Chosen => match &chosen {
                     Some(run_id) => run_ui(ui, cx, self, run_id),
-                    None => intro_ui(ui, cx),
+                    None => {
+                        let runs = cx.store.runs();
+                        intro_ui(ui, cx, INTRO, &runs, Screen::Calibrate);
+                    }
                 },
             }
         });
-    }
-}
-
-fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    ui.add_space((ui.available_height() * 0.25).min(180.0));
-    ui.vertical_centered(|ui| {
-        ui.set_max_width(ui.available_width().min(520.0));
-        heading_ui(ui, "Make the simulator feel what the hand felt");
-        ui.label(
-            "A calibration replays every take, then looks for the three parameters of the sensor model with which \
-             simulated touch events differ least from the recorded ones. It is judged on takes it has not seen.",
-        );
-        ui.add_space(6.0);
-        ui.label("Choose a session, and press Start calibration.");
-        if let Loadable::Ready(runs) = cx.store.runs() {
-            newest_run_ui(ui, cx, &runs, Screen::Calibrate);
-        }
-    });
-}
-
-/// Goes to the run that the button started, once the server has it.
-fn follow_started_run(cx: &mut ScreenContext<'_>, state: &mut CalibrateState) {
-    if !state.waits_for_start {
-        return;
-    }
-    match &cx.store.started_run {
-        Loadable::Ready(run_id) => {
-            state.waits_for_start = false;
-            *cx.go_to = Some(route_to_run(cx, Screen::Calibrate, run_id));
-        }
-        Loadable::Failed(_) => state.waits_for_start = false,
-        Loadable::Idle | Loadable::Loading => {}
     }
 }
 
@@ -150,17 +114,12 @@ fn choose_ui(
         );
     }
 
-    ui.add_space(4.0);
-    ui.label("Takes kept for judging");
-    let detail = cx.store.session(&session);
-    let hold_out = state.hold_out.of(&session);
-    hold_out.ui(ui, &detail, cx.palette.mismatch);
-    let problem = detail.ready().and_then(|detail| hold_out.problem(detail));
+    let (may_start, problem) = state.hold_out.ui(ui, cx, &session);
 
     ui.add_space(8.0);
     heading_ui(ui, "2  Run");
-    let running = running_run(cx);
-    let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
+    let running = unfinished(&cx.store.runs());
+    let ready = running.is_none() && may_start && !state.waits_for_start;
     let request = CalibrationRequest {
         session,
         method: Some(if state.use_grid { "grid" } else { "exact" }.to_owned()),
@@ -176,14 +135,9 @@ fn choose_ui(
         state.waits_for_start = true;
         cx.store.start_run(request);
     }
-    if let Some(problem) = problem {
-        ui.colored_label(cx.palette.warning, problem);
-    }
-    if let Loadable::Failed(error) = &cx.store.started_run {
-        ui.colored_label(cx.palette.mismatch, format!("The run did not start: {error}"));
-    }
-    if let Some(run) = running
-        && progress_ui(ui, cx, &run)
+    let started = cx.store.started_run.clone();
+    if below_start_ui(ui, cx, problem, &started, running.as_ref())
+        && let Some(run) = running
     {
         cx.store.cancel_run(&run.id);
     }
@@ -195,32 +149,16 @@ fn has_streams_of_a_kind(layout: &TactileLayout) -> bool {
     kinds.enumerate().any(|(idx, kind)| layout.streams[..idx].iter().any(|other| other.kind == kind))
 }
 
-fn running_run(cx: &mut ScreenContext<'_>) -> Option<CalibrationRun> {
-    let runs = cx.store.runs();
-    runs.ready()?.iter().find(|run| run.is_unfinished()).cloned()
-}
-
 fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut CalibrateState, run_id: &str) {
-    let run: Arc<CalibrationRun> = match cx.store.run(run_id) {
-        Loadable::Ready(run) => run,
-        Loadable::Failed(error) => return failed_ui(ui, cx, &format!("Run {run_id} did not open"), &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Opening the run"),
+    let run = cx.store.run(run_id);
+    let Some(run) = loaded_ui(ui, cx, run, "Opening the run", &format!("Run {run_id} did not open")) else {
+        return;
     };
-    match run.state {
-        JobState::Queued | JobState::Running => loading_ui(ui, &run.stage),
-        JobState::Failed => {
-            let why = run.error.as_deref().unwrap_or("the server gave no reason");
-            failed_ui(ui, cx, "The calibration failed", why);
-        }
-        JobState::Cancelled => cancelled_ui(ui, "Start calibration"),
-        JobState::Done => {
-            let Some(report) = &run.report else { return loading_ui(ui, "Fetching the result") };
-            if state.taken_over.as_deref() != Some(run_id) {
-                state.taken_over = Some(run_id.to_owned());
-                state.model_name = format!("{} {}", run.request.session, report.method);
-                cx.playback.compared = Some(ModelRef::Run(run_id.to_owned()));
-            }
-            results::results_ui(ui, cx, state, &run, report);
-        }
+    let Some(report) = found_ui(ui, cx, &run, "calibration") else { return };
+    if state.taken_over.as_deref() != Some(run_id) {
+        state.taken_over = Some(run_id.to_owned());
+        state.model_name = format!("{} {}", run.request.session, report.method);
+        cx.playback.compared = Some(ModelRef::Run(run_id.to_owned()));
     }
+    results::results_ui(ui, cx, state, &run, report);
 }

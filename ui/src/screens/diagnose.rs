@@ -13,15 +13,15 @@ use std::{collections::BTreeSet, sync::Arc};
 
 use egui::RichText;
 use palpate_reports::DiagnosisReport;
-use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, JobState, SessionSummary};
+use palpate_wire::api::{DiagnosisRequest, DiagnosisRun, SessionSummary};
 
 use super::{
     About, Part, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
-    copy_as, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, missing_session_ui,
+    copy_as, heading_ui, loaded_ui,
     run_controls::{
-        HoldOutChoice, cancelled_ui, earlier_runs_ui, newest_run_ui, open_a_session, progress_ui,
-        route_to_run, session_ui, start_ui,
+        HoldOutChoice, below_start_ui, earlier_runs_ui, follow_started_run, found_ui, intro_ui,
+        open_session_ui, session_ui, start_ui, unfinished,
     },
     two_parts_ui, words,
 };
@@ -44,6 +44,15 @@ pub const ABOUT: About = About {
     shows_stream: false,
     new: || Box::<DiagnoseState>::default(),
 };
+
+/// What stands where no run is shown.
+const INTRO: [&str; 3] = [
+    "Find out what the simulator lacks",
+    "A diagnosis looks for where simulated and recorded touch disagree, tries every effect of the library there, and names \
+     one only if it beats what chance gives on sessions with nothing missing. What it names can be added to the model, and \
+     taken out again. Where nothing fits, it says so, and where.",
+    "Start diagnosis",
+];
 
 /// What the operator chose on this screen.
 #[derive(Debug, Default)]
@@ -79,26 +88,13 @@ struct Shown {
 
 impl View for DiagnoseState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let sessions = match cx.store.sessions() {
-            Loadable::Ready(sessions) => sessions,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-        };
-        if sessions.iter().all(|session| session.error.is_some()) {
-            let text =
-                "Diagnosis names what the simulator lacks, from recorded takes. It needs a session first.";
-            if empty_ui(ui, "Nothing to diagnose", text, "Bring in a session") {
-                cx.go_to_screen(Screen::Sessions);
-            }
-            return;
-        }
-        if let Some(session) = cx.route.session.clone().filter(|session| is_missing(cx, session)) {
-            return missing_session_ui(ui, cx, &session);
-        }
-        open_a_session(cx, &sessions);
-        follow_started_run(cx, self);
+        let nothing = [
+            "Nothing to diagnose",
+            "Diagnosis names what the simulator lacks, from recorded takes. It needs a session first.",
+        ];
+        let Some(sessions) = open_session_ui(ui, cx, nothing) else { return };
+        let started = cx.store.started_diagnosis.clone();
+        follow_started_run(cx, &mut self.waits_for_start, &started, Screen::Diagnose);
 
         let chosen = cx.route.run.clone();
         two_parts_ui(ui, "diagnose_choice", ["Choose and run", "Result"], chosen.as_deref(), |ui, part| {
@@ -113,29 +109,14 @@ impl View for DiagnoseState {
                 }
                 Part::Chosen => match &chosen {
                     Some(run_id) => run_ui(ui, cx, self, run_id),
-                    None => intro_ui(ui, cx),
+                    None => {
+                        let runs = cx.store.diagnoses();
+                        intro_ui(ui, cx, INTRO, &runs, Screen::Diagnose);
+                    }
                 },
             }
         });
     }
-}
-
-fn intro_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    ui.add_space((ui.available_height() * 0.25).min(180.0));
-    ui.vertical_centered(|ui| {
-        ui.set_max_width(ui.available_width().min(540.0));
-        heading_ui(ui, "Find out what the simulator lacks");
-        ui.label(
-            "A diagnosis looks for where simulated and recorded touch disagree, tries every effect of the library \
-             there, and names one only if it beats what chance gives on sessions with nothing missing. What it names \
-             can be added to the model, and taken out again. Where nothing fits, it says so, and where.",
-        );
-        ui.add_space(6.0);
-        ui.label("Choose a session, and press Start diagnosis.");
-        if let Loadable::Ready(runs) = cx.store.diagnoses() {
-            newest_run_ui(ui, cx, &runs, Screen::Diagnose);
-        }
-    });
 }
 
 fn about_request(request: &DiagnosisRequest) -> String {
@@ -145,21 +126,6 @@ fn about_request(request: &DiagnosisRequest) -> String {
         about.push(format!("without {}", ids.join(", ")));
     }
     about.join(", ")
-}
-
-/// Goes to the run that the button started, once the server has it.
-fn follow_started_run(cx: &mut ScreenContext<'_>, state: &mut DiagnoseState) {
-    if !state.waits_for_start {
-        return;
-    }
-    match &cx.store.started_diagnosis {
-        Loadable::Ready(run_id) => {
-            state.waits_for_start = false;
-            *cx.go_to = Some(route_to_run(cx, Screen::Diagnose, run_id));
-        }
-        Loadable::Failed(_) => state.waits_for_start = false,
-        Loadable::Idle | Loadable::Loading => {}
-    }
 }
 
 fn choose_ui(
@@ -205,17 +171,12 @@ fn choose_ui(
             state.without.remove(&id);
         }
     }
-    ui.add_space(4.0);
-    ui.label("Takes kept for judging");
-    let detail = cx.store.session(&session);
-    let hold_out = state.hold_out.of(&session);
-    hold_out.ui(ui, &detail, cx.palette.mismatch);
-    let problem = detail.ready().and_then(|detail| hold_out.problem(detail));
+    let (may_start, problem) = state.hold_out.ui(ui, cx, &session);
 
     ui.add_space(8.0);
     heading_ui(ui, "2  Run");
-    let running = running_run(cx);
-    let ready = running.is_none() && detail.ready().is_some() && problem.is_none() && !state.waits_for_start;
+    let running = unfinished(&cx.store.diagnoses());
+    let ready = running.is_none() && may_start && !state.waits_for_start;
     let fill = cx.palette.diagnosed;
     if start_ui(ui, cx, ready, "Start diagnosis", fill) {
         start(cx, state);
@@ -225,14 +186,9 @@ fn choose_ui(
     {
         copy_as::copy_ui(ui, &copy_as::diagnosis(&request, copy_as::DATA_FOLDER));
     }
-    if let Some(problem) = problem {
-        ui.colored_label(cx.palette.warning, problem);
-    }
-    if let Loadable::Failed(error) = &cx.store.started_diagnosis {
-        ui.colored_label(cx.palette.mismatch, format!("The run did not start: {error}"));
-    }
-    if let Some(run) = running
-        && progress_ui(ui, cx, &run)
+    let started = cx.store.started_diagnosis.clone();
+    if below_start_ui(ui, cx, problem, &started, running.as_ref())
+        && let Some(run) = running
     {
         cx.store.cancel_diagnosis(&run.id);
     }
@@ -280,48 +236,37 @@ fn start_from_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Diag
     });
 }
 
-fn running_run(cx: &mut ScreenContext<'_>) -> Option<DiagnosisRun> {
-    let runs = cx.store.diagnoses();
-    runs.ready()?.iter().find(|run| run.is_unfinished()).cloned()
-}
-
 fn run_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut DiagnoseState, run_id: &str) {
-    let run: Arc<DiagnosisRun> = match cx.store.diagnosis(run_id) {
-        Loadable::Ready(run) => run,
-        Loadable::Failed(error) => return failed_ui(ui, cx, &format!("Run {run_id} did not open"), &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Opening the run"),
+    let run = cx.store.diagnosis(run_id);
+    let Some(run) = loaded_ui(ui, cx, run, "Opening the run", &format!("Run {run_id} did not open")) else {
+        return;
     };
-    match run.state {
-        JobState::Queued | JobState::Running => running_ui(ui, cx, &run),
-        JobState::Failed => {
-            let why = run.error.as_deref().unwrap_or("the server gave no reason");
-            failed_ui(ui, cx, "The diagnosis failed", why);
+    let Some(report) = found_ui(ui, cx, &run, "diagnosis") else {
+        if run.is_unfinished() {
+            steps_ui(ui, cx);
         }
-        JobState::Cancelled => cancelled_ui(ui, "Start diagnosis"),
-        JobState::Done => {
-            let Some(report) = &run.report else { return loading_ui(ui, "Fetching the result") };
-            if state.shown.run != run_id {
-                mirror(state, &run.request);
-                state.shown = Shown {
-                    run: run_id.to_owned(),
-                    model_name: format!("{} diagnosed", run.request.session),
-                    unticked: effects::weak(report).collect(),
-                    ..Shown::default()
-                };
-            }
-            use_result(cx, &mut state.shown, &run);
-            if state.shown.named.is_none()
-                && let Loadable::Ready(station) = cx.store.station(&run.request.session)
-            {
-                state.shown.named = Some(Arc::new(names::named(report, &station)));
-            }
-            let named = state.shown.named.clone();
-            let report = named.as_deref().unwrap_or(report);
-            let begun = started_from(cx, &run);
-            if results::results_ui(ui, cx, state, &run, report, &begun) {
-                start(cx, state);
-            }
-        }
+        return;
+    };
+    if state.shown.run != run_id {
+        mirror(state, &run.request);
+        state.shown = Shown {
+            run: run_id.to_owned(),
+            model_name: format!("{} diagnosed", run.request.session),
+            unticked: effects::weak(report).collect(),
+            ..Shown::default()
+        };
+    }
+    use_result(cx, &mut state.shown, &run);
+    if state.shown.named.is_none()
+        && let Loadable::Ready(station) = cx.store.station(&run.request.session)
+    {
+        state.shown.named = Some(Arc::new(names::named(report, &station)));
+    }
+    let named = state.shown.named.clone();
+    let report = named.as_deref().unwrap_or(report);
+    let begun = started_from(cx, &run);
+    if results::results_ui(ui, cx, state, &run, report, &begun) {
+        start(cx, state);
     }
 }
 
@@ -378,9 +323,8 @@ impl Start {
     }
 }
 
-/// What is being tried now, large in the middle; the bar with Cancel is on the left.
-fn running_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &DiagnosisRun) {
-    loading_ui(ui, &run.stage);
+/// The steps of a run, below what is being tried now; the bar with Cancel is on the left.
+fn steps_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>) {
     ui.vertical_centered(|ui| {
         ui.set_max_width(ui.available_width().min(480.0));
         ui.label(

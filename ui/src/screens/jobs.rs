@@ -11,7 +11,7 @@ use palpate_wire::api::{Job, JobState, RolloutsRequest};
 use super::{
     About, ScreenContext, Subject, View,
     controls::{combo_ui, may_start_jobs_ui, option_ui},
-    copy_as, duration_text, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, progress_bar, topic_ui,
+    copy_as, duration_text, empty_ui, heading_ui, is_missing, loaded_ui, progress_bar, topic_ui,
 };
 use crate::{
     api_client::JobAct,
@@ -56,10 +56,10 @@ pub const NEW: &str = "new";
 
 impl View for JobsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let jobs = match cx.store.jobs.list() {
-            Loadable::Ready(jobs) => jobs,
-            Loadable::Failed(error) => return failed_ui(ui, cx, "The list of jobs did not arrive", &error),
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for jobs"),
+        let jobs = cx.store.jobs.list();
+        let Some(jobs) = loaded_ui(ui, cx, jobs, "Looking for jobs", "The list of jobs did not arrive")
+        else {
+            return;
         };
         if let Loadable::Ready(id) = &cx.store.jobs.cloned {
             *cx.go_to = Some(Route { job: Some(id.clone()), ..Route::to(Screen::Jobs) });

@@ -7,8 +7,8 @@ use palpate_reports::{ModelEffect, wording};
 use palpate_wire::api::{Artifact, ArtifactKey, ArtifactSort, Lineage};
 
 use super::{
-    About, Part, ScreenContext, Subject, View, controls::name_button, empty_ui, failed_ui, heading_ui,
-    loading_ui, two_parts_ui, words,
+    About, Part, ScreenContext, Subject, View, controls::name_button, empty_ui, heading_ui, loaded_ui,
+    two_parts_ui, words,
 };
 use crate::{
     api_client::segment,
@@ -55,10 +55,15 @@ struct ModelsState;
 
 impl View for ModelsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let lineage = match cx.store.lineage() {
-            Loadable::Ready(lineage) => lineage,
-            Loadable::Failed(error) => return failed_ui(ui, cx, "The list of models did not arrive", &error),
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for models and policies"),
+        let lineage = cx.store.lineage();
+        let Some(lineage) = loaded_ui(
+            ui,
+            cx,
+            lineage,
+            "Looking for models and policies",
+            "The list of models did not arrive",
+        ) else {
+            return;
         };
         let listed = |sort| lineage.artifacts.iter().filter(move |artifact| artifact.key.sort == sort);
         let first = LISTED.iter().find_map(|(sort, _)| listed(*sort).next()).map(|first| first.key.clone());

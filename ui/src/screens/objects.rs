@@ -11,14 +11,11 @@ use palpate_wire::api::{ObjectDocument, ObjectEntry, RestPoseDocument};
 use super::{
     About, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui,
+    empty_ui,
     hand::ObjectView,
-    heading_ui, loading_ui, said_ui, topic_heading_ui, topic_ui,
+    heading_ui, loaded_ui, said_ui, topic_heading_ui, topic_ui,
 };
-use crate::{
-    route::{Route, Screen},
-    store::Loadable,
-};
+use crate::route::{Route, Screen};
 
 /// Groups in the order of the list, and their headings.
 const GROUPS: [(Option<&str>, &str); 3] = [
@@ -61,12 +58,11 @@ struct ObjectsState {
 
 impl View for ObjectsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let objects = match cx.store.objects() {
-            Loadable::Ready(objects) => objects,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The list of objects did not arrive", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for objects"),
+        let objects = cx.store.objects();
+        let Some(objects) =
+            loaded_ui(ui, cx, objects, "Looking for objects", "The list of objects did not arrive")
+        else {
+            return;
         };
         let asked = cx.route.object.as_deref();
         let Some(shown) = objects.iter().find(|object| Some(object.id.as_str()) == asked).or(objects.first())

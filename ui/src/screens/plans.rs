@@ -6,8 +6,8 @@ use palpate_robot_model::Station;
 use palpate_wire::api::{PlanDocument, PlanTake};
 
 use super::{
-    About, Part, ScreenContext, Subject, View, duration_text, empty_ui, failed_ui, hand::channel_map_ui,
-    heading_ui, loading_ui, topic_heading_ui, two_parts_ui,
+    About, Part, ScreenContext, Subject, View, duration_text, empty_ui, hand::channel_map_ui, heading_ui,
+    loaded_ui, topic_heading_ui, two_parts_ui,
 };
 use crate::{
     route::{Route, Screen},
@@ -47,10 +47,9 @@ impl View for PlansState {
             }
             return;
         }
-        let plans = match cx.store.plans() {
-            Loadable::Ready(plans) => plans,
-            Loadable::Failed(error) => return failed_ui(ui, cx, "The plans did not arrive", &error),
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for plans"),
+        let plans = cx.store.plans();
+        let Some(plans) = loaded_ui(ui, cx, plans, "Looking for plans", "The plans did not arrive") else {
+            return;
         };
         let asked = cx.route.plan.clone();
         let shown = plans.iter().find(|plan| Some(&plan.id) == asked.as_ref());

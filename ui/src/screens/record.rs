@@ -22,10 +22,10 @@ use palpate_wire::{
 };
 
 use self::interruptions::Interruptions;
-use super::{About, ScreenContext, Subject, View, empty_ui, failed_ui, hand::PlacementView, loading_ui};
+use super::{About, ScreenContext, Subject, View, empty_ui, hand::PlacementView, loaded_ui};
 use crate::{
     route::Screen,
-    store::{Loadable, Store, control::Holder},
+    store::{Store, control::Holder},
     theme::is_narrow,
 };
 
@@ -140,17 +140,17 @@ impl View for RecordState {
             }
             return;
         }
-        let station = match cx.store.live_station() {
-            Loadable::Ready(station) => station,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The live station could not be read", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the live station"),
+        let station = cx.store.live_station();
+        let Some(station) =
+            loaded_ui(ui, cx, station, "Reading the live station", "The live station could not be read")
+        else {
+            return;
         };
-        let document = match cx.store.recording() {
-            Loadable::Ready(document) => document,
-            Loadable::Failed(error) => return failed_ui(ui, cx, "The checklist did not arrive", &error),
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the checklist"),
+        let document = cx.store.recording();
+        let Some(document) =
+            loaded_ui(ui, cx, document, "Reading the checklist", "The checklist did not arrive")
+        else {
+            return;
         };
         let names = channel_names(&station);
         if !is_narrow(ui.ctx()) {

@@ -8,8 +8,8 @@ use egui::RichText;
 use palpate_wire::api::{ArtifactKey, ArtifactSort, SessionDetail, SessionSummary};
 
 use super::{
-    About, Part, ScreenContext, Subject, View, controls::file_link_ui, duration_text, failed_ui, heading_ui,
-    loading_ui, missing_session_ui, two_parts_ui, words,
+    About, Part, ScreenContext, Subject, View, controls::file_link_ui, duration_text, heading_ui, loaded_ui,
+    missing_session_ui, sessions_ui, two_parts_ui, words,
 };
 use crate::{
     route::{Route, Screen},
@@ -39,13 +39,7 @@ struct SessionsState {
 
 impl View for SessionsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let sessions = match cx.store.sessions() {
-            Loadable::Ready(sessions) => sessions,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The list of sessions did not arrive", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for sessions"),
-        };
+        let Some(sessions) = sessions_ui(ui, cx) else { return };
         import::take_picked_files(cx, &mut self.import);
         let is_known = |id: &String| sessions.iter().any(|session| session.id == *id);
         // One that was just imported may not be on the list yet.
@@ -131,12 +125,15 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, session: &SessionSumm
 }
 
 fn session_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) {
-    let detail = match cx.store.session(id) {
-        Loadable::Ready(detail) => detail,
-        Loadable::Failed(error) => {
-            return failed_ui(ui, cx, &format!("Session {id} cannot be opened"), &error);
-        }
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, &format!("Opening session {id}")),
+    let detail = cx.store.session(id);
+    let Some(detail) = loaded_ui(
+        ui,
+        cx,
+        detail,
+        &format!("Opening session {id}"),
+        &format!("Session {id} cannot be opened"),
+    ) else {
+        return;
     };
     egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.add_space(4.0);

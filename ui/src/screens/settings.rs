@@ -7,11 +7,8 @@ mod tokens;
 
 use palpate_wire::api::{Me, Via};
 
-use super::{About, ScreenContext, Subject, View, failed_ui, loading_ui, topic_heading_ui};
-use crate::{
-    route::{Route, Screen},
-    store::Loadable,
-};
+use super::{About, ScreenContext, Subject, View, loaded_ui, topic_heading_ui};
+use crate::route::{Route, Screen};
 
 /// This screen.
 pub const ABOUT: About = About {
@@ -42,10 +39,9 @@ const PARTS: [(&str, &str); 4] =
 
 impl View for SettingsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let me = match cx.store.people.me() {
-            Loadable::Ready(me) => me,
-            Loadable::Failed(error) => return failed_ui(ui, cx, "Who you are did not arrive", &error),
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Asking who you are"),
+        let me = cx.store.people.me();
+        let Some(me) = loaded_ui(ui, cx, me, "Asking who you are", "Who you are did not arrive") else {
+            return;
         };
         let part = cx.route.part.clone().unwrap_or_default();
         let part = PARTS.iter().map(|(slug, _)| *slug).find(|slug| *slug == part).unwrap_or("people");

@@ -14,7 +14,7 @@ use palpate_wire::api::{Campaign, CampaignSummary, Role, Scope, TrialState};
 use super::{
     About, ScreenContext, Subject, View,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui, progress_bar, said_ui, topic_heading_ui, topic_ui,
+    empty_ui, loaded_ui, progress_bar, said_ui, topic_heading_ui, topic_ui,
 };
 use crate::{
     route::{Route, Screen},
@@ -75,12 +75,11 @@ impl Part {
 
 impl View for TrialsState {
     fn ui(&mut self, ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-        let campaigns = match cx.store.campaigns.list() {
-            Loadable::Ready(campaigns) => campaigns,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, "The list of campaigns did not arrive", &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for campaigns"),
+        let campaigns = cx.store.campaigns.list();
+        let Some(campaigns) =
+            loaded_ui(ui, cx, campaigns, "Looking for campaigns", "The list of campaigns did not arrive")
+        else {
+            return;
         };
         if let Loadable::Ready(id) = cx.store.campaigns.made.clone() {
             cx.store.campaigns.made = Loadable::Idle;
@@ -202,10 +201,10 @@ fn campaign_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Trials
     let part = Part::of(cx);
     let as_scorer = part == Part::Score;
     let name = cx.store.control.operator.clone();
-    let campaign = match cx.store.campaigns.campaign(id, &name, as_scorer) {
-        Loadable::Ready(campaign) => campaign,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The campaign cannot be opened", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Opening the campaign"),
+    let campaign = cx.store.campaigns.campaign(id, &name, as_scorer);
+    let Some(campaign) = loaded_ui(ui, cx, campaign, "Opening the campaign", "The campaign cannot be opened")
+    else {
+        return;
     };
     ui.add_space(4.0);
     ui.add(egui::Label::new(RichText::new(&campaign.summary.name).heading()).truncate());

@@ -17,14 +17,16 @@ use palpate_ui::{
 };
 use palpate_wire::{
     api::{
-        DiagnosisRequest, DiagnosisRun, Info, JobState, ModelSummary, RecordingDocument,
-        SaveDiagnosisRequest, Source, WantedTake,
+        DiagnosisRequest, DiagnosisRun, JobState, ModelSummary, RecordingDocument, SaveDiagnosisRequest,
+        WantedTake,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, page_of, station};
+use crate::fixture::{
+    FakeWindow, SharedApi, app, deliver, full_api, page, page_of, station, without_station,
+};
 
 const ID: &str = "diagnosis-3";
 
@@ -502,14 +504,7 @@ fn next_experiment_goes_on_the_list_and_comes_off_it() {
 #[test]
 fn next_experiment_says_why_it_cannot_be_put_on_the_list() {
     let (api, window) = result_page(&run(JobState::Done, Some(named())));
-    let replay = Info {
-        name: "palpate".into(),
-        version: "0.1.0".into(),
-        station: None,
-        source: Source::Replay,
-        insecure: false,
-    };
-    answer(&api, &Request::Info, &replay);
+    answer(&api, &Request::Info, &without_station());
     let harness = page(&api, &window);
     let button = harness.get_by_role_and_label(Role::Button, "Record this next");
     assert!(button.accesskit_node().is_disabled());

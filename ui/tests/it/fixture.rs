@@ -317,6 +317,17 @@ pub(crate) fn full_api() -> SharedApi {
     SharedApi(Rc::new(RefCell::new(api)))
 }
 
+/// What a server says of itself that has recordings and no station.
+pub(crate) fn without_station() -> Info {
+    Info {
+        name: "palpate".into(),
+        version: "0.1.0".into(),
+        station: None,
+        source: Source::Replay,
+        insecure: false,
+    }
+}
+
 /// A page of 1280 x 800 points that has come to rest.
 pub(crate) fn page(api: &SharedApi, window: &FakeWindow) -> Harness<'static, Option<StudioApp>> {
     page_of(api, window, [1280.0, 800.0])

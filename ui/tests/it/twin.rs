@@ -9,13 +9,13 @@ use palpate_ui::{
     route::Screen,
 };
 use palpate_wire::{
-    api::{Info, LiveModel, Source},
+    api::LiveModel,
     proto::{LiveFrame, StreamMessage, TaxelWarning, TwinStatus, stream_message},
 };
 use prost::Message as _;
 
 use crate::{
-    fixture::{FakeWindow, app, deliver, full_api, page},
+    fixture::{FakeWindow, app, deliver, full_api, page, without_station},
     live::Bench,
 };
 
@@ -127,14 +127,7 @@ fn the_model_is_chosen_and_a_refusal_is_said() {
 fn what_is_missing_is_said_with_what_to_do() {
     // No station at all.
     let api = full_api();
-    let replay = Info {
-        name: "palpate".into(),
-        version: "0.1.0".into(),
-        station: None,
-        source: Source::Replay,
-        insecure: false,
-    };
-    api.0.borrow_mut().answer(&Request::Info, serde_json::to_vec(&replay).expect("it serialises"));
+    api.0.borrow_mut().answer(&Request::Info, serde_json::to_vec(&without_station()).expect("it serialises"));
     let mut harness = page(&api, &FakeWindow::at("#/timelines?source=live"));
     harness.get_by_label("No live station");
     harness.get_by_role_and_label(Role::Button, "Look at recordings").click();

@@ -52,7 +52,7 @@ use super::{
         joints::Controls,
         panel::{PanelState, control_panel_ui},
     },
-    empty_ui, ensure_take_ui, failed_ui, loading_ui, words,
+    empty_ui, ensure_take_ui, failed_ui, loaded_ui, loading_ui, words,
 };
 use crate::{
     playback::{HandSource, ModelRef},
@@ -193,28 +193,22 @@ fn recorded_shot(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut Hand
         return None;
     }
     let (session, take_id) = (cx.playback.session.clone()?, cx.playback.take.clone()?);
-    let station = match cx.store.station(&session) {
-        Loadable::Ready(station) => station,
-        Loadable::Failed(error) => {
-            failed_ui(ui, cx, &format!("The station of session {session} could not be read"), &error);
-            return None;
-        }
-        Loadable::Idle | Loadable::Loading => {
-            loading_ui(ui, "Reading the station");
-            return None;
-        }
-    };
-    let take = match cx.store.take(&session, &take_id) {
-        Loadable::Ready(take) => take,
-        Loadable::Failed(error) => {
-            failed_ui(ui, cx, &format!("Take {take_id} of session {session} did not arrive"), &error);
-            return None;
-        }
-        Loadable::Idle | Loadable::Loading => {
-            loading_ui(ui, &format!("Loading {take_id}"));
-            return None;
-        }
-    };
+    let station = cx.store.station(&session);
+    let station = loaded_ui(
+        ui,
+        cx,
+        station,
+        "Reading the station",
+        &format!("The station of session {session} could not be read"),
+    )?;
+    let take = cx.store.take(&session, &take_id);
+    let take = loaded_ui(
+        ui,
+        cx,
+        take,
+        &format!("Loading {take_id}"),
+        &format!("Take {take_id} of session {session} did not arrive"),
+    )?;
     if let Err(error) = take.check_against(&station) {
         failed_ui(ui, cx, &format!("Take {take_id} does not match its station"), &error);
         return None;

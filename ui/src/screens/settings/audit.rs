@@ -3,8 +3,8 @@
 use egui::RichText;
 
 use crate::{
-    screens::{ScreenContext, failed_ui, loading_ui},
-    store::{Loadable, people::AuditLine},
+    screens::{ScreenContext, loaded_ui},
+    store::people::AuditLine,
 };
 
 /// Lines that are shown; a word in the filter finds those behind them.
@@ -20,12 +20,10 @@ pub(super) struct AuditState {
 }
 
 pub(super) fn audit_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut AuditState) {
-    let lines = match cx.store.people.audit() {
-        Loadable::Ready(lines) => lines,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The audit log did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => {
-            return loading_ui(ui, "Reading the audit log");
-        }
+    let lines = cx.store.people.audit();
+    let Some(lines) = loaded_ui(ui, cx, lines, "Reading the audit log", "The audit log did not arrive")
+    else {
+        return;
     };
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Filter");

@@ -3,13 +3,10 @@
 use egui::{RichText, accesskit::Role as Accessible};
 use palpate_wire::api::{Me, NewPerson, Person, Role, Scope, Via};
 
-use crate::{
-    screens::{
-        ScreenContext,
-        controls::{combo_ui, option_ui},
-        failed_ui, loading_ui,
-    },
-    store::Loadable,
+use crate::screens::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    loaded_ui,
 };
 
 /// As the server asks for.
@@ -47,10 +44,10 @@ pub(super) fn people_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &m
         ui.label(format!("People are managed by admins. Your role is {}: it {}.", me.role, may(me.role)));
         return;
     }
-    let people = match cx.store.people.people() {
-        Loadable::Ready(people) => people,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of people did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for people"),
+    let people = cx.store.people.people();
+    let Some(people) = loaded_ui(ui, cx, people, "Looking for people", "The list of people did not arrive")
+    else {
+        return;
     };
     if people.is_empty() {
         ui.label("Nobody can log in yet. Add an admin first: without one, nobody could add others.");

@@ -2,19 +2,15 @@
 
 use egui::RichText;
 
-use crate::{
-    screens::{ScreenContext, copy_as::DATA_FOLDER, failed_ui, loading_ui},
-    store::Loadable,
-};
+use crate::screens::{ScreenContext, copy_as::DATA_FOLDER, loaded_ui};
 
 /// With less room than this a session may not fit, bytes.
 const LITTLE: f64 = 5e9;
 
 pub(super) fn storage_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
-    let free = match cx.store.people.free_bytes() {
-        Loadable::Ready(free) => free,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "What the disk says did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Asking the disk"),
+    let free = cx.store.people.free_bytes();
+    let Some(free) = loaded_ui(ui, cx, free, "Asking the disk", "What the disk says did not arrive") else {
+        return;
     };
     match free {
         None => {

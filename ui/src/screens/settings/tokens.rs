@@ -5,13 +5,10 @@ use std::collections::BTreeSet;
 use egui::{RichText, accesskit::Role as Accessible};
 use palpate_wire::api::{Me, NewToken, Role, Scope, Token, Via};
 
-use crate::{
-    screens::{
-        ScreenContext,
-        controls::{combo_ui, option_ui},
-        failed_ui, loading_ui,
-    },
-    store::Loadable,
+use crate::screens::{
+    ScreenContext,
+    controls::{combo_ui, option_ui},
+    loaded_ui,
 };
 
 /// Days that a token is good for, at most and unless somebody says otherwise.
@@ -54,10 +51,10 @@ pub(super) fn tokens_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &m
             .color(cx.palette.text_weak),
     );
     created_ui(ui, cx);
-    let tokens = match cx.store.people.tokens() {
-        Loadable::Ready(tokens) => tokens,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The list of tokens did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Looking for tokens"),
+    let tokens = cx.store.people.tokens();
+    let Some(tokens) = loaded_ui(ui, cx, tokens, "Looking for tokens", "The list of tokens did not arrive")
+    else {
+        return;
     };
     if tokens.is_empty() {
         ui.label("There is no token yet.");

@@ -15,7 +15,7 @@ use palpate_wire::{
 use super::super::{
     ScreenContext,
     controls::{combo_ui, option_ui},
-    empty_ui, failed_ui, loading_ui, topic_ui,
+    empty_ui, loaded_ui, loading_ui, topic_ui,
 };
 use crate::{
     playback::HandSource,
@@ -71,10 +71,11 @@ pub(super) fn live_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut
         return no_station_ui(ui, cx);
     }
     source_ui(ui, cx);
-    let station = match cx.store.live_station() {
-        Loadable::Ready(station) => station,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The live station could not be read", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Reading the live station"),
+    let station = cx.store.live_station();
+    let Some(station) =
+        loaded_ui(ui, cx, station, "Reading the live station", "The live station could not be read")
+    else {
+        return;
     };
     let Some(now_s) = cx.store.touch_history.newest_s() else {
         return loading_ui(ui, "Waiting for the first live frame");

@@ -4,6 +4,7 @@
 //! part of it is on the screen. [`paint`] draws that, [`toolbar`] chooses it. [`live`] has the live station instead of a
 //! take.
 
+mod bars;
 pub mod events;
 pub mod lanes;
 mod live;
@@ -22,12 +23,11 @@ use self::{
     lanes::{Mismatch, TakeLanes},
     view::TimeView,
 };
-use super::{About, ScreenContext, Subject, View, ensure_take_ui, failed_ui, loading_ui};
+use super::{About, ScreenContext, Subject, View, ensure_take_ui, failed_ui, loaded_ui};
 use crate::{
     commands::Command,
     playback::{HandSource, ModelRef, ShownChannels},
     route::Screen,
-    store::Loadable,
     take_data::{TakeData, check_replay},
 };
 
@@ -115,19 +115,25 @@ impl View for TimelinesState {
         toolbar::toolbar_ui(ui, cx, self, &session, &take_id);
         ui.separator();
 
-        let take = match cx.store.take(&session, &take_id) {
-            Loadable::Ready(take) => take,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, &format!("Take {take_id} of {session} did not open"), &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, &format!("Loading {take_id}")),
+        let take = cx.store.take(&session, &take_id);
+        let Some(take) = loaded_ui(
+            ui,
+            cx,
+            take,
+            &format!("Loading {take_id}"),
+            &format!("Take {take_id} of {session} did not open"),
+        ) else {
+            return;
         };
-        let station = match cx.store.station(&session) {
-            Loadable::Ready(station) => station,
-            Loadable::Failed(error) => {
-                return failed_ui(ui, cx, &format!("The station of {session} did not open"), &error);
-            }
-            Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Loading the station"),
+        let station = cx.store.station(&session);
+        let Some(station) = loaded_ui(
+            ui,
+            cx,
+            station,
+            "Loading the station",
+            &format!("The station of {session} did not open"),
+        ) else {
+            return;
         };
         cx.playback.duration_s = take.duration_s();
         cx.playback.seek(cx.playback.time_s);

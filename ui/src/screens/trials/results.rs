@@ -6,10 +6,7 @@ use palpate_wire::api::{
 };
 
 use super::beside::{BesideState, beside_ui};
-use crate::{
-    screens::{ScreenContext, duration_text, failed_ui, loading_ui},
-    store::Loadable,
-};
+use crate::screens::{ScreenContext, duration_text, loaded_ui};
 
 /// With less room than this, points, names stand above their lines.
 const BESIDE: f32 = 520.0;
@@ -30,11 +27,8 @@ pub(super) fn results_ui(
         ui.label("This campaign is blind: its results stand here once it is closed.");
         return;
     }
-    let results = match cx.store.campaigns.results(id) {
-        Loadable::Ready(results) => results,
-        Loadable::Failed(error) => return failed_ui(ui, cx, "The results did not arrive", &error),
-        Loadable::Idle | Loadable::Loading => return loading_ui(ui, "Counting"),
-    };
+    let results = cx.store.campaigns.results(id);
+    let Some(results) = loaded_ui(ui, cx, results, "Counting", "The results did not arrive") else { return };
     if results.scored == 0 {
         ui.label("No trial has a verdict yet. Rates with their intervals stand here as soon as one has.");
     }

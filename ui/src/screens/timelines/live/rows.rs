@@ -1,16 +1,12 @@
 //! Draws the last seconds, a row for each stream and channel.
 
 use egui::{
-    Align2, Color32, FontId, Rangef, Rect, RichText, Sense, Shape, Stroke, StrokeKind, accesskit::Role, pos2,
-    vec2,
+    Align2, Color32, FontId, Rangef, Rect, RichText, Sense, Stroke, StrokeKind, accesskit::Role, pos2, vec2,
 };
 
 use super::LivePicture;
 use crate::{
-    screens::{
-        ScreenContext,
-        timelines::events::{Event, decimate},
-    },
+    screens::{ScreenContext, timelines::bars::Bars},
     store::touch_history::{HISTORY_S, LiveLane},
     theme::Palette,
 };
@@ -153,7 +149,11 @@ fn row_ui(
     let ground = if highlighted { palette.line } else { palette.surface };
     let painter = ui.painter().with_clip_rect(lane_rect.intersect(ui.clip_rect()));
     painter.rect_filled(lane_rect, 0.0, ground);
-    let bars = Bars { plot, now_s: picture.now_s, pixels_per_point: ui.ctx().pixels_per_point() };
+    let bars = Bars {
+        plot,
+        view_s: [picture.now_s - HISTORY_S, picture.now_s],
+        pixels_per_point: ui.ctx().pixels_per_point(),
+    };
     let real = Rangef::new(rect.top() + 1.0, rect.top() + BAR);
     let simulated = Rangef::new(rect.top() + BAR + 3.0, rect.bottom() - 1.0);
     let mut shapes = Vec::new();
@@ -235,34 +235,6 @@ fn agreement_colour(share: f32, palette: &Palette) -> Color32 {
 /// Rounded down, so that 100 % means always.
 fn percent(share: f32) -> String {
     format!("{:.0} %", (100.0 * share + 1e-3).floor())
-}
-
-struct Bars {
-    plot: Rangef,
-    now_s: f64,
-    pixels_per_point: f32,
-}
-
-impl Bars {
-    fn rects(&self, events: &[Event], y: Rangef) -> impl Iterator<Item = Rect> {
-        let width_px = (self.plot.span() * self.pixels_per_point).round() as u32;
-        let (left, pixels_per_point) = (self.plot.min, self.pixels_per_point);
-        let spans = decimate(events, [self.now_s - HISTORY_S, self.now_s], width_px);
-        spans.into_iter().map(move |span| {
-            let x = |px: u32| left + px as f32 / pixels_per_point;
-            Rect::from_x_y_ranges(x(span.x0)..=x(span.x1), y)
-        })
-    }
-
-    fn filled(&self, events: &[Event], y: Rangef, colour: Color32, shapes: &mut Vec<Shape>) {
-        shapes.extend(self.rects(events, y).map(|rect| Shape::rect_filled(rect, 0.0, colour)));
-    }
-
-    fn hollow(&self, events: &[Event], y: Rangef, colour: Color32, shapes: &mut Vec<Shape>) {
-        let stroke = Stroke::new(1.0, colour);
-        let rects = self.rects(events, y);
-        shapes.extend(rects.map(|rect| Shape::rect_stroke(rect, 0.0, stroke, StrokeKind::Inside)));
-    }
 }
 
 #[cfg(test)]

@@ -1,12 +1,11 @@
 //! One lane: its name and numbers, its bars, its raw trace, its onset arrows.
 
-use egui::{
-    Align2, Color32, FontId, Rangef, Rect, Sense, Shape, Stroke, StrokeKind, accesskit::Role, pos2, vec2,
-};
+use egui::{Align2, Color32, FontId, Rangef, Rect, Sense, Stroke, StrokeKind, accesskit::Role, pos2, vec2};
 
 use super::{
     super::{
-        events::{Event, decimate},
+        bars::Bars,
+        events::Event,
         lanes::{Lane, RawTrace, SimRow},
         view::TimeView,
     },
@@ -70,7 +69,7 @@ pub(super) fn lane_ui(
     let pixels_per_point = ui.ctx().pixels_per_point();
     let mut shapes = Vec::new();
     let mut y = Rangef::new(rect.top() + 1.0, rect.top() + bar - 1.0);
-    let bars = Bars { axis, pixels_per_point };
+    let bars = Bars { plot: axis.range(), view_s: [axis.view.from_s, axis.view.to_s], pixels_per_point };
     bars.filled(&lane.real, y, cx.palette.real, &mut shapes);
     for simulation in picture.simulations {
         y = Rangef::new(y.min + bar, y.max + bar);
@@ -218,35 +217,6 @@ fn offset_text(late_s: f64) -> String {
 fn event_at(events: &[Event], time_s: f64) -> Option<&Event> {
     let idx = events.partition_point(|event| event.end_s <= time_s);
     events.get(idx).filter(|event| event.start_s <= time_s)
-}
-
-struct Bars<'a> {
-    axis: &'a Axis,
-    pixels_per_point: f32,
-}
-
-impl Bars<'_> {
-    fn rects(&self, events: &[Event], y: Rangef) -> impl Iterator<Item = Rect> {
-        let width_px = (self.axis.width * self.pixels_per_point).round() as u32;
-        let (left, pixels_per_point) = (self.axis.left, self.pixels_per_point);
-        decimate(events, [self.axis.view.from_s, self.axis.view.to_s], width_px).into_iter().map(
-            move |span| {
-                let x = |px: u32| left + px as f32 / pixels_per_point;
-                Rect::from_x_y_ranges(x(span.x0)..=x(span.x1), y)
-            },
-        )
-    }
-
-    fn filled(&self, events: &[Event], y: Rangef, colour: Color32, shapes: &mut Vec<Shape>) {
-        shapes.extend(self.rects(events, y).map(|rect| Shape::rect_filled(rect, 0.0, colour)));
-    }
-
-    fn hollow(&self, events: &[Event], y: Rangef, colour: Color32, shapes: &mut Vec<Shape>) {
-        let stroke = Stroke::new(1.0, colour);
-        shapes.extend(
-            self.rects(events, y).map(|rect| Shape::rect_stroke(rect, 0.0, stroke, StrokeKind::Inside)),
-        );
-    }
 }
 
 /// From each real onset in view to the simulated one, with how much later it is.
