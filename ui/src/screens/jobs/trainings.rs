@@ -1,5 +1,7 @@
 //! What the form of jobs can start, each a list of fields, with a line of help where a name does not say all.
 
+use palpate_wire::api::{EXPERTS, HEADS, MEMORIES, PAPER_POLICIES};
+
 /// What can be started.
 pub(super) struct Training {
     /// As requests name it.
@@ -50,8 +52,29 @@ pub(super) enum Field {
 }
 
 const PRESET: Field = Field::Choice { key: "preset", label: "Preset", choices: &["quick", "paper"] };
-const PROTOCOLS: &[&str] = &["wide", "paper", "wide_20s", "claim"];
+const PROTOCOLS: [&str; 4] = ["wide", "paper", "wide_20s", "claim"];
 const SILENCE: Field = Field::Flag { key: "silence_touch", label: "Touch", words: "feels nothing" };
+
+/// The choices `known`, behind the one that says nothing.
+const fn or_nothing<const KNOWN: usize, const ALL: usize>(
+    known: [&'static str; KNOWN],
+) -> [&'static str; ALL] {
+    assert!(ALL == KNOWN + 1);
+    let mut all = [""; ALL];
+    let mut idx = 0;
+    while idx < KNOWN {
+        all[idx + 1] = known[idx];
+        idx += 1;
+    }
+    all
+}
+
+const PROTOCOLS_OR_NOTHING: [&str; PROTOCOLS.len() + 1] = or_nothing(PROTOCOLS);
+const EXPERTS_OR_NOTHING: [&str; EXPERTS.len() + 1] = or_nothing(EXPERTS);
+const POLICIES_OR_NOTHING: [&str; PAPER_POLICIES.len() + 1] = or_nothing(PAPER_POLICIES);
+const HEADS_OR_NOTHING: [&str; HEADS.len() + 1] = or_nothing(HEADS);
+const MEMORIES_OR_NOTHING: [&str; MEMORIES.len() + 1] = or_nothing(MEMORIES);
+const GROUPS_OR_NOTHING: [&str; GROUPS.len() + 1] = or_nothing(GROUPS);
 
 const fn number(key: &'static str, label: &'static str, usual: &'static str) -> Field {
     Field::Number { key, label, usual, otherwise: None }
@@ -78,12 +101,8 @@ pub(super) const TRAININGS: &[Training] = &[
         fields: &[
             Field::Policy(&["expert", "imitation", "pipeline"]),
             number("trials", "Trials", "50, or the protocol's"),
-            Field::Choice {
-                key: "protocol",
-                label: "Protocol",
-                choices: &["", "paper", "wide", "wide_20s", "claim"],
-            },
-            Field::Objects { slot: "scored", groups: &["", "seen", "unseen", "all"] },
+            Field::Choice { key: "protocol", label: "Protocol", choices: &PROTOCOLS_OR_NOTHING },
+            Field::Objects { slot: "scored", groups: &GROUPS_OR_NOTHING },
             Field::Model,
             SILENCE,
         ],
@@ -118,14 +137,10 @@ pub(super) const TRAININGS: &[Training] = &[
         words: "Gather an expert's trials",
         explained: "Lets an expert grasp in simulation and keeps every trial, won or lost, to imitate.",
         fields: &[
-            Field::Objects { slot: "objects", groups: GROUPS },
+            Field::Objects { slot: "objects", groups: &GROUPS },
             number("count", "Trials on each object", "300"),
-            Field::Choice { key: "protocol", label: "Protocol", choices: PROTOCOLS },
-            Field::Choice {
-                key: "expert",
-                label: "Expert",
-                choices: &["", "search", "search:touch", "search:tracking", "repetition"],
-            },
+            Field::Choice { key: "protocol", label: "Protocol", choices: &PROTOCOLS },
+            Field::Choice { key: "expert", label: "Expert", choices: &EXPERTS_OR_NOTHING },
             Field::Model,
         ],
         parts: Some("objects"),
@@ -138,21 +153,9 @@ pub(super) const TRAININGS: &[Training] = &[
         fields: &[
             Field::Jobs { key: "trials", label: "Gathered trials", kind: "gathering" },
             Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
-            Field::Choice {
-                key: "policy",
-                label: "Policy of the paper",
-                choices: &["", "raw-dp", "kinematic-dp", "pretrained-dp", "pretrained-act", "pretrained-bc"],
-            },
-            Field::Choice {
-                key: "head",
-                label: "What predicts",
-                choices: &["", "regression", "diffusion", "act"],
-            },
-            Field::Choice {
-                key: "memory",
-                label: "Frames are joined",
-                choices: &["", "window", "recurrent"],
-            },
+            Field::Choice { key: "policy", label: "Policy of the paper", choices: &POLICIES_OR_NOTHING },
+            Field::Choice { key: "head", label: "What predicts", choices: &HEADS_OR_NOTHING },
+            Field::Choice { key: "memory", label: "Frames are joined", choices: &MEMORIES_OR_NOTHING },
             number("updates", "Updates", "as the preset says"),
             SILENCE,
             Field::Flag { key: "hide_tracking", label: "Tracking errors", words: "are not seen" },
@@ -201,7 +204,7 @@ pub(super) const TRAININGS: &[Training] = &[
 ];
 
 /// Groups of objects; the first is the usual one.
-const GROUPS: &[&str] = &["seen", "unseen", "all"];
+const GROUPS: [&str; 3] = ["seen", "unseen", "all"];
 
 impl Field {
     /// Its name in the request and what the form calls it; nothing where both are the same for every job.
