@@ -23,7 +23,7 @@ use utoipa::{
         extensions::ExtensionsBuilder,
         path::{Operation, Parameter, ParameterBuilder, ParameterIn},
         response::{Response as Answer, ResponseBuilder},
-        schema::Type,
+        schema::{SchemaType, Type},
         security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme},
         server::Server,
     },
@@ -87,6 +87,8 @@ begins empty (`palpate serve --emulate small`); `$PALPATE_URL` is its address, `
 const ANYWHERE: &[u16] = &[400, 421, 429, 500, 503];
 /// What any request that changes something may be refused with besides.
 const CHANGING: &[u16] = &[403];
+/// What any request with a body of JSON may be refused with besides, by [`super::extract::Body`].
+const WITH_JSON: &[u16] = &[413, 415, 422];
 
 /// The document of `routes` as JSON. Its fields are sorted: `utoipa` keeps some in an order that changes from run to run.
 pub(super) fn written(routes: &[Route]) -> Value {
@@ -205,9 +207,20 @@ fn operation_of(route: &Route, documented: &Documented) -> Operation {
         operation.description = Some(text);
     }
     let changes = route.method != Method::GET || documented.is_socket();
+    let sends_json = match &operation.request_body {
+        Some(RefOr::T(body)) => body.content.contains_key("application/json"),
+        _ => false,
+    };
     let answers = &mut operation.responses.responses;
-    for &status in ANYWHERE.iter().chain(if changes { CHANGING } else { &[] }) {
-        answers.entry(status.to_string()).or_insert_with(|| refusal(status));
+    for (applies, statuses) in [(true, ANYWHERE), (changes, CHANGING), (sends_json, WITH_JSON)] {
+        for &status in statuses.iter().filter(|_| applies) {
+            answers.entry(status.to_string()).or_insert_with(|| refusal(status));
+        }
+    }
+    let is_page = parameters.iter().any(|known| matches!(known, RefOr::T(known) if known.name == "cursor"));
+    if let Some(RefOr::T(answer)) = answers.get_mut("200").filter(|_| is_page) {
+        let link = "Path of the next page, `rel=\"next\"`, where there is one";
+        add_header(answer, "Link", SchemaType::from_iter([Type::String, Type::Null]), link);
     }
     if !changes && !documented.sends_events() {
         let unchanged = ResponseBuilder::new()
@@ -215,9 +228,7 @@ fn operation_of(route: &Route, documented: &Documented) -> Operation {
             .build();
         answers.insert("304".to_owned(), RefOr::T(unchanged));
         if let Some(RefOr::T(answer)) = answers.get_mut("200") {
-            let mut tag = Header::new(ObjectBuilder::new().schema_type(Type::String));
-            tag.description = Some("Names this content; larger documents have none".to_owned());
-            answer.headers.insert("ETag".to_owned(), RefOr::T(tag));
+            add_header(answer, "ETag", Type::String, "Names this content; larger documents have none");
         }
         let known = ParameterBuilder::new()
             .name("If-None-Match")
@@ -245,6 +256,13 @@ fn operation_of(route: &Route, documented: &Documented) -> Operation {
     }
     operation.extensions = Some(extensions.build());
     operation
+}
+
+/// Says that `answer` has a header.
+fn add_header(answer: &mut Answer, name: &str, form: impl Into<SchemaType>, description: &str) {
+    let mut header = Header::new(ObjectBuilder::new().schema_type(form));
+    header.description = Some(description.to_owned());
+    answer.headers.insert(name.to_owned(), RefOr::T(header));
 }
 
 /// The parameters in the braces of a path.
@@ -283,9 +301,7 @@ fn described(status: u16) -> Answer {
         .content("application/problem+json", Content::new(Some(ProblemDetails::schema_ref())))
         .build();
     if status == 503 {
-        let mut header = Header::new(ObjectBuilder::new().schema_type(Type::Integer));
-        header.description = Some("Seconds after which to try again".to_owned());
-        answer.headers.insert("Retry-After".to_owned(), RefOr::T(header));
+        add_header(&mut answer, "Retry-After", Type::Integer, "Seconds after which to try again");
     }
     answer
 }

@@ -12,6 +12,7 @@ mod models;
 mod objects;
 pub(super) mod people;
 mod recording;
+mod runs;
 mod sessions;
 mod takes;
 mod trash;
