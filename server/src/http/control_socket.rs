@@ -70,11 +70,7 @@ const MAX_REPLIES: usize = 1024;
     get,
     path = "/control",
     tag = "station",
-    responses(
-        (status = 101, description = "The connection is a WebSocket now."),
-        Refusal<400>,
-        Refusal<404>,
-    ),
+    responses((status = 101, description = "The connection is a WebSocket now."), Refusal<404>),
 )]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,

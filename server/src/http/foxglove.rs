@@ -58,11 +58,7 @@ pub(super) fn query_token(uri: &Uri) -> Option<&str> {
     path = "/foxglove",
     tag = "station",
     params(("token" = Option<String>, Query, description = "An API token, for programs that send no headers.")),
-    responses(
-        (status = 101, description = "The connection is a WebSocket now."),
-        Refusal<400>,
-        Refusal<404>,
-    ),
+    responses((status = 101, description = "The connection is a WebSocket now."), Refusal<404>),
 )]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,

@@ -42,10 +42,7 @@ pub(crate) const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
     get,
     path = "/stream",
     tag = "station",
-    responses(
-        (status = 101, description = "The connection is a WebSocket now."),
-        Refusal<400>,
-    ),
+    responses((status = 101, description = "The connection is a WebSocket now.")),
 )]
 pub(crate) async fn upgrade(
     State(state): State<Arc<AppState>>,

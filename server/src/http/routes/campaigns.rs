@@ -79,9 +79,7 @@ impl Who {
     get,
     path = "/campaigns",
     tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Vec<CampaignSummary>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<CampaignSummary>)),
 )]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<CampaignSummary>>> {
     state.run(Kind::Read, move |state| Ok(Json(state.campaigns().list()?))).await
@@ -93,13 +91,7 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<
     path = "/campaigns",
     tag = "campaigns",
     request_body = CampaignPlan,
-    responses(
-        (status = 201, description = "Done.", body = Campaign),
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 201, description = "Done.", body = Campaign), Refusal<409>),
 )]
 pub(super) async fn create(
     State(state): State<Arc<AppState>>,
@@ -124,11 +116,7 @@ pub(super) async fn create(
     path = "/campaigns/{campaign}",
     tag = "campaigns",
     params(View),
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<422>),
 )]
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
@@ -146,12 +134,7 @@ pub(super) async fn detail(
     path = "/campaigns/{campaign}/results",
     tag = "campaigns",
     params(View),
-    responses(
-        (status = 200, description = "Done.", body = CampaignResults),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = CampaignResults), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn results(
     State(state): State<Arc<AppState>>,
@@ -177,9 +160,7 @@ pub(super) async fn results(
             (String = "application/x-tex"),
             (String = "image/svg+xml"),
         )),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
+        Refusal<404>, Refusal<409>, Refusal<422>,
     ),
 )]
 pub(super) async fn table(
@@ -213,12 +194,7 @@ pub(super) async fn table(
     post,
     path = "/campaigns/{campaign}/trials/{trial}/begin",
     tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn begin(
     State(state): State<Arc<AppState>>,
@@ -234,14 +210,7 @@ pub(super) async fn begin(
     path = "/campaigns/{campaign}/trials/{trial}/outcome",
     tag = "campaigns",
     request_body = TrialEnd,
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn outcome(
     State(state): State<Arc<AppState>>,
@@ -268,14 +237,7 @@ pub(super) async fn outcome(
     tag = "campaigns",
     params(View),
     request_body = ScoreRequest,
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn score(
     State(state): State<Arc<AppState>>,
@@ -295,14 +257,7 @@ pub(super) async fn score(
     tag = "campaigns",
     params(View),
     request_body = ScoreBack,
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn unscore(
     State(state): State<Arc<AppState>>,
@@ -321,14 +276,7 @@ pub(super) async fn unscore(
     path = "/campaigns/{campaign}/trials/{trial}/settle",
     tag = "campaigns",
     request_body = ScoreRequest,
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn settle(
     State(state): State<Arc<AppState>>,
@@ -340,95 +288,35 @@ pub(super) async fn settle(
     change(&state, id, move |campaigns, id| campaigns.settle(id, trial, &request, &viewer)).await
 }
 
-/// Pauses a campaign: no trial begins until it is resumed; the one that runs goes on to its end.
-#[utoipa::path(
-    post,
-    path = "/campaigns/{campaign}/pause",
-    tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
-)]
-pub(super) async fn pause(
-    State(state): State<Arc<AppState>>,
-    Ids(id): Ids<String>,
-    who: Who,
-) -> Answer<Json<Campaign>> {
-    step(&state, id, &who, Campaigns::pause).await
+/// Writes routes that lead a campaign to another state.
+macro_rules! step_routes {
+    ($($(#[$doc:meta])+ $step:ident,)+) => {$(
+        $(#[$doc])+
+        #[utoipa::path(
+            post,
+            path = concat!("/campaigns/{campaign}/", stringify!($step)),
+            tag = "campaigns",
+            responses((status = 200, description = "Done.", body = Campaign), Refusal<404>, Refusal<409>, Refusal<422>),
+        )]
+        pub(super) async fn $step(
+            State(state): State<Arc<AppState>>,
+            Ids(id): Ids<String>,
+            who: Who,
+        ) -> Answer<Json<Campaign>> {
+            change(&state, id, move |campaigns, id| campaigns.$step(id, &who.operator())).await
+        }
+    )+};
 }
 
-/// Goes on with a paused campaign.
-#[utoipa::path(
-    post,
-    path = "/campaigns/{campaign}/resume",
-    tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
-)]
-pub(super) async fn resume(
-    State(state): State<Arc<AppState>>,
-    Ids(id): Ids<String>,
-    who: Who,
-) -> Answer<Json<Campaign>> {
-    step(&state, id, &who, Campaigns::resume).await
-}
-
-/// Closes a campaign: no trial is made any more, and a blind one is open to everybody.
-#[utoipa::path(
-    post,
-    path = "/campaigns/{campaign}/close",
-    tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
-)]
-pub(super) async fn close(
-    State(state): State<Arc<AppState>>,
-    Ids(id): Ids<String>,
-    who: Who,
-) -> Answer<Json<Campaign>> {
-    step(&state, id, &who, Campaigns::close).await
-}
-
-/// Goes on with a closed campaign, unless it was blind.
-#[utoipa::path(
-    post,
-    path = "/campaigns/{campaign}/reopen",
-    tag = "campaigns",
-    responses(
-        (status = 200, description = "Done.", body = Campaign),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
-)]
-pub(super) async fn reopen(
-    State(state): State<Arc<AppState>>,
-    Ids(id): Ids<String>,
-    who: Who,
-) -> Answer<Json<Campaign>> {
-    step(&state, id, &who, Campaigns::reopen).await
-}
-
-/// Leads campaign `id` to its next state.
-async fn step(
-    state: &Arc<AppState>,
-    id: String,
-    who: &Who,
-    act: fn(&Campaigns, &str, &Viewer) -> Result<Campaign, TrialsError>,
-) -> Answer<Json<Campaign>> {
-    let viewer = who.operator();
-    change(state, id, move |campaigns, id| act(campaigns, id, &viewer)).await
+step_routes! {
+    /// Pauses a campaign: no trial begins until it is resumed; the one that runs goes on to its end.
+    pause,
+    /// Goes on with a paused campaign.
+    resume,
+    /// Closes a campaign: no trial is made any more, and a blind one is open to everybody.
+    close,
+    /// Goes on with a closed campaign, unless it was blind.
+    reopen,
 }
 
 /// Changes campaign `id`, and tells everybody.

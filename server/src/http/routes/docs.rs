@@ -32,10 +32,7 @@ pub(super) async fn list() -> Json<&'static [DocSummary]> {
     get,
     path = "/docs/{doc}",
     tag = "docs",
-    responses(
-        (status = 200, description = "Done.", body = String, content_type = "text/markdown"),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = String, content_type = "text/markdown"), Refusal<404>),
 )]
 pub(super) async fn text(Ids(name): Ids<String>) -> Answer<Response> {
     let text = manual::text(&name)?;

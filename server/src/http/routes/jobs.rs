@@ -11,7 +11,7 @@ use axum::{
         sse::{Event, KeepAlive},
     },
 };
-use palpate_jobs::{ListFilter, Submitted};
+use palpate_jobs::{JobFolder, ListFilter, Submitted};
 use palpate_people::Principal;
 use palpate_recording::files::{read_file, resolve_in};
 use palpate_wire::api::{Job, JobChanges, JobKindDocument, JobPage, JobRequest, JobState, Role, Scope};
@@ -42,6 +42,18 @@ const MAX_TAIL_BYTES: u64 = 1 << 20;
 /// Largest file of a job that is sent, bytes.
 const MAX_FILE_BYTES: u64 = 256 << 20;
 
+/// What answers a request that queues a job.
+#[derive(utoipa::IntoResponses)]
+#[expect(dead_code, reason = "the document asks only for its form")]
+enum Queued {
+    /// It is queued.
+    #[response(status = 202, headers(("Location" = String, description = "Path of the job")))]
+    Now(Job),
+    /// It was queued by an earlier request with the same key.
+    #[response(status = 200, headers(("Location" = String, description = "Path of the job")))]
+    Before(Job),
+}
+
 /// Queues a job. It is on disk when the answer comes, and outlives the studio (`docs/jobs.md`).
 #[utoipa::path(
     post,
@@ -49,15 +61,7 @@ const MAX_FILE_BYTES: u64 = 256 << 20;
     tag = "jobs",
     params(Key),
     request_body = JobRequest,
-    responses(
-        (status = 202, description = "It is queued.", body = Job, headers(("Location" = String, description = "Path of the job"))),
-        (status = 200, description = "It was queued by an earlier request with the same key.", body = Job, headers(("Location" = String, description = "Path of the job"))),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses(Queued, Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn submit(
     State(state): State<Arc<AppState>>,
@@ -80,15 +84,7 @@ pub(super) async fn submit(
     tag = "jobs",
     params(Key),
     request_body = JobChanges,
-    responses(
-        (status = 202, description = "It is queued.", body = Job, headers(("Location" = String, description = "Path of the job"))),
-        (status = 200, description = "It was queued by an earlier request with the same key.", body = Job, headers(("Location" = String, description = "Path of the job"))),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses(Queued, Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn clone(
     State(state): State<Arc<AppState>>,
@@ -143,9 +139,7 @@ pub(super) struct ListParams {
     path = "/jobs",
     tag = "jobs",
     params(ListParams),
-    responses(
-        (status = 200, description = "Done.", body = JobPage, headers(("Link" = Option<String>, description = "Path of the next page, `rel=\"next\"`, where there is one"))),
-    ),
+    responses((status = 200, description = "Done.", body = JobPage)),
 )]
 pub(super) async fn list(
     State(state): State<Arc<AppState>>,
@@ -185,10 +179,7 @@ pub(super) async fn kinds(State(state): State<Arc<AppState>>) -> Answer<Json<Vec
     get,
     path = "/jobs/{job}",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = Job),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = Job), Refusal<404>),
 )]
 pub(super) async fn detail(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
     state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().job(&id)?))).await
@@ -199,11 +190,7 @@ pub(super) async fn detail(State(state): State<Arc<AppState>>, Ids(id): Ids<Stri
     delete,
     path = "/jobs/{job}",
     tag = "jobs",
-    responses(
-        (status = 204, description = "It is in the trash."),
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 204, description = "It is in the trash."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     state
@@ -219,10 +206,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     post,
     path = "/jobs/{job}/cancel",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = Job),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = Job), Refusal<404>),
 )]
 pub(super) async fn cancel(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Json<Job>> {
     state.run(Kind::Read, move |state| Ok(Json(state.jobs().scheduler().cancel(&id)?))).await
@@ -233,11 +217,7 @@ pub(super) async fn cancel(State(state): State<Arc<AppState>>, Ids(id): Ids<Stri
     post,
     path = "/jobs/{job}/retry",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = Job),
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 200, description = "Done.", body = Job), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn retry(
     State(state): State<Arc<AppState>>,
@@ -256,19 +236,11 @@ pub(super) async fn retry(
     get,
     path = "/jobs/{job}/log",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = String, content_type = "text/plain"),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = String, content_type = "text/plain"), Refusal<404>),
 )]
 pub(super) async fn log(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
-    state
-        .run(Kind::Read, move |state| {
-            let job = state.jobs().scheduler().job(&id)?;
-            let text = state.jobs().scheduler().folder(&job.id).log_tail(MAX_TAIL_BYTES)?;
-            Ok(([(header::CONTENT_TYPE, "text/plain; charset=utf-8")], text).into_response())
-        })
-        .await
+    let media_type = "text/plain; charset=utf-8";
+    text_of(&state, Kind::Read, id, media_type, |folder| Ok(folder.log_tail(MAX_TAIL_BYTES)?)).await
 }
 
 /// Answers with the newest part of the curves of a job, a JSON document a line, 1 MiB at most.
@@ -276,19 +248,11 @@ pub(super) async fn log(State(state): State<Arc<AppState>>, Ids(id): Ids<String>
     get,
     path = "/jobs/{job}/metrics",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = String, content_type = "application/jsonl"),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = String, content_type = "application/jsonl"), Refusal<404>),
 )]
 pub(super) async fn metrics(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
-    state
-        .run(Kind::Read, move |state| {
-            let job = state.jobs().scheduler().job(&id)?;
-            let text = state.jobs().scheduler().folder(&job.id).metrics_tail(MAX_TAIL_BYTES)?;
-            Ok(([(header::CONTENT_TYPE, "application/jsonl")], text).into_response())
-        })
-        .await
+    let media_type = "application/jsonl";
+    text_of(&state, Kind::Read, id, media_type, |folder| Ok(folder.metrics_tail(MAX_TAIL_BYTES)?)).await
 }
 
 /// Answers with the curves of a job as a table: a row for each step, a column for each number.
@@ -296,21 +260,31 @@ pub(super) async fn metrics(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     get,
     path = "/jobs/{job}/metrics.csv",
     tag = "jobs",
-    responses(
-        (status = 200, description = "Done.", body = String, content_type = "text/csv"),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = String, content_type = "text/csv"), Refusal<404>),
 )]
 pub(super) async fn metrics_csv(
     State(state): State<Arc<AppState>>,
     Ids(id): Ids<String>,
 ) -> Answer<Response> {
-    let table = move |state: &AppState| {
-        let job = state.jobs().scheduler().job(&id)?;
-        curves(&state.jobs().scheduler().folder(&job.id).metrics_tail(MAX_FILE_BYTES)?)
+    let media_type = "text/csv; charset=utf-8";
+    text_of(&state, Kind::Compute, id, media_type, |folder| curves(&folder.metrics_tail(MAX_FILE_BYTES)?))
+        .await
+}
+
+/// Answers with a text that `read` makes of the folder of job `id`.
+async fn text_of(
+    state: &Arc<AppState>,
+    kind: Kind,
+    id: String,
+    media_type: &'static str,
+    read: fn(&JobFolder) -> Result<String, Error>,
+) -> Answer<Response> {
+    let text = move |state: &AppState| {
+        let scheduler = state.jobs().scheduler();
+        read(&scheduler.folder(&scheduler.job(&id)?.id))
     };
-    let text = state.run(Kind::Compute, table).await?;
-    Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], text).into_response())
+    let text = state.run(kind, text).await?;
+    Ok(([(header::CONTENT_TYPE, media_type)], text).into_response())
 }
 
 /// Answers with a file that a job has left, e.g. `report.json`, `report.html` or `model.toml` (`docs/jobs.md`).
@@ -334,9 +308,7 @@ pub(super) async fn metrics_csv(
         (status = 206, description = "The part that `Range` asks for.", body = Binary, content_type = "*/*",
             headers(("Content-Range" = String, description = "Which part of how many bytes"),
                 ("Repr-Digest" = String, description = "SHA-256 of the whole file (RFC 9530)"))),
-        Refusal<404>,
-        Refusal<416>,
-        Refusal<422>,
+        Refusal<404>, Refusal<416>, Refusal<422>,
     ),
 )]
 pub(super) async fn file(

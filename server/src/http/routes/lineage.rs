@@ -14,9 +14,7 @@ use crate::{AppState, http::problem::Answer, jobs::lineage, work::Kind};
     get,
     path = "/lineage",
     tag = "models",
-    responses(
-        (status = 200, description = "Done.", body = Lineage),
-    ),
+    responses((status = 200, description = "Done.", body = Lineage)),
 )]
 pub(super) async fn document(State(state): State<Arc<AppState>>, who: Who) -> Answer<Json<Lineage>> {
     let viewer = who.operator();

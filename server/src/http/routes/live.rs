@@ -36,10 +36,7 @@ const AUDIT_PATIENCE: Duration = Duration::from_millis(500);
     get,
     path = "/live",
     tag = "station",
-    responses(
-        (status = 200, description = "Done.", body = LiveDocument),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = LiveDocument), Refusal<404>),
 )]
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<LiveDocument>> {
     let Some(live) = state.live() else { return Err(Problem(Error::NoStation)) };
@@ -65,9 +62,7 @@ pub(super) struct AuditParams {
     path = "/audit",
     tag = "station",
     params(AuditParams),
-    responses(
-        (status = 200, description = "Done.", body = String, content_type = "application/jsonl"),
-    ),
+    responses((status = 200, description = "Done.", body = String, content_type = "application/jsonl")),
 )]
 pub(super) async fn audit(
     State(state): State<Arc<AppState>>,
@@ -96,8 +91,7 @@ pub(super) async fn audit(
     tag = "emulator",
     responses(
         (status = 200, description = "Done.", body = String, content_type = "application/toml"),
-        Refusal<404>,
-        Refusal<409>,
+        Refusal<404>, Refusal<409>,
     ),
 )]
 pub(super) async fn faults(State(state): State<Arc<AppState>>) -> Answer<Response> {
@@ -114,11 +108,7 @@ pub(super) async fn faults(State(state): State<Arc<AppState>>) -> Answer<Respons
     request_body(content = Option<String>, description = "A file of faults; nothing is wrong where it is empty", content_type = "application/toml"),
     responses(
         (status = 200, description = "Done.", body = String, content_type = "application/toml"),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<422>,
+        Refusal<404>, Refusal<409>, Refusal<413>, Refusal<422>,
     ),
 )]
 pub(super) async fn set_faults(
@@ -142,15 +132,7 @@ pub(super) async fn set_faults(
     path = "/emulator/object",
     tag = "emulator",
     request_body = PlaceObject,
-    responses(
-        (status = 200, description = "It is there."),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "It is there."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn place_object(
     State(state): State<Arc<AppState>>,
@@ -171,14 +153,7 @@ pub(super) async fn place_object(
     path = "/live/model",
     tag = "station",
     request_body = LiveModel,
-    responses(
-        (status = 200, description = "It simulates with it."),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "It simulates with it."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn set_model(
     State(state): State<Arc<AppState>>,

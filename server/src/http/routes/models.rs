@@ -23,9 +23,7 @@ use crate::{
     get,
     path = "/models",
     tag = "models",
-    responses(
-        (status = 200, description = "Done.", body = Vec<ModelSummary>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<ModelSummary>)),
 )]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ModelSummary>>> {
     state.run(Kind::Read, move |state| Ok(Json(state.store().models()?))).await
@@ -38,8 +36,7 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<
     tag = "models",
     responses(
         (status = 200, description = "Done.", body = String, content_type = "application/toml"),
-        Refusal<404>,
-        Refusal<422>,
+        Refusal<404>, Refusal<422>,
     ),
 )]
 pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<Response> {
@@ -56,11 +53,7 @@ pub(super) async fn text(State(state): State<Arc<AppState>>, Ids(id): Ids<String
     delete,
     path = "/models/{model}",
     tag = "models",
-    responses(
-        (status = 204, description = "It is in the trash."),
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 204, description = "It is in the trash."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     state
@@ -78,12 +71,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     post,
     path = "/models/{model}/undo",
     tag = "models",
-    responses(
-        (status = 200, description = "Done.", body = ModelSummary),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = ModelSummary), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn undo(
     State(state): State<Arc<AppState>>,
@@ -104,12 +92,7 @@ pub(super) async fn undo(
     post,
     path = "/models/{model}/restore",
     tag = "models",
-    responses(
-        (status = 200, description = "Done.", body = ModelSummary),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = ModelSummary), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,

@@ -12,9 +12,7 @@ use crate::{AppState, data::objects, http::problem::Answer, work::Kind};
     get,
     path = "/objects",
     tag = "objects",
-    responses(
-        (status = 200, description = "Done.", body = Vec<ObjectEntry>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<ObjectEntry>)),
 )]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<ObjectEntry>>> {
     state.run(Kind::Read, move |state| Ok(Json(objects::list(state.store(), state.library())?))).await

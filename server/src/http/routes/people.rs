@@ -36,14 +36,7 @@ const MAX_SHOWN_NAME: usize = 40;
     path = "/login",
     tag = "people",
     request_body = Login,
-    responses(
-        (status = 200, description = "Done.", body = Me),
-        Refusal<401>,
-        Refusal<409>,
-        Refusal<422>,
-        Refusal<413>,
-        Refusal<415>,
-    ),
+    responses((status = 200, description = "Done.", body = Me), Refusal<401>, Refusal<409>),
 )]
 pub(super) async fn log_in(
     State(state): State<Arc<AppState>>,
@@ -99,9 +92,7 @@ pub(in crate::http) async fn check_login(
     post,
     path = "/logout",
     tag = "people",
-    responses(
-        (status = 204, description = "Done."),
-    ),
+    responses((status = 204, description = "Done.")),
 )]
 pub(super) async fn log_out(
     State(state): State<Arc<AppState>>,
@@ -122,9 +113,7 @@ pub(super) async fn log_out(
     get,
     path = "/me",
     tag = "people",
-    responses(
-        (status = 200, description = "Done.", body = Me),
-    ),
+    responses((status = 200, description = "Done.", body = Me)),
 )]
 pub(super) async fn me(Asking(principal): Asking) -> Json<Me> {
     Json(principal.me())
@@ -136,14 +125,7 @@ pub(super) async fn me(Asking(principal): Asking) -> Json<Me> {
     path = "/me/password",
     tag = "people",
     request_body = PasswordChange,
-    responses(
-        (status = 204, description = "Done."),
-        Refusal<401>,
-        Refusal<409>,
-        Refusal<422>,
-        Refusal<413>,
-        Refusal<415>,
-    ),
+    responses((status = 204, description = "Done."), Refusal<409>),
 )]
 pub(super) async fn change_own_password(
     State(state): State<Arc<AppState>>,
@@ -182,9 +164,7 @@ pub(super) async fn change_own_password(
     get,
     path = "/people",
     tag = "people",
-    responses(
-        (status = 200, description = "Done.", body = Vec<Person>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<Person>)),
 )]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<Person>> {
     Json(state.people().list())
@@ -196,13 +176,7 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<Person>
     path = "/people",
     tag = "people",
     request_body = NewPerson,
-    responses(
-        (status = 201, description = "Done.", body = Person),
-        Refusal<409>,
-        Refusal<422>,
-        Refusal<413>,
-        Refusal<415>,
-    ),
+    responses((status = 201, description = "Done.", body = Person), Refusal<409>),
 )]
 pub(super) async fn add(
     State(state): State<Arc<AppState>>,
@@ -226,14 +200,7 @@ pub(super) async fn add(
     path = "/people/{person}",
     tag = "people",
     request_body = PersonChanges,
-    responses(
-        (status = 200, description = "Done.", body = Person),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-        Refusal<413>,
-        Refusal<415>,
-    ),
+    responses((status = 200, description = "Done.", body = Person), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn change(
     State(state): State<Arc<AppState>>,
@@ -268,11 +235,7 @@ pub(super) async fn change(
     delete,
     path = "/people/{person}",
     tag = "people",
-    responses(
-        (status = 204, description = "Done."),
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 204, description = "Done."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn remove(
     State(state): State<Arc<AppState>>,
@@ -292,9 +255,7 @@ pub(super) async fn remove(
     get,
     path = "/tokens",
     tag = "people",
-    responses(
-        (status = 200, description = "Done.", body = Vec<Token>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<Token>)),
 )]
 pub(super) async fn tokens(
     State(state): State<Arc<AppState>>,
@@ -309,14 +270,7 @@ pub(super) async fn tokens(
     path = "/tokens",
     tag = "people",
     request_body = NewToken,
-    responses(
-        (status = 201, description = "Done.", body = CreatedToken),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-        Refusal<413>,
-        Refusal<415>,
-    ),
+    responses((status = 201, description = "Done.", body = CreatedToken), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn create_token(
     State(state): State<Arc<AppState>>,
@@ -379,10 +333,7 @@ pub(super) async fn create_token(
     delete,
     path = "/tokens/{token}",
     tag = "people",
-    responses(
-        (status = 204, description = "Done."),
-        Refusal<404>,
-    ),
+    responses((status = 204, description = "Done."), Refusal<404>),
 )]
 pub(super) async fn revoke_token(
     State(state): State<Arc<AppState>>,

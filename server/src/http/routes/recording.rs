@@ -24,10 +24,7 @@ use crate::{
     get,
     path = "/recording",
     tag = "recording",
-    responses(
-        (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = RecordingDocument), Refusal<404>),
 )]
 pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<RecordingDocument>> {
     with_station(&state, |handle| Ok(handle.recording()?)).await
@@ -38,10 +35,7 @@ pub(super) async fn document(State(state): State<Arc<AppState>>) -> Answer<Json<
     get,
     path = "/recording/plans",
     tag = "recording",
-    responses(
-        (status = 200, description = "Done.", body = Vec<PlanDocument>),
-        Refusal<404>,
-    ),
+    responses((status = 200, description = "Done.", body = Vec<PlanDocument>), Refusal<404>),
 )]
 pub(super) async fn plans(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<PlanDocument>>> {
     with_station(&state, |handle| Ok(handle.plans()?)).await
@@ -55,13 +49,7 @@ pub(super) async fn plans(State(state): State<Arc<AppState>>) -> Answer<Json<Vec
     request_body = StartRecording,
     responses(
         (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-        Refusal<507>,
+        Refusal<404>, Refusal<409>, Refusal<507>,
     ),
 )]
 pub(super) async fn start(
@@ -81,13 +69,7 @@ pub(super) async fn start(
     request_body = RecordingAction,
     responses(
         (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-        Refusal<507>,
+        Refusal<404>, Refusal<409>, Refusal<507>,
     ),
 )]
 pub(super) async fn act(
@@ -106,14 +88,7 @@ pub(super) async fn act(
     request_body = StartTake,
     responses(
         (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<400>,
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-        Refusal<507>,
+        Refusal<404>, Refusal<409>, Refusal<507>,
     ),
 )]
 pub(super) async fn begin_take(
@@ -139,15 +114,7 @@ pub(super) async fn begin_take(
     path = "/recording/take/act",
     tag = "recording",
     request_body = TakeAction,
-    responses(
-        (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = RecordingDocument), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn act_on_take(
     State(state): State<Arc<AppState>>,
@@ -163,15 +130,7 @@ pub(super) async fn act_on_take(
     path = "/recording/wanted",
     tag = "recording",
     request_body = WantedTake,
-    responses(
-        (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = RecordingDocument), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn want(
     State(state): State<Arc<AppState>>,
@@ -186,12 +145,7 @@ pub(super) async fn want(
     delete,
     path = "/recording/wanted/{object}/{primitive}",
     tag = "recording",
-    responses(
-        (status = 200, description = "Done.", body = RecordingDocument),
-        Refusal<403>,
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 200, description = "Done.", body = RecordingDocument), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn unwant(
     State(state): State<Arc<AppState>>,

@@ -44,9 +44,7 @@ use crate::{
     path = "/sessions",
     tag = "sessions",
     params(Page),
-    responses(
-        (status = 200, description = "Done.", body = Vec<SessionSummary>, headers(("Link" = Option<String>, description = "Path of the next page, `rel=\"next\"`, where there is one"))),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<SessionSummary>)),
 )]
 pub(super) async fn list(
     State(state): State<Arc<AppState>>,
@@ -79,12 +77,7 @@ pub(super) async fn list(
     get,
     path = "/sessions/{session}",
     tag = "sessions",
-    responses(
-        (status = 200, description = "Done.", body = SessionDetail),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = SessionDetail), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn detail(
     State(state): State<Arc<AppState>>,
@@ -101,12 +94,7 @@ pub(super) async fn detail(
     get,
     path = "/sessions/{session}/check",
     tag = "sessions",
-    responses(
-        (status = 200, description = "Done.", body = CheckReport),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = CheckReport), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn check(
     State(state): State<Arc<AppState>>,
@@ -121,12 +109,7 @@ pub(super) async fn check(
     get,
     path = "/sessions/{session}/station",
     tag = "sessions",
-    responses(
-        (status = 200, description = "Done.", body = StationDocument),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = StationDocument), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn station(
     State(state): State<Arc<AppState>>,
@@ -156,11 +139,7 @@ pub(super) async fn station(
             headers(("Accept-Ranges" = String, description = "`bytes`"))),
         (status = 206, description = "The part that `Range` asks for.", body = Binary, content_type = "application/zip",
             headers(("Content-Range" = String, description = "Which part of how many bytes"))),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<416>,
-        Refusal<422>,
-        Refusal<507>,
+        Refusal<404>, Refusal<409>, Refusal<416>, Refusal<422>, Refusal<507>,
     ),
 )]
 pub(super) async fn packed(
@@ -181,11 +160,7 @@ pub(super) async fn packed(
     delete,
     path = "/sessions/{session}",
     tag = "sessions",
-    responses(
-        (status = 204, description = "It is in the trash."),
-        Refusal<404>,
-        Refusal<409>,
-    ),
+    responses((status = 204, description = "It is in the trash."), Refusal<404>, Refusal<409>),
 )]
 pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<String>) -> Answer<StatusCode> {
     with_store(&state, Kind::Read, move |state| {
@@ -201,12 +176,7 @@ pub(super) async fn discard(State(state): State<Arc<AppState>>, Ids(id): Ids<Str
     post,
     path = "/sessions/{session}/restore",
     tag = "sessions",
-    responses(
-        (status = 200, description = "Done.", body = SessionDetail),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
-    ),
+    responses((status = 200, description = "Done.", body = SessionDetail), Refusal<404>, Refusal<409>, Refusal<422>),
 )]
 pub(super) async fn restore(
     State(state): State<Arc<AppState>>,
@@ -246,13 +216,9 @@ pub(super) struct UploadParams {
     params(UploadParams),
     request_body(content = Binary, description = "A zip archive", content_type = "application/zip"),
     responses(
-        (status = 201, description = "The session is there.", body = SessionDetail, headers(("Location" = String, description = "Path of the session"))),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<413>,
-        Refusal<415>,
-        Refusal<422>,
-        Refusal<507>,
+        (status = 201, description = "The session is there.", body = SessionDetail,
+            headers(("Location" = String, description = "Path of the session"))),
+        Refusal<404>, Refusal<409>, Refusal<413>, Refusal<415>, Refusal<422>, Refusal<507>,
     ),
 )]
 pub(super) async fn upload(

@@ -34,9 +34,7 @@ use crate::{
     tag = "sessions",
     responses(
         (status = 200, description = "Done.", body = Binary, content_type = "application/x-protobuf"),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
+        Refusal<404>, Refusal<409>, Refusal<422>,
     ),
 )]
 pub(super) async fn trace(
@@ -69,10 +67,7 @@ pub(super) async fn trace(
         (status = 206, description = "The part that `Range` asks for.", body = Binary,
             content_type = "application/octet-stream",
             headers(("Content-Range" = String, description = "Which part of how many bytes"))),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<416>,
-        Refusal<422>,
+        Refusal<404>, Refusal<409>, Refusal<416>, Refusal<422>,
     ),
 )]
 pub(super) async fn file(
@@ -111,9 +106,7 @@ fn nominal() -> String {
     params(ReplayParams),
     responses(
         (status = 200, description = "Done.", body = Binary, content_type = "application/x-protobuf"),
-        Refusal<404>,
-        Refusal<409>,
-        Refusal<422>,
+        Refusal<404>, Refusal<409>, Refusal<422>,
     ),
 )]
 pub(super) async fn replay(

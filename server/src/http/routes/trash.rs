@@ -12,9 +12,7 @@ use crate::{AppState, http::problem::Answer, work::Kind};
     get,
     path = "/trash",
     tag = "trash",
-    responses(
-        (status = 200, description = "Done.", body = Vec<TrashEntry>),
-    ),
+    responses((status = 200, description = "Done.", body = Vec<TrashEntry>)),
 )]
 pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<TrashEntry>>> {
     state.run(Kind::Read, move |state| Ok(Json(state.store().trash()?))).await
