@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use palpate_robot_model::Station;
-use palpate_wire::api::TrialStart;
+use palpate_wire::api::{TrialStart, TrialVerdict};
 use serde_json::{Value, json};
 
 use crate::fit::Fitted;
@@ -19,7 +19,6 @@ use crate::outcome::Outcome;
 use crate::record::Record;
 use crate::take::Recording;
 use crate::trial::{self, Ended, Setting, median_and_p99_ms, wait_until};
-use crate::verdict::Verdict;
 
 /// Whether the object was placed is asked this often.
 const LOOK_AGAIN: Duration = Duration::from_millis(300);
@@ -189,11 +188,11 @@ fn truth(link: &Link, operator: &mut Operator, hold_s: &f64) -> anyhow::Result<V
     let mut state = ask_alive(link, operator, &json!({ "act": "state" }))?;
     let holds = |key: &str| state[key] == true;
     let verdict = match () {
-        () if holds("arm_has_hit") => Verdict::EmergencyStop,
+        () if holds("arm_has_hit") => TrialVerdict::EmergencyStop,
         // A step's rounding is no reason for another verdict.
-        () if state["longest_held_s"].as_f64().unwrap_or_default() >= hold_s - 0.05 => Verdict::Success,
-        () if holds("lifted") => Verdict::Slip,
-        () => Verdict::EmptyGrasp,
+        () if state["longest_held_s"].as_f64().unwrap_or_default() >= hold_s - 0.05 => TrialVerdict::Success,
+        () if holds("lifted") => TrialVerdict::Slip,
+        () => TrialVerdict::EmptyGrasp,
     };
     state["verdict"] = json!(verdict);
     Ok(state)

@@ -23,7 +23,6 @@ use crate::operator::Operator;
 use crate::outcome::{Outcome, Outcomes};
 use crate::studio::{RequestError, Studio};
 use crate::take::Recording;
-use crate::verdict::Verdict;
 
 /// Where policies are looked for that are named without a folder.
 const POLICIES: &str = "assets/policies";
@@ -381,15 +380,8 @@ fn cut_off(record: &Path) -> RolloutOutcome {
 
 /// What the studio is told of an outcome.
 fn to_tell(outcome: &Outcome) -> RolloutOutcome {
-    let suggested = match outcome.suggested {
-        Verdict::Success => TrialVerdict::Success,
-        Verdict::EmptyGrasp => TrialVerdict::EmptyGrasp,
-        Verdict::Slip => TrialVerdict::Slip,
-        Verdict::EmergencyStop => TrialVerdict::EmergencyStop,
-        Verdict::Void => TrialVerdict::Void,
-    };
     RolloutOutcome {
-        suggested: Some(suggested),
+        suggested: Some(outcome.suggested),
         reasons: outcome.reasons.iter().map(|reason| cut(reason).to_owned()).collect(),
         time_to_grasp_s: outcome.time_to_grasp_s,
         held_s: Some(outcome.held_s),

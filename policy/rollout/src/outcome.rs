@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use palpate_wire::api::TrialVerdict;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::take::Recorded;
-use crate::verdict::Verdict;
 
 /// What a trial came to: a line of `outcomes.jsonl`. `docs/rollouts.md` explains the fields; they stay.
 #[derive(Clone, Debug, Serialize)]
@@ -30,7 +30,7 @@ pub struct Outcome {
     /// object outside a campaign.
     pub start: Value,
     /// What the robot itself takes it for.
-    pub suggested: Verdict,
+    pub suggested: TrialVerdict,
     /// Why.
     pub reasons: Vec<String>,
     /// When enough digits were first stopped on something, s.

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use palpate_wire::api::TrialVerdict;
 use serde::Deserialize;
 
 use crate::task::Source;
-use crate::verdict::Verdict;
 
 /// How a trial began, as far as somebody knows.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -79,7 +79,7 @@ pub struct FrameLine {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct OutcomeLine {
     /// What the robot took it for.
-    pub suggested: Verdict,
+    pub suggested: TrialVerdict,
     /// What the operator of an emulated station saw.
     pub truth: Option<SeenByOperator>,
 }
@@ -88,7 +88,7 @@ pub struct OutcomeLine {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct SeenByOperator {
     /// How the grasp world would count it; `None` where the operator did not answer.
-    pub verdict: Option<Verdict>,
+    pub verdict: Option<TrialVerdict>,
 }
 
 /// The record of a trial.

@@ -8,10 +8,10 @@ use palpate_grasp::GraspConfig;
 use palpate_grasp::scene::digits;
 use palpate_messages::bits;
 use palpate_robot_model::Station;
+use palpate_wire::api::TrialVerdict;
 use palpate_wire::proto::LiveFrame;
 use palpate_wire::proto::control_state::Phase;
 use palpate_wire::proto::device_status::Link;
-use serde::{Deserialize, Serialize};
 
 /// A joint of a digit that is this far from where it is told to be is stopped by something, rad: with the shipped gains a
 /// servo pulls with all the current that it is allowed (0.3 A) from 0.1 rad on.
@@ -24,26 +24,6 @@ const GRIP_S: f64 = 0.5;
 /// A trial goes on for so long after something was held for long enough, s: whoever looks from outside sees it held, too, though
 /// the hand rises before what it holds does.
 const LOOK_S: f64 = 1.0;
-
-/// How a trial is to be counted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Verdict {
-    /// Lifted and held.
-    #[serde(rename = "success")]
-    Success,
-    /// Empty grasp: never lifted.
-    #[serde(rename = "EG")]
-    EmptyGrasp,
-    /// Slip: lifted and lost.
-    #[serde(rename = "SL")]
-    Slip,
-    /// Emergency stop: a limit of the station, or somebody's STOP, ended it.
-    #[serde(rename = "ES")]
-    EmergencyStop,
-    /// No trial of the policy: the rollout or the studio failed, or somebody broke it off.
-    #[serde(rename = "void")]
-    Void,
-}
 
 /// Why a trial ended before its time.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,7 +59,7 @@ pub struct Watch {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Suggestion {
     /// How it would count the trial.
-    pub verdict: Verdict,
+    pub verdict: TrialVerdict,
     /// Why.
     pub reasons: Vec<String>,
     /// When enough digits were first stopped on something, s; `None` if they never were.
@@ -154,15 +134,15 @@ impl Watch {
         let verdict = match broken {
             Some(Break::Void(why)) => {
                 reasons.push(why.clone());
-                Verdict::Void
+                TrialVerdict::Void
             }
             Some(Break::Station(why)) => {
                 reasons.push(why.clone());
-                Verdict::EmergencyStop
+                TrialVerdict::EmergencyStop
             }
-            None if self.longest_held_s >= self.hold_s => Verdict::Success,
-            None if self.longest_held_s > 0.0 => Verdict::Slip,
-            None => Verdict::EmptyGrasp,
+            None if self.longest_held_s >= self.hold_s => TrialVerdict::Success,
+            None if self.longest_held_s > 0.0 => TrialVerdict::Slip,
+            None => TrialVerdict::EmptyGrasp,
         };
         reasons.push(match self.channels_touched {
             0 => "no channel felt anything: look before you count it".to_owned(),

@@ -13,9 +13,9 @@ use anyhow::{Context as _, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_grasp::{GraspScene, Start};
 use palpate_rollout::read::{self, KnownStart, Recorded};
-use palpate_rollout::verdict::Verdict;
 use palpate_sim::job::Progress as _;
 use palpate_terminal::Bar;
+use palpate_wire::api::TrialVerdict;
 use rayon::prelude::*;
 
 use self::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};
@@ -75,7 +75,7 @@ struct Comparable {
     /// Nobody measured where the object was: it is taken to have been where the campaign's plan has it.
     is_planned: bool,
     /// Verdict on the hand, and whether it is the robot's own.
-    verdict: Verdict,
+    verdict: TrialVerdict,
     is_suggested: bool,
 }
 
@@ -385,7 +385,7 @@ fn comparable(
         let seen = outcome.truth.as_ref().and_then(|truth| truth.verdict);
         let seen = seen.filter(|_| counted == Counted::Seen);
         let (verdict, is_suggested) = (seen.unwrap_or(outcome.suggested), seen.is_none());
-        if outcome.suggested == Verdict::Void || verdict == Verdict::Void {
+        if outcome.suggested == TrialVerdict::Void || verdict == TrialVerdict::Void {
             left_out.void.push(number);
             continue;
         }

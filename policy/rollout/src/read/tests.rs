@@ -66,11 +66,11 @@ fn outcomes_are_those_of_robot_and_operator() {
     let outcome = |truth: Value| json!({ "kind": "outcome", "outcome": { "suggested": "success", "truth": truth, "steps": 4 } });
     for (truth, expected) in [
         (Value::Null, None),
-        (json!({ "verdict": "SL", "lift_m": 0.1 }), Some(Verdict::Slip)),
+        (json!({ "verdict": "SL", "lift_m": 0.1 }), Some(TrialVerdict::Slip)),
         (json!({ "problem": "it is gone" }), None),
     ] {
         let record = parsed(&text(&[head(), outcome(truth)])).expect("a record").outcome.expect("an outcome");
-        assert_eq!(record.suggested, Verdict::Success);
+        assert_eq!(record.suggested, TrialVerdict::Success);
         assert_eq!(record.truth.and_then(|truth| truth.verdict), expected);
     }
 }

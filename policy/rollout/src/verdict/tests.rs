@@ -68,7 +68,7 @@ fn a_grip_that_is_felt_and_raised_for_long_enough_is_a_success() {
     assert!(!trial.spend(0.9, GRIP, 3, true));
     assert!(!trial.spend(0.3, GRIP, 3, true), "somebody may still be looking");
     let suggestion = trial.watch.suggest(None);
-    assert_eq!(suggestion.verdict, Verdict::Success);
+    assert_eq!(suggestion.verdict, TrialVerdict::Success);
     let at_s = suggestion.time_to_grasp_s.expect("it gripped");
     assert!((at_s - 1.0).abs() < 0.1, "{at_s} s");
     assert!((suggestion.held_s - 1.2).abs() < 0.1, "{suggestion:?}");
@@ -81,7 +81,7 @@ fn what_is_lost_in_the_air_slipped_and_what_was_never_up_was_an_empty_grasp() {
     trial.spend(0.5, GRIP, 3, false);
     trial.spend(0.5, GRIP, 3, true);
     trial.spend(2.0, &[], 0, true);
-    assert_eq!(trial.watch.suggest(None).verdict, Verdict::Slip);
+    assert_eq!(trial.watch.suggest(None).verdict, TrialVerdict::Slip);
     for (stopped, num_active, why) in [
         (&[][..], 4, "fingers that get where they are told to be hold nothing"),
         (&["index_pip", "index_dip"], 4, "one digit holds nothing"),
@@ -90,18 +90,18 @@ fn what_is_lost_in_the_air_slipped_and_what_was_never_up_was_an_empty_grasp() {
         let mut trial = Trial::begin();
         trial.spend(0.5, stopped, num_active, false);
         trial.spend(2.0, stopped, num_active, true);
-        assert_eq!(trial.watch.suggest(None).verdict, Verdict::EmptyGrasp, "{why}");
+        assert_eq!(trial.watch.suggest(None).verdict, TrialVerdict::EmptyGrasp, "{why}");
     }
     // A grip that no taxel feels is one, and says so.
     let mut trial = Trial::begin();
     trial.spend(0.5, GRIP, 0, false);
     trial.spend(2.0, GRIP, 0, true);
     let unfelt = trial.watch.suggest(None);
-    assert_eq!(unfelt.verdict, Verdict::Success);
+    assert_eq!(unfelt.verdict, TrialVerdict::Success);
     assert!(unfelt.reasons.iter().any(|reason| reason.contains("no channel felt anything")), "{unfelt:?}");
     let mut trial = Trial::begin();
     trial.spend(3.0, GRIP, 3, false);
-    assert_eq!(trial.watch.suggest(None).verdict, Verdict::EmptyGrasp, "it was never raised");
+    assert_eq!(trial.watch.suggest(None).verdict, TrialVerdict::EmptyGrasp, "it was never raised");
 }
 
 #[test]
@@ -110,8 +110,8 @@ fn a_trial_that_was_broken_off_is_never_counted_as_anything_else() {
     trial.spend(0.5, GRIP, 3, false);
     trial.spend(2.0, GRIP, 3, true);
     for (broken, verdict) in [
-        (Break::Void("the studio is gone".to_owned()), Verdict::Void),
-        (Break::Station("the button was pressed".to_owned()), Verdict::EmergencyStop),
+        (Break::Void("the studio is gone".to_owned()), TrialVerdict::Void),
+        (Break::Station("the button was pressed".to_owned()), TrialVerdict::EmergencyStop),
     ] {
         let suggestion = trial.watch.suggest(Some(&broken));
         assert_eq!(suggestion.verdict, verdict);
@@ -125,7 +125,7 @@ fn frames_that_say_nothing_of_commands_count_for_nothing() {
     let mut trial = Trial::begin();
     let has_it = trial.watch.look(&trial.station, 1.0, &LiveFrame::default());
     assert!(!has_it);
-    assert_eq!(trial.watch.suggest(None).verdict, Verdict::EmptyGrasp);
+    assert_eq!(trial.watch.suggest(None).verdict, TrialVerdict::EmptyGrasp);
 }
 
 #[test]

@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 
 use palpate_calibration::metrics::{MetricsSum, compare_take};
 use palpate_grasp::trial::{Outcome, Score};
-use palpate_rollout::verdict::Verdict;
 use palpate_statistics::mcnemar_exact;
+use palpate_wire::api::TrialVerdict;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -33,7 +33,7 @@ pub(super) struct LeftOut {
 pub(super) struct OnHand {
     pub(super) trial: u64,
     /// Not void.
-    pub(super) verdict: Verdict,
+    pub(super) verdict: TrialVerdict,
     /// Nobody looked: it is what the robot suggested.
     pub(super) is_suggested: bool,
 }
@@ -151,12 +151,12 @@ fn word(outcome: Outcome) -> &'static str {
 }
 
 /// A verdict of the hand as the grasp world has it; a void one is left out before.
-fn outcome(verdict: Verdict) -> Outcome {
+fn outcome(verdict: TrialVerdict) -> Outcome {
     match verdict {
-        Verdict::Success => Outcome::Success,
-        Verdict::EmptyGrasp => Outcome::EmptyGrasp,
-        Verdict::Slip => Outcome::Slip,
-        Verdict::EmergencyStop | Verdict::Void => Outcome::EmergencyStop,
+        TrialVerdict::Success => Outcome::Success,
+        TrialVerdict::EmptyGrasp => Outcome::EmptyGrasp,
+        TrialVerdict::Slip => Outcome::Slip,
+        TrialVerdict::EmergencyStop | TrialVerdict::Void => Outcome::EmergencyStop,
     }
 }
 

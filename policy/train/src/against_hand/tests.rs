@@ -1,5 +1,5 @@
 use palpate_grasp::trial::Outcome::{self, EmptyGrasp, Slip, Success};
-use palpate_rollout::verdict::Verdict;
+use palpate_wire::api::TrialVerdict;
 
 use super::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};
 
@@ -15,8 +15,8 @@ fn touch() -> Touch {
     Touch::of(20.0, 3, &hand, &steps(5, false))
 }
 
-fn comparison(trials: &[(Verdict, Outcome)]) -> Comparison {
-    let pair = |(_, outcome): &(Verdict, Outcome)| Pair {
+fn comparison(trials: &[(TrialVerdict, Outcome)]) -> Comparison {
+    let pair = |(_, outcome): &(TrialVerdict, Outcome)| Pair {
         outcome: *outcome,
         touch: touch(),
         replayed_outcome: Success,
@@ -48,11 +48,11 @@ fn comparison(trials: &[(Verdict, Outcome)]) -> Comparison {
 #[test]
 fn pairs_and_channels_are_counted_by_hand() {
     let compared = comparison(&[
-        (Verdict::Success, Success),
-        (Verdict::EmptyGrasp, Success),
-        (Verdict::Slip, EmptyGrasp),
-        (Verdict::Slip, Slip),
-        (Verdict::Success, Slip),
+        (TrialVerdict::Success, Success),
+        (TrialVerdict::EmptyGrasp, Success),
+        (TrialVerdict::Slip, EmptyGrasp),
+        (TrialVerdict::Slip, Slip),
+        (TrialVerdict::Success, Slip),
     ]);
     let document = compared.document(true);
     let same_start = &document["models"][0]["same_start"];
