@@ -20,10 +20,10 @@ use rayon::prelude::*;
 
 use self::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};
 use self::simulate::{Begin, Mover, Simulated};
-use crate::SceneArgs;
 use crate::files::{self, Source, Sources};
 use crate::policy::Policy;
 use crate::task::{self, TaskArgs};
+use crate::{RobotArgs, SceneArgs};
 
 /// An object that begins this far from where the record says did not begin in the same world, m: placing one again from its seed
 /// differs by rounding, another seed or region by centimetres.
@@ -280,9 +280,11 @@ impl Opened {
         let policy = named.path("policy");
         let script = named.path("script");
         let scene_args = SceneArgs {
-            station: args.station.clone(),
-            world: named.must("world")?,
-            model: if let Feels::Model(path) = feels { Some(path.clone()) } else { None },
+            robot: RobotArgs {
+                station: args.station.clone(),
+                world: named.must("world")?,
+                model: if let Feels::Model(path) = feels { Some(path.clone()) } else { None },
+            },
             truth: if let Feels::Truth(path) = feels { Some(path.clone()) } else { None },
             contact_map: None,
             silence_touch: false,

@@ -8,10 +8,10 @@ use std::time::Instant;
 use anyhow::{Context as _, bail};
 use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Memory, Moment, Robot, Shape, Step};
 use palpate_encoder::{Dataset, EncoderConfig, Sample};
-use palpate_robot_model::Station;
 use serde::{Deserialize, Serialize};
 
 use crate::bench::Peer;
+use crate::files::{self, Sources};
 
 /// The peer's program: the same networks in PyTorch.
 const PEER: &str = include_str!("../../../tests/peers/torch_policy.py");
@@ -205,10 +205,7 @@ fn peer_inputs(
 
 /// The robot of a station file, as if it were controlled 20 times a second: the rate is only compared.
 fn robot(path: &Path) -> anyhow::Result<Robot> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let name = path.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
-    let station =
-        Station::read(name, |name| std::fs::read(folder.join(name)).map_err(|err| err.to_string()))?;
+    let station = files::station(path, &Sources::default())?;
     Ok(Robot {
         joints: station.robot.dofs().map(|joint| joint.name.clone()).collect(),
         channels: station.layout.channels.iter().map(|channel| channel.id.clone()).collect(),

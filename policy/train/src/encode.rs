@@ -13,19 +13,16 @@ use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 use serde::Serialize;
 
 use self::samples::World;
-use crate::{files, learning};
+use crate::files;
+use crate::learning::{self, ConfigArgs};
 
 #[derive(clap::Args)]
 pub(crate) struct EncodeArgs {
     /// Folders of demonstrations, or of trials of the searching expert (`gather`)
     #[arg(long, required = true, num_args = 1.., value_name = "FOLDER")]
     demos: Vec<PathBuf>,
-    /// How to learn: `quick` or `paper`
-    #[arg(long, default_value = "quick", conflicts_with = "config")]
-    preset: String,
-    /// How to learn: a file instead of a preset (docs/learning.md)
-    #[arg(long)]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigArgs,
     /// Seed of weights, order, points and of what is held out [default: the configuration's]
     #[arg(long)]
     seed: Option<u64>,
@@ -105,10 +102,7 @@ pub(crate) fn run(args: &EncodeArgs) -> anyhow::Result<()> {
 }
 
 fn config(args: &EncodeArgs) -> anyhow::Result<EncoderConfig> {
-    let mut config = match &args.config {
-        Some(path) => EncoderConfig::from_toml(&files::shown(path), &files::text(path)?)?,
-        None => EncoderConfig::preset(&args.preset)?,
-    };
+    let mut config = args.config.read(EncoderConfig::from_toml, EncoderConfig::preset)?;
     config.seed = args.seed.unwrap_or(config.seed);
     config.epochs = args.epochs.unwrap_or(config.epochs);
     config.inputs.positions &= !args.without_positions;

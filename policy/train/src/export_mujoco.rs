@@ -6,11 +6,11 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
-use palpate_grasp::{GraspConfig, GraspScene, Randomisation, Script, Start, scene};
+use palpate_grasp::{GraspScene, Randomisation, Script, Start, scene};
 use palpate_robot_model::{ObjectModel, Station};
-use palpate_sim::SensorModel;
 use serde_json::json;
 
+use crate::RobotArgs;
 use crate::files::{self, Sources, shown};
 
 /// What the folder says about itself.
@@ -26,15 +26,8 @@ pub(crate) struct ExportMujocoArgs {
     /// Folder to make
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Station file
-    #[arg(long, default_value = "assets/stations/xarm6_leap.toml")]
-    station: PathBuf,
-    /// Grasp world of its robot
-    #[arg(long, default_value = "assets/grasp/xarm6_leap.toml")]
-    world: PathBuf,
-    /// Sensor model [default: the station's nominal model]
-    #[arg(long)]
-    model: Option<PathBuf>,
+    #[command(flatten)]
+    robot: RobotArgs,
     /// Object: a file, or a name in `assets/objects`
     #[arg(long, default_value = "cube")]
     object: String,
@@ -83,17 +76,9 @@ struct Export {
 
 impl Export {
     fn read(args: &ExportMujocoArgs) -> anyhow::Result<Self> {
-        let name = args.station.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
-        let beside = args.station.parent().unwrap_or(Path::new(""));
-        let read = |path: &str| fs::read(beside.join(path)).map_err(|err| err.to_string());
-        let station = Arc::new(Station::read(name, read)?);
-        let world = files::text(&args.world)?;
-        let config = GraspConfig::from_toml(&shown(&args.world), &world, &station.robot)?;
-        let (model_file, model_text) = match &args.model {
-            Some(path) => (shown(path), files::text(path)?),
-            None => ("nominal model".to_owned(), station.nominal_model_toml.clone()),
-        };
-        let model = SensorModel::from_toml(&model_file, &model_text)?;
+        let sources = Sources::default();
+        let (station, config) = files::open_robot(&args.robot, &sources)?;
+        let (model, model_text) = files::sensor_model(&args.robot, &station, &sources)?;
         let script = files::text(&args.script)?;
         Script::from_toml(&shown(&args.script), &script, &station.robot, &config)?;
         let (object, object_files) = object(&args.object)?;
@@ -102,7 +87,7 @@ impl Export {
         let start = Start::nominal(&scene);
         let mjcf = scene.mjcf(&Randomisation::none())?;
         let mjcf = scene::with_start(&mjcf, &station.robot, &start.positions, &start.base_from_object);
-        let (station_file, station_files) = station_files(&station, &args.station, name)?;
+        let (station_file, station_files) = station_files(&station, &args.robot.station)?;
         let table = &scene.config().table;
         let [x, y, _] = [table.center_m[0], table.center_m[1], 0.0];
         let z = table.top_m - 0.5 * table.size_m[2];
@@ -160,7 +145,8 @@ fn object(name: &str) -> anyhow::Result<(ObjectModel, Files)> {
 }
 
 /// The station's files below `station`, each where the station's file finds it, and the path of that one.
-fn station_files(station: &Station, path: &Path, name: &str) -> anyhow::Result<(PathBuf, Files)> {
+fn station_files(station: &Station, path: &Path) -> anyhow::Result<(PathBuf, Files)> {
+    let name = files::station_name(path)?;
     let up =
         |file: &str| Path::new(file).components().take_while(|part| *part == Component::ParentDir).count();
     let depth = station.files.files.keys().map(|file| up(file)).max().unwrap_or(0);

@@ -12,8 +12,8 @@ use palpate_robot_model::{ObjectGroup, ObjectModel, Station};
 pub(crate) use palpate_rollout::task::{Source, sha256};
 use palpate_sim::SensorModel;
 
-use crate::SceneArgs;
 use crate::truth::Emulated;
+use crate::{RobotArgs, SceneArgs};
 
 /// Files in the order in which they were read.
 #[derive(Default)]
@@ -87,23 +87,49 @@ impl OpenWorld {
     }
 }
 
+/// Reads station and world that `args` names.
+pub(crate) fn open_robot(args: &RobotArgs, sources: &Sources) -> anyhow::Result<(Arc<Station>, GraspConfig)> {
+    let (station, world) = (station(&args.station, sources)?, &args.world);
+    let config = GraspConfig::from_toml(&shown(world), &sources.text("world", world)?, &station.robot)?;
+    Ok((Arc::new(station), config))
+}
+
+/// Reads the station whose file is `path`.
+pub(crate) fn station(path: &Path, sources: &Sources) -> anyhow::Result<Station> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    Ok(Station::read(station_name(path)?, |path| sources.beside("station", folder, path))?)
+}
+
+/// Name of the file of a station.
+pub(crate) fn station_name(station: &Path) -> anyhow::Result<&str> {
+    station.file_name().and_then(|name| name.to_str()).context("--station is no file")
+}
+
+/// The sensor model that `args` names, and its text.
+pub(crate) fn sensor_model(
+    args: &RobotArgs,
+    station: &Station,
+    sources: &Sources,
+) -> anyhow::Result<(SensorModel, String)> {
+    let (file, text) = match &args.model {
+        Some(path) => (shown(path), sources.text("model", path)?),
+        None => ("nominal model".to_owned(), station.nominal_model_toml.clone()),
+    };
+    Ok((SensorModel::from_toml(&file, &text)?, text))
+}
+
 /// Reads station, world and sense that `args` names.
 pub(crate) fn open_world(args: &SceneArgs, sources: &Sources) -> anyhow::Result<OpenWorld> {
-    let folder = args.station.parent().unwrap_or(Path::new("")).to_owned();
-    let name = args.station.file_name().and_then(|name| name.to_str()).context("--station is no file")?;
-    let read = |path: &str| sources.beside("station", &folder, path);
-    let station = Arc::new(Station::read(name, read)?);
-    let mut config =
-        GraspConfig::from_toml(&shown(&args.world), &sources.text("world", &args.world)?, &station.robot)?;
+    let (station, mut config) = open_robot(&args.robot, sources)?;
     if let Some(start_cm) = args.start_cm {
         if !(start_cm.is_finite() && start_cm >= 0.0) {
             bail!("--start-cm is {start_cm}, expected a number that is not negative");
         }
         config.task.half_width_m = 0.01 * start_cm;
     }
-    let sense: Box<dyn Sense> = match (&args.truth, &args.model) {
+    let sense: Box<dyn Sense> = match &args.truth {
         _ if args.silence_touch => Box::new(NoTouch),
-        (Some(path), _) => {
+        Some(path) => {
             sources.text("truth", path)?;
             let map = args.contact_map.as_deref().map(|path| {
                 let text = sources.text("contact map", path)?;
@@ -111,8 +137,7 @@ pub(crate) fn open_world(args: &SceneArgs, sources: &Sources) -> anyhow::Result<
             });
             Box::new(Emulated::read(path, map.transpose()?)?)
         }
-        (None, Some(path)) => Box::new(SensorModel::from_toml(&shown(path), &sources.text("model", path)?)?),
-        (None, None) => Box::new(SensorModel::from_toml("nominal model", &station.nominal_model_toml)?),
+        None => Box::new(sensor_model(&args.robot, &station, sources)?.0),
     };
     Ok(OpenWorld { station, config, sense })
 }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context as _, bail};
 use nalgebra::Isometry3;
-use palpate_cloning::{Episode, Moment, Robot, Step};
+use palpate_cloning::{Episode, Robot, Step};
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_grasp::search::{Prior, Searcher, Senses};
 use palpate_grasp::trial::{Known, Outcome, Score, conduct_seen};
@@ -427,14 +427,11 @@ struct Recorder<'a, C> {
 impl<C: Controller> Controller for Recorder<'_, C> {
     fn control(&mut self, now: &Observation<'_>) -> Command {
         let command = self.controller.control(now);
-        let moment = Moment {
-            time_s: now.time_s,
-            positions: now.positions,
-            commands: now.commands,
-            active: now.active,
-            features: &[],
+        let step = Step {
+            moment: imitator::moment(now),
+            targets: &command.targets,
+            claims_held: command.claims_held,
         };
-        let step = Step { moment, targets: &command.targets, claims_held: command.claims_held };
         self.episode.push(self.robot.shape(), &step);
         command
     }

@@ -35,6 +35,12 @@ pub(crate) fn open(
     Ok((Imitation { policy: Arc::new(policy), features }, source))
 }
 
+/// What is observed, as a policy that imitates and episodes to learn from have it, without features of touch.
+pub(crate) fn moment<'a>(now: &Observation<'a>) -> Moment<'a> {
+    let &Observation { time_s, positions, commands, active, told_place_m: _ } = now;
+    Moment { time_s, positions, commands, active, features: &[] }
+}
+
 /// A policy as what moves the robot in a trial.
 pub(crate) struct Imitator {
     run: Run,
@@ -57,13 +63,7 @@ impl Imitator {
     }
 
     fn plan(&mut self, now: &Observation<'_>) -> anyhow::Result<Plan> {
-        let moment = Moment {
-            time_s: now.time_s,
-            positions: now.positions,
-            commands: now.commands,
-            active: now.active,
-            features: &[],
-        };
+        let moment = moment(now);
         let features = match &mut self.features {
             Some(features) => features.see(&moment)?,
             None => Vec::new(),

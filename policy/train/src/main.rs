@@ -84,9 +84,9 @@ enum Command {
     Station(station::StationArgs),
 }
 
-/// What is grasped with what, and felt how.
+/// What grasps, and what simulates its touch.
 #[derive(Clone, clap::Args)]
-pub(crate) struct SceneArgs {
+pub(crate) struct RobotArgs {
     /// Station file
     #[arg(long, default_value = "assets/stations/xarm6_leap.toml")]
     station: PathBuf,
@@ -96,6 +96,13 @@ pub(crate) struct SceneArgs {
     /// Sensor model [default: the station's nominal model]
     #[arg(long)]
     model: Option<PathBuf>,
+}
+
+/// What is grasped with what, and felt how.
+#[derive(Clone, clap::Args)]
+pub(crate) struct SceneArgs {
+    #[command(flatten)]
+    robot: RobotArgs,
     /// Feel what the emulated station feels, as this truth file says, instead of what a sensor model says
     #[arg(long, conflicts_with = "model")]
     truth: Option<PathBuf>,

@@ -11,7 +11,7 @@ use palpate_ppo::{Ending, EnvError, Finish, Observations, PpoConfig, Start, Step
 use palpate_sim::job::{Cancel, Progress as _};
 
 use crate::task::{Memory, TaskArgs, TaskRecord};
-use crate::{files, task};
+use crate::{learning::ConfigArgs, task};
 use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
 
 /// The metric of how wide the region of starts is.
@@ -21,12 +21,8 @@ pub(crate) const START_HALF_WIDTH: &str = "start_half_width_m";
 pub(crate) struct PpoArgs {
     #[command(flatten)]
     task: TaskArgs,
-    /// How to learn: `quick` or `paper`
-    #[arg(long, default_value = "quick", conflicts_with = "config")]
-    preset: String,
-    /// How to learn: a file instead of a preset (docs/learning.md)
-    #[arg(long)]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigArgs,
     /// Seed of environments, weights and noise [default: the configuration's]
     #[arg(long)]
     seed: Option<u64>,
@@ -42,10 +38,7 @@ pub(crate) struct PpoArgs {
 }
 
 pub(crate) fn run(args: &PpoArgs) -> anyhow::Result<()> {
-    let mut config = match &args.config {
-        Some(path) => PpoConfig::from_toml(&files::shown(path), &files::text(path)?)?,
-        None => PpoConfig::preset(&args.preset)?,
-    };
+    let mut config = args.config.read(PpoConfig::from_toml, PpoConfig::preset)?;
     config.seed = args.seed.unwrap_or(config.seed);
     config.total_steps = args.total_steps.unwrap_or(config.total_steps);
     config.validate()?;
@@ -188,15 +181,17 @@ mod tests {
     use palpate_ppo::{CHECKPOINT_FILE, NetworksConfig};
 
     use super::*;
-    use crate::SceneArgs;
+    use crate::{RobotArgs, SceneArgs, files};
 
     /// Two environments that widen their starts after every episode, so that there is something to remember.
     fn envs() -> GraspEnvs {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let scene = SceneArgs {
-            station: root.join("assets/stations/xarm6_leap.toml"),
-            world: root.join("assets/grasp/xarm6_leap.toml"),
-            model: None,
+            robot: RobotArgs {
+                station: root.join("assets/stations/xarm6_leap.toml"),
+                world: root.join("assets/grasp/xarm6_leap.toml"),
+                model: None,
+            },
             truth: None,
             contact_map: None,
             script: root.join("assets/grasp/scripts/xarm6_leap_cube.toml"),

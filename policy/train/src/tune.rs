@@ -153,10 +153,14 @@ fn header(args: &TuneArgs, object: &str, half_width_m: f64, generation: usize) -
 /// The flags that name other files than those that a search takes by itself.
 fn other_files(args: &TuneArgs) -> String {
     let tuning = (args.tuning != Path::new(TUNING)).then_some(&args.tuning);
-    [("--tuning", tuning), ("--model", args.scene.model.as_ref()), ("--truth", args.scene.truth.as_ref())]
-        .into_iter()
-        .filter_map(|(flag, path)| Some(format!(" \\\n#     {flag} {}", files::shown(path?))))
-        .collect()
+    [
+        ("--tuning", tuning),
+        ("--model", args.scene.robot.model.as_ref()),
+        ("--truth", args.scene.truth.as_ref()),
+    ]
+    .into_iter()
+    .filter_map(|(flag, path)| Some(format!(" \\\n#     {flag} {}", files::shown(path?))))
+    .collect()
 }
 
 /// Writes beside the file first, so that there is never half a script.
