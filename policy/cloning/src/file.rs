@@ -70,6 +70,28 @@ struct TrainingState {
 type File<'a> = TensorFile<'a, State>;
 
 impl State {
+    /// That of a policy's file, whose tensors have no checksums yet.
+    fn new(
+        robot: &Robot,
+        config: &CloneConfig,
+        updates: u64,
+        sources: &BTreeMap<String, String>,
+        encoder: Option<EncoderState>,
+    ) -> Self {
+        Self {
+            format: FORMAT,
+            joints: robot.joints.clone(),
+            channels: robot.channels.clone(),
+            control_rate_hz: robot.control_rate_hz,
+            config: config.to_toml(),
+            updates,
+            sources: sources.clone(),
+            checksums: BTreeMap::new(),
+            encoder,
+            training: None,
+        }
+    }
+
     fn robot(&self) -> Robot {
         Robot {
             joints: self.joints.clone(),
@@ -92,18 +114,9 @@ impl Trainer {
         encode_scaling(&mut tensors, "inputs", &self.inputs);
         encode_scaling(&mut tensors, "chunks", &self.chunks);
         let encoder = encode_encoder(&mut tensors, self.encoder.as_deref());
-        encode(tensors, |checksums| State {
-            format: FORMAT,
-            joints: self.robot.joints.clone(),
-            channels: self.robot.channels.clone(),
-            control_rate_hz: self.robot.control_rate_hz,
-            config: self.config.to_toml(),
-            updates: self.updates,
-            sources: self.sources.clone(),
-            checksums,
-            encoder,
-            training: Some(TrainingState { samples: self.num_samples, adam_steps: self.adam.steps }),
-        })
+        let state = State::new(&self.robot, &self.config, self.updates, &self.sources, encoder);
+        let training = Some(TrainingState { samples: self.num_samples, adam_steps: self.adam.steps });
+        encode(tensors, |checksums| State { checksums, training, ..state })
     }
 
     /// The training that `bytes` hold, to go on with `config` on `episodes` of `robot`, which were made from `sources`.
@@ -229,18 +242,8 @@ impl Cloned {
         encode_scaling(&mut tensors, "inputs", &self.inputs);
         encode_scaling(&mut tensors, "chunks", &self.chunks);
         let encoder = encode_encoder(&mut tensors, self.encoder.as_deref());
-        Ok(encode(tensors, |checksums| State {
-            format: FORMAT,
-            joints: self.robot.joints.clone(),
-            channels: self.robot.channels.clone(),
-            control_rate_hz: self.robot.control_rate_hz,
-            config: self.config.to_toml(),
-            updates: self.updates,
-            sources: self.sources.clone(),
-            checksums,
-            encoder,
-            training: None,
-        }))
+        let state = State::new(&self.robot, &self.config, self.updates, &self.sources, encoder);
+        Ok(encode(tensors, |checksums| State { checksums, ..state }))
     }
 }
 
