@@ -19,9 +19,7 @@ pub use board::{JobSource, submit_job};
 pub use contact_map::{
     ContactMapArtifacts, ContactMapConfig, ContactTarget, fit_contact_map, judge_contact_map,
 };
-pub use diagnose::{
-    BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_session, diagnose_sessions, take_of_session,
-};
+pub use diagnose::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_sessions, take_of_session};
 pub use next_plan::next_plan;
 use palpate_calibration::{CalibrationConfig, PairedTake, calibrate, report};
 use palpate_recording::{Session, TactileSampleRef, Take, TakeMeta, TakeWriter};

@@ -1,6 +1,6 @@
 //! `palpate calibrate`.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, ValueEnum};
 use palpate_calibration::{CalibrationConfig, HoldOut, Method, report::headline};
@@ -9,11 +9,11 @@ use palpate_reports::{CalibrationReport, Metrics, StreamFit};
 use palpate_server::{
     Error,
     data::{files, library::Library},
-    jobs::{CalibrationArtifacts, calibrate_session},
+    jobs::calibrate_session,
 };
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
-use super::{Outcome, output};
+use super::{Outcome, report::ReportArgs};
 
 #[derive(Args)]
 pub(crate) struct CalibrateArgs {
@@ -32,15 +32,8 @@ pub(crate) struct CalibrateArgs {
     /// Write the fitted model here
     #[arg(long, value_name = "MODEL.toml")]
     out: Option<PathBuf>,
-    /// Write report.json, report.html and model.toml into this folder
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-    /// Seed of the resampling behind the intervals
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    report: ReportArgs,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -63,19 +56,15 @@ pub(super) fn run(args: &CalibrateArgs) -> Outcome {
         },
         hold_out: hold_out(&args.hold_out, &session)?,
         shared_theta: args.shared_theta,
-        seed: args.seed,
+        seed: args.report.seed,
         ..CalibrationConfig::default()
     };
     let artifacts = {
         let bar = Bar::new();
         calibrate_session(&Library::default(), &session, &config, &bar, &cancel_on_ctrl_c())?
     };
-    write(args, &artifacts)?;
-    if args.json {
-        output::json(&artifacts.report)?;
-    } else {
-        output::line(&text(&artifacts.report))?;
-    }
+    args.report.write(args.out.as_deref(), &artifacts.report, &artifacts.html, &artifacts.model)?;
+    args.report.print(&artifacts.report, text)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -96,22 +85,6 @@ pub(super) fn hold_out(text: &str, session: &Session) -> Result<HoldOut, Error> 
         }
     }
     Ok(HoldOut::Takes(ids))
-}
-
-fn write(args: &CalibrateArgs, artifacts: &CalibrationArtifacts) -> Result<(), Error> {
-    let model = artifacts.model.to_toml();
-    if let Some(dir) = &args.report {
-        fs::create_dir_all(dir).map_err(Error::io("make", dir))?;
-        let json =
-            serde_json::to_vec_pretty(&artifacts.report).map_err(|err| Error::Internal(err.to_string()))?;
-        files::write(&dir.join("report.json"), &json)?;
-        files::write(&dir.join("report.html"), artifacts.html.as_bytes())?;
-        files::write(&dir.join("model.toml"), model.as_bytes())?;
-    }
-    match &args.out {
-        Some(out) => files::write(out, model.as_bytes()),
-        None => Ok(()),
-    }
 }
 
 fn text(report: &CalibrationReport) -> String {

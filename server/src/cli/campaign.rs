@@ -7,7 +7,7 @@ use palpate_server::{Error, assets, data::files};
 use palpate_trials::{Campaigns, Format, render, results_of_folder};
 use palpate_wire::api::CampaignResults;
 
-use super::{Outcome, output};
+use super::{Outcome, folder::FolderArgs, output};
 
 #[derive(Subcommand)]
 pub(crate) enum CampaignCommand {
@@ -15,16 +15,6 @@ pub(crate) enum CampaignCommand {
     List(FolderArgs),
     /// Success rates with intervals, failures, comparisons
     Results(ResultsArgs),
-}
-
-#[derive(Args)]
-pub(crate) struct FolderArgs {
-    /// The data folder of `palpate serve`
-    #[arg(long, value_name = "DIR", default_value = "data")]
-    data: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Args)]

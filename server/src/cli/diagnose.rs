@@ -14,12 +14,12 @@ use palpate_reports::{DiagnosisReport, Metrics, wording};
 use palpate_server::{
     Error,
     data::{bars::Bars, files, library::Library},
-    jobs::{BarConfig, DiagnosisArtifacts, check_diagnosis, diagnose_sessions, next_plan, take_of_session},
+    jobs::{BarConfig, check_diagnosis, diagnose_sessions, next_plan, take_of_session},
 };
 use palpate_sim::SensorModel;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
 
-use super::{Outcome, calibrate::hold_out, output};
+use super::{Outcome, calibrate::hold_out, output, report::ReportArgs};
 
 #[derive(Args)]
 pub(crate) struct DiagnoseArgs {
@@ -52,15 +52,8 @@ pub(crate) struct DiagnoseArgs {
     /// Write the model with the named effects here
     #[arg(long, value_name = "MODEL.toml")]
     out: Option<PathBuf>,
-    /// Write report.json, report.html and model.toml into this folder
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-    /// Seed of the resampling behind the intervals
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    report: ReportArgs,
 }
 
 pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
@@ -74,7 +67,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
         hold_out: hold_out_of(&args.hold_out, &sessions)?,
         max_effects: args.max_effects.unwrap_or(default.max_effects),
         without: args.without.iter().map(|id| id.trim().to_owned()).collect(),
-        seed: args.seed,
+        seed: args.report.seed,
         ..default
     };
     check_diagnosis(&config, args.null_bar)?;
@@ -86,16 +79,12 @@ pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
         let null = BarConfig { bars: &bars, null_sessions: args.null_bar };
         diagnose_sessions(&library, &sessions, &config, start.as_ref(), null, &bar, &cancel)?
     };
-    write(args, &artifacts)?;
-    if args.json {
-        output::json(&artifacts.report)?;
-    } else {
-        output::line(&text(&artifacts.report))?;
-    }
+    args.report.write(args.out.as_deref(), &artifacts.report, &artifacts.html, &artifacts.model)?;
+    args.report.print(&artifacts.report, text)?;
     if let Some(plan) = &args.plan {
         // Last, so that what cannot be planned costs nobody the diagnosis.
         let said = write_plan(&library, &sessions, &artifacts.report, plan)?;
-        if args.json {
+        if args.report.json {
             // Standard output holds one document.
             eprintln!("{said}");
         } else {
@@ -164,22 +153,6 @@ fn hold_out_of(text: &str, sessions: &[Session]) -> Result<HoldOut, Error> {
 fn read_model(path: &PathBuf) -> Result<SensorModel, Error> {
     let text = fs::read_to_string(path).map_err(Error::io("read", path))?;
     Ok(SensorModel::from_toml(&path.display().to_string(), &text)?)
-}
-
-fn write(args: &DiagnoseArgs, artifacts: &DiagnosisArtifacts) -> Result<(), Error> {
-    let model = artifacts.model.to_toml();
-    if let Some(dir) = &args.report {
-        fs::create_dir_all(dir).map_err(Error::io("make", dir))?;
-        let json =
-            serde_json::to_vec_pretty(&artifacts.report).map_err(|err| Error::Internal(err.to_string()))?;
-        files::write(&dir.join("report.json"), &json)?;
-        files::write(&dir.join("report.html"), artifacts.html.as_bytes())?;
-        files::write(&dir.join("model.toml"), model.as_bytes())?;
-    }
-    match &args.out {
-        Some(out) => files::write(out, model.as_bytes()),
-        None => Ok(()),
-    }
 }
 
 /// Columns of a bar at full length.

@@ -1,26 +1,16 @@
 //! `palpate index`: what is known of takes without decoding them.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
-use clap::{Args, Subcommand};
+use clap::Subcommand;
 use palpate_server::data::rebuild_index;
 
-use super::{Outcome, output};
+use super::{Outcome, folder::FolderArgs, output};
 
 #[derive(Subcommand)]
 pub(crate) enum IndexCommand {
     /// Make the index of sessions and takes again from their files
-    Rebuild(RebuildArgs),
-}
-
-#[derive(Args)]
-pub(crate) struct RebuildArgs {
-    /// The data folder of `palpate serve`
-    #[arg(long, value_name = "DIR", default_value = "data")]
-    data: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    Rebuild(FolderArgs),
 }
 
 pub(super) fn run(command: &IndexCommand) -> Outcome {

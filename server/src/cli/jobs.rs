@@ -11,7 +11,7 @@ use palpate_server::{
 };
 use palpate_wire::api::{Job, JobRequest, JobState, Resources};
 
-use super::{Outcome, output};
+use super::{Outcome, folder::FolderArgs, output};
 
 /// This much of a log is printed, from its end, bytes.
 const MAX_LOG_BYTES: u64 = 1 << 20;
@@ -30,16 +30,6 @@ pub(crate) enum JobsCommand {
     Retry(JobArgs),
     /// What a job's process printed
     Log(JobArgs),
-}
-
-#[derive(Args)]
-pub(crate) struct FolderArgs {
-    /// The data folder of `palpate serve`
-    #[arg(long, value_name = "DIR", default_value = "data")]
-    data: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Args)]

@@ -3,7 +3,6 @@
 use std::{
     fs,
     io::{self, BufRead as _, IsTerminal as _, Write as _},
-    path::PathBuf,
     process::ExitCode,
 };
 
@@ -13,7 +12,7 @@ use palpate_server::{Error, open_people};
 use palpate_wire::api::{Person, Role};
 use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
 
-use super::{Outcome, output};
+use super::{Outcome, folder::FolderArgs, output};
 
 #[derive(Subcommand)]
 pub(crate) enum PeopleCommand {
@@ -27,16 +26,6 @@ pub(crate) enum PeopleCommand {
     Role(RoleArgs),
     /// Give somebody another password, and end their logins
     Password(PersonArgs),
-}
-
-#[derive(Args)]
-pub(crate) struct FolderArgs {
-    /// The data folder of `palpate serve`
-    #[arg(long, value_name = "DIR", default_value = "data")]
-    pub(super) data: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    pub(super) json: bool,
 }
 
 #[derive(Args)]

@@ -7,10 +7,7 @@ use palpate_people::{TokenRequest, now_s};
 use palpate_server::{Error, open_people};
 use palpate_wire::api::{CreatedToken, Role, Scope, Token};
 
-use super::{
-    Outcome, output,
-    people::{FolderArgs, role},
-};
+use super::{Outcome, folder::FolderArgs, output, people::role};
 
 #[derive(Subcommand)]
 pub(crate) enum TokensCommand {

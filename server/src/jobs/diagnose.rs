@@ -72,21 +72,9 @@ pub fn take_of_session(session: &str, take: &str) -> String {
     format!("{session}/{take}")
 }
 
-/// Diagnoses the accepted takes of `session`, from `start` or else from the station's nominal model.
-pub fn diagnose_session(
-    library: &Library,
-    session: &Session,
-    config: &DiagnosisConfig,
-    start: Option<&SensorModel>,
-    bar: BarConfig<'_>,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-) -> Result<DiagnosisArtifacts, Error> {
-    diagnose_sessions(library, std::slice::from_ref(session), config, start, bar, progress, cancel)
-}
-
-/// Diagnoses the accepted takes of all `sessions`, of one station, together: a session and what was recorded after it, because
-/// its diagnosis asked for it. Takes of several sessions have the ids of [`take_of_session`].
+/// Diagnoses the accepted takes of all `sessions`, of one station, together, from `start` or else from the station's nominal
+/// model: a session and what was recorded after it, because its diagnosis asked for it. Takes of several sessions have the ids
+/// of [`take_of_session`].
 pub fn diagnose_sessions(
     library: &Library,
     sessions: &[Session],

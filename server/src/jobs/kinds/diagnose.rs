@@ -11,7 +11,7 @@ use super::{HTML_FILE, JobKind, JobWork, LONG, MODEL_FILE, files_of, hold_out, p
 use crate::{
     Error, Store,
     data::bars::Bars,
-    jobs::{BarConfig, check_diagnosis, diagnose_session},
+    jobs::{BarConfig, check_diagnosis, diagnose_sessions},
 };
 
 /// The calibrated model, without the effects that were named.
@@ -49,9 +49,9 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let config = config_of(&request, &session, cx.seed)?;
     let start = request.model.as_deref().map(|model| cx.store.model(model)).transpose()?;
     let bars = Bars::of(cx.store.root());
-    let artifacts = diagnose_session(
+    let artifacts = diagnose_sessions(
         cx.library,
-        &session,
+        std::slice::from_ref(&session),
         &config,
         start.as_ref().map(|(model, _)| model),
         BarConfig { bars: &bars, null_sessions: request.null_sessions },
