@@ -41,7 +41,7 @@ pub use chain::{
     Transport,
 };
 pub(crate) use chain::{FrameChain, FrameMemory, FrameScene, moved};
-pub use frame::{Frame, FrameEffect};
+pub use frame::{DynFrameEffect, Frame, FrameEffect};
 use palpate_robot_model::{Place, Station, TactileLayout};
 pub use self_contact::FingerTouches;
 use serde::{Deserialize, Serialize};
@@ -241,7 +241,7 @@ pub trait EffectKind: Sync {
     fn kinematics(&self, _effect: &Effect, _scene: &TakeScene<'_>, _state: &mut Kinematics<'_>) {}
 
     /// What [`Self::kinematics`] does to joint positions, frame by frame; `None` if that is nothing.
-    fn joints_by_frame(&self, _effect: &Effect, _station: &Station) -> Option<Box<dyn FrameEffect>> {
+    fn joints_by_frame(&self, _effect: &Effect, _station: &Station) -> Option<DynFrameEffect> {
         None
     }
 
@@ -257,7 +257,7 @@ pub trait EffectKind: Sync {
         _effect: &Effect,
         _station: &Station,
         _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    ) -> Option<DynFrameEffect> {
         None
     }
 

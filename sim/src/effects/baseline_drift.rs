@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station, Tare};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
+};
 
 /// The reading gains `rate_per_s` of the load that switches the channel on, every second since the take started, when
 /// the firmware took its reference, or since a reference was taken anew ([`TakeScene::tares`]).
@@ -59,16 +61,11 @@ impl EffectKind for BaselineDrift {
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, on_loads: &[f64]) -> Option<DynFrameEffect> {
         let rate_per_s = effect.parameter("rate_per_s");
         let channels = places::channels_of(&effect.place, &station.layout).into_iter();
         let drift = |channel: usize| (channel, rate_per_s * on_loads[channel]);
-        (rate_per_s != 0.0).then(|| Box::new(Drift(channels.map(drift).collect())) as Box<dyn FrameEffect>)
+        (rate_per_s != 0.0).then(|| Box::new(Drift(channels.map(drift).collect())) as DynFrameEffect)
     }
 }
 

@@ -3,7 +3,7 @@
 use palpate_robot_model::{Place, Station};
 
 use super::{
-    Effect, EffectKind, FrameEffect, Load, Parameter, Stage, Switching, TakeScene, frame::Factors, places,
+    DynFrameEffect, Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, frame::Factors, places,
 };
 
 /// The channel reads nothing, whatever touches it.
@@ -36,12 +36,8 @@ impl EffectKind for DeadChannel {
     }
 
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
-        let left = 1.0 - effect.parameter("presence");
-        if left == 1.0 {
-            return;
-        }
         for channel in state.pressed_at(&effect.place, &scene.station.layout) {
-            state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= left);
+            state.scale(channel, 1.0 - effect.parameter("presence"));
         }
     }
 
@@ -51,12 +47,7 @@ impl EffectKind for DeadChannel {
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         Some(Box::new(Factors::left_by_presence(effect, &station.layout)))
     }
 }

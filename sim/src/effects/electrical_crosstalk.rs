@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
+};
 
 /// Every channel reads `leak` of each neighbour's load besides its own.
 pub(super) struct ElectricalCrosstalk;
@@ -55,16 +57,11 @@ impl EffectKind for ElectricalCrosstalk {
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, on_loads: &[f64]) -> Option<DynFrameEffect> {
         let leak = effect.parameter("leak");
         let pairs = effect.wiring_neighbours(&station.layout);
         let num_channels = on_loads.len();
-        (leak != 0.0).then(|| Box::new(Leaks { leak, pairs, num_channels }) as Box<dyn FrameEffect>)
+        (leak != 0.0).then(|| Box::new(Leaks { leak, pairs, num_channels }) as DynFrameEffect)
     }
 }
 

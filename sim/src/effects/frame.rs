@@ -37,6 +37,9 @@ pub trait FrameEffect: Debug + Send + Sync {
     fn step(&self, frame: &Frame<'_>, memory: &mut [f64], values: &mut [f64]);
 }
 
+/// A [`FrameEffect`] of any kind.
+pub type DynFrameEffect = Box<dyn FrameEffect>;
+
 /// Values that are each multiplied by a factor.
 #[derive(Clone, Debug)]
 pub(super) struct Factors(pub(super) Vec<(usize, f64)>);

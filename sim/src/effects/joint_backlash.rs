@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places,
+};
 
 /// The link stays where it is until the encoder has crossed the play: the play operator on the measured path, which
 /// stays within `width_rad / 2` of it (Visintin, "Differential Models of Hysteresis", 1994, section III). It has no
@@ -52,10 +54,10 @@ impl EffectKind for JointBacklash {
         }
     }
 
-    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<Box<dyn FrameEffect>> {
+    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<DynFrameEffect> {
         let dof = places::dof_of(&effect.place, station)?;
         let half_width_rad = 0.5 * effect.parameter("width_rad");
-        (half_width_rad > 0.0).then(|| Box::new(Play { dof, half_width_rad }) as Box<dyn FrameEffect>)
+        (half_width_rad > 0.0).then(|| Box::new(Play { dof, half_width_rad }) as DynFrameEffect)
     }
 }
 

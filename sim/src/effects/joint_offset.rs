@@ -2,7 +2,9 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Kinematics, Parameter, Stage, TakeScene, places,
+};
 
 /// The joint stands `offset_rad` further than it reports.
 pub(super) struct JointOffset;
@@ -44,7 +46,7 @@ impl EffectKind for JointOffset {
         }
     }
 
-    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<Box<dyn FrameEffect>> {
+    fn joints_by_frame(&self, effect: &Effect, station: &Station) -> Option<DynFrameEffect> {
         let dof = places::dof_of(&effect.place, station)?;
         Some(Box::new(Shift { dof, offset_rad: effect.parameter("offset_rad") }))
     }

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
+};
 
 /// Every reading of a stream follows its load with `time_constant_s`.
 pub(super) struct LowPass;
@@ -49,16 +51,10 @@ impl EffectKind for LowPass {
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         let time_constant_s = effect.parameter("time_constant_s");
         let channels = places::channels_of(&effect.place, &station.layout);
-        (time_constant_s > 0.0)
-            .then(|| Box::new(FrameLag { channels, time_constant_s }) as Box<dyn FrameEffect>)
+        (time_constant_s > 0.0).then(|| Box::new(FrameLag { channels, time_constant_s }) as DynFrameEffect)
     }
 }
 

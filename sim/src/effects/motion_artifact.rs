@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use palpate_robot_model::{JointKind, Place, Station};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
+};
 
 /// The reading gains `load_s_per_rad` of the load that switches the channel on, for every rad/s of the fastest joint that
 /// moves the channel's link: cables that pull, skin that inertia or a neighbouring link bends.
@@ -70,12 +72,7 @@ impl EffectKind for MotionArtifact {
         true
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, on_loads: &[f64]) -> Option<DynFrameEffect> {
         let load_s_per_rad = effect.parameter("load_s_per_rad");
         if load_s_per_rad == 0.0 {
             return None;

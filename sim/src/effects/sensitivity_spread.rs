@@ -2,7 +2,7 @@
 
 use palpate_robot_model::{Place, Station};
 
-use super::{Effect, EffectKind, FrameEffect, Load, Parameter, Stage, TakeScene, frame::Factors, places};
+use super::{DynFrameEffect, Effect, EffectKind, Load, Parameter, Stage, TakeScene, frame::Factors, places};
 
 /// The load of each channel counts `gain` times.
 pub(super) struct SensitivitySpread;
@@ -49,19 +49,11 @@ impl EffectKind for SensitivitySpread {
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
         let layout = &scene.station.layout;
         for channel in state.pressed_at(&effect.place, layout) {
-            let gain = gain_at(effect, &layout.channels[channel].id);
-            if gain != 1.0 {
-                state.of_channel_mut(channel).iter_mut().for_each(|load| *load *= gain);
-            }
+            state.scale(channel, gain_at(effect, &layout.channels[channel].id));
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         let channels = places::channels_of(&effect.place, &station.layout).into_iter();
         let gain = |channel: usize| (channel, gain_at(effect, &station.layout.channels[channel].id));
         Some(Box::new(Factors(channels.map(gain).collect())))

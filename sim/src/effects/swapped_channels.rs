@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use palpate_robot_model::{Place, Station, TactileLayout};
 
-use super::{Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places};
+use super::{
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
+};
 
 /// Each of two channels reads what the other should.
 pub(super) struct SwappedChannels;
@@ -59,16 +61,11 @@ impl EffectKind for SwappedChannels {
         state.values[second] = swapped(&others, &ones);
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         let presence = effect.parameter("presence");
         let channels = places::channels_of(&effect.place, &station.layout);
         let &[first, second] = &channels[..] else { return None };
-        (presence != 0.0).then(|| Box::new(Swap { presence, first, second }) as Box<dyn FrameEffect>)
+        (presence != 0.0).then(|| Box::new(Swap { presence, first, second }) as DynFrameEffect)
     }
 }
 

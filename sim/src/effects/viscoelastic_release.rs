@@ -3,7 +3,7 @@
 use palpate_robot_model::{Place, Station};
 
 use super::{
-    Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene,
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene,
     low_pass::{FrameLag, Lag},
     places,
 };
@@ -63,17 +63,12 @@ impl EffectKind for ViscoelasticRelease {
         }
     }
 
-    fn load_by_frame(
-        &self,
-        effect: &Effect,
-        station: &Station,
-        _on_loads: &[f64],
-    ) -> Option<Box<dyn FrameEffect>> {
+    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         let (fraction, time_constant_s) = (effect.parameter("fraction"), effect.parameter("time_constant_s"));
         let channels = places::channels_of(&effect.place, &station.layout);
         (fraction > 0.0 && time_constant_s > 0.0).then(|| {
             let strain = FrameLag { channels, time_constant_s };
-            Box::new(Creep { fraction, strain }) as Box<dyn FrameEffect>
+            Box::new(Creep { fraction, strain }) as DynFrameEffect
         })
     }
 }

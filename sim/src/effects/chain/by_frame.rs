@@ -8,7 +8,7 @@ use nalgebra::Isometry3;
 use palpate_robot_model::{ObjectModel, ObjectPath, Station, TactileLayout};
 
 use super::{Chain, Contact, Effect, Switching, TakeScene, Transport};
-use crate::effects::{Frame, FrameEffect, Stage, TACTILE, places};
+use crate::effects::{DynFrameEffect, Frame, Stage, TACTILE, places};
 use crate::replay::{ContactTrace, Gaps, PatchTrace};
 use crate::tactile::{self, Propagation};
 
@@ -19,14 +19,14 @@ pub(crate) struct FrameChain {
     softness_m: f64,
     /// Per patch, as [`crate::Response::reach_m`].
     reaches_m: Vec<f64>,
-    joints: Vec<Box<dyn FrameEffect>>,
+    joints: Vec<DynFrameEffect>,
     /// Effects on what the skin feels, each with its index in [`TACTILE`].
     contact: Vec<(usize, Effect)>,
     /// Whether any of them depends on the change since the frame before.
     looks_back: bool,
     /// Per patch, with the decay that effects leave it.
     propagation: Vec<Propagation>,
-    loads: Vec<Box<dyn FrameEffect>>,
+    loads: Vec<DynFrameEffect>,
     /// Effects on which moment a reading shows, as `contact`.
     transport: Vec<(usize, Effect)>,
     /// Per stream, whether any of those acts on it.
@@ -38,7 +38,7 @@ pub(crate) struct FrameChain {
 #[derive(Clone, Debug)]
 pub(crate) struct FrameMemory {
     num_frames: usize,
-    /// Numbers of [`FrameEffect::memory_len`], effect by effect.
+    /// Numbers of [`FrameEffect::memory_len`](crate::effects::FrameEffect::memory_len), effect by effect.
     joints: Vec<f64>,
     loads: Vec<f64>,
     /// What the skin felt in the frame before, and the true joint positions, where effects look back.
@@ -130,7 +130,7 @@ impl FrameChain {
 
     /// Of a take without frames.
     pub(crate) fn memory(&self) -> FrameMemory {
-        let len = |effects: &[Box<dyn FrameEffect>]| effects.iter().map(|effect| effect.memory_len()).sum();
+        let len = |effects: &[DynFrameEffect]| effects.iter().map(|effect| effect.memory_len()).sum();
         let num_channels = self.switching.on_loads.len();
         FrameMemory {
             num_frames: 0,
@@ -291,12 +291,7 @@ impl FrameChain {
 }
 
 /// Steps of `effects`, each with its part of the `memory`.
-fn step_each(
-    effects: &[Box<dyn FrameEffect>],
-    frame: &Frame<'_>,
-    mut memory: &mut [f64],
-    values: &mut [f64],
-) {
+fn step_each(effects: &[DynFrameEffect], frame: &Frame<'_>, mut memory: &mut [f64], values: &mut [f64]) {
     for effect in effects {
         let (own, others) = memory.split_at_mut(effect.memory_len());
         effect.step(frame, own, values);

@@ -99,4 +99,11 @@ impl Load {
     pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
         Arc::make_mut(&mut self.values[channel])
     }
+
+    /// Multiplies the loads of `channel` by `factor`; by 1 they stay the same values, not copies of them.
+    pub(in super::super) fn scale(&mut self, channel: usize, factor: f64) {
+        if factor != 1.0 {
+            self.of_channel_mut(channel).iter_mut().for_each(|load| *load *= factor);
+        }
+    }
 }
