@@ -94,11 +94,7 @@ pub fn plan_take(
     take_idx: usize,
     limits: Option<&MotionLimits>,
 ) -> Result<TakeMotion, PlanError> {
-    let narrowed = limits.map(|limits| limits.narrow(station, &plan.file)).transpose()?;
-    let station = narrowed.as_ref().unwrap_or(station);
-    plan.check(station)?;
-    let scene = plan.scene(station, &take_at(plan, take_idx)?.object)?;
-    plan_in(&scene, plan, primitives, take_idx, limits)
+    in_scene(station, plan, take_idx, limits, |scene| plan_in(scene, plan, primitives, take_idx, limits))
 }
 
 /// Plans the way from `from`, where the robot is, to where the take at `take_idx` starts, clear of the take's object all
@@ -114,11 +110,23 @@ pub fn plan_approach(
     from: &[f64],
     limits: Option<&MotionLimits>,
 ) -> Result<TakeMotion, PlanError> {
+    in_scene(station, plan, take_idx, limits, |scene| {
+        Planner::new(scene, plan, primitives, take_idx, limits)?.approach(from)
+    })
+}
+
+/// Plans `motion` in the scene of the take at `take_idx`, within `limits`.
+fn in_scene(
+    station: &Station,
+    plan: &Plan,
+    take_idx: usize,
+    limits: Option<&MotionLimits>,
+    motion: impl FnOnce(&Scene<'_>) -> Result<TakeMotion, PlanError>,
+) -> Result<TakeMotion, PlanError> {
     let narrowed = limits.map(|limits| limits.narrow(station, &plan.file)).transpose()?;
     let station = narrowed.as_ref().unwrap_or(station);
     plan.check(station)?;
-    let scene = plan.scene(station, &take_at(plan, take_idx)?.object)?;
-    Planner::new(&scene, plan, primitives, take_idx, limits)?.approach(from)
+    motion(&plan.scene(station, &take_at(plan, take_idx)?.object)?)
 }
 
 /// [`plan_take`] in a scene that is there already, with the object of the take, for a plan that was

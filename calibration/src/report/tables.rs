@@ -92,15 +92,17 @@ pub(super) fn write_pairs<'a>(
     for (label, nominal, calibrated) in rows {
         write!(page, "<tr><td>{}</td>", Escaped(label))?;
         for (before, after) in metric_texts(nominal).iter().zip(metric_texts(calibrated)) {
-            write!(
-                page,
-                "<td><span class=\"was\">{before}</span> → <span class=\"now\">{after}</span></td>"
-            )?;
+            write_change(page, before, &after)?;
         }
         page.push_str("</tr>\n");
     }
     page.push_str("</tbody>\n</table></div>\n");
     Ok(())
+}
+
+/// A cell: a number, nominal and calibrated.
+fn write_change(page: &mut String, before: &str, after: &str) -> fmt::Result {
+    write!(page, "<td><span class=\"was\">{before}</span> → <span class=\"now\">{after}</span></td>")
 }
 
 /// theta before and after; of every stream where each has its own.
@@ -155,11 +157,7 @@ fn write_streams(page: &mut String, report: &CalibrationReport) -> fmt::Result {
                 write!(page, "<td>{NOTHING}</td>")?;
                 continue;
             };
-            let (before, after) = (significant(before), significant(after));
-            write!(
-                page,
-                "<td><span class=\"was\">{before}</span> → <span class=\"now\">{after}</span></td>"
-            )?;
+            write_change(page, &significant(before), &significant(after))?;
         }
         page.push_str("</tr>\n");
     }
