@@ -1,10 +1,6 @@
 //! The OpenAPI document: what is served, what is kept in the checkout, and manners that it promises.
 
-use std::{
-    fs,
-    path::Path,
-    time::{Duration, Instant},
-};
+use std::{fs, path::Path, time::Duration};
 
 use axum::{
     Router,
@@ -14,7 +10,7 @@ use axum::{
 use palpate_wire::api::{Job, JobState, ProblemDetails, ProblemType};
 use serde_json::{Value, json};
 
-use crate::support::{Answer, Data, answer_of, get, palpate_ok, send, tree};
+use crate::support::{Answer, Data, answer_of, ended, get, palpate_ok, send, tree};
 
 #[test]
 fn document_of_the_checkout_is_what_the_handlers_say() {
@@ -66,14 +62,6 @@ async fn calibrated(data: &Data) -> Router {
     assert_eq!(run.status, 202, "{:?}", run.body);
     ended(&app, "run-1").await;
     app
-}
-
-async fn ended(app: &Router, id: &str) {
-    let patience = Instant::now();
-    while get(app, &format!("/api/v1/jobs/{id}")).await.json::<Job>().is_unfinished() {
-        assert!(patience.elapsed() < Duration::from_secs(200), "{id} does not end");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
 }
 
 async fn ask(

@@ -1,9 +1,6 @@
 //! Jobs of every kind over HTTP, and what of them survives.
 
-use std::{
-    fs,
-    time::{Duration, Instant},
-};
+use std::{fs, time::Instant};
 
 use axum::{
     Router,
@@ -15,23 +12,7 @@ use palpate_wire::api::{DiagnosisRun, Job, JobPage, JobState, SessionDetail};
 use serde_json::{Value, json};
 use tower::ServiceExt as _;
 
-use crate::support::{Data, access, arg, get, palpate, palpate_ok, palpate_refuses, post, send};
-
-async fn wait(app: &Router, id: &str, until: impl Fn(&Job) -> bool) -> Job {
-    let patience = Instant::now();
-    loop {
-        let job: Job = get(app, &format!("/api/v1/jobs/{id}")).await.json();
-        if until(&job) {
-            return job;
-        }
-        assert!(patience.elapsed() < Duration::from_secs(200), "{job:?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
-
-async fn ended(app: &Router, id: &str) -> Job {
-    wait(app, id, |job| !job.is_unfinished()).await
-}
+use crate::support::{Data, access, arg, ended, get, palpate, palpate_ok, palpate_refuses, post, send, wait};
 
 async fn submit(app: &Router, key: &str, request: &Value) -> (StatusCode, Value) {
     let request = Request::post("/api/v1/jobs")

@@ -3,30 +3,18 @@
 use std::{
     fs,
     path::Path,
-    time::{Duration, Instant, SystemTime},
+    time::{Duration, SystemTime},
 };
 
 use axum::Router;
 use palpate_server::{RetentionConfig, RetentionPlan, carry_out_retention, plan_retention};
-use palpate_wire::api::{Job, JobState};
+use palpate_wire::api::JobState;
 use serde_json::json;
 
-use crate::support::{Data, arg, get, palpate_ok, palpate_refuses, post, send, tree};
+use crate::support::{Data, arg, ended, get, palpate_ok, palpate_refuses, post, send, tree};
 
 const DAY: Duration = Duration::from_secs(86_400);
 const ALL: RetentionConfig = RetentionConfig { jobs_days: Some(10), log_days: Some(5), trash_days: Some(20) };
-
-async fn ended(app: &Router, id: &str) -> Job {
-    let patience = Instant::now();
-    loop {
-        let job: Job = get(app, &format!("/api/v1/jobs/{id}")).await.json();
-        if !job.is_unfinished() {
-            return job;
-        }
-        assert!(patience.elapsed() < Duration::from_secs(200), "{job:?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
 
 fn going(plan: &RetentionPlan) -> Vec<&str> {
     let mut paths: Vec<&str> = plan.goes.iter().map(|step| step.path.as_str()).collect();

@@ -21,7 +21,7 @@ use palpate_recording::{Session, import::import_csv};
 use palpate_server::{Access, AppState, Studio, app, assets};
 use palpate_sim::job::{Cancel, NoProgress};
 use palpate_truth::record_session;
-use palpate_wire::api::ProblemDetails;
+use palpate_wire::api::{Job, ProblemDetails};
 use serde::de::DeserializeOwned;
 use tower::ServiceExt as _;
 use zip::{ZipWriter, write::SimpleFileOptions};
@@ -291,6 +291,24 @@ pub(crate) async fn get(app: &Router, path: &str) -> Answer {
 
 pub(crate) async fn post(app: &Router, path: &str, body: &serde_json::Value) -> Answer {
     send(app, "POST", path, Some(("application/json", body.to_string().into_bytes()))).await
+}
+
+/// Job `id` as soon as it is as `until` says.
+pub(crate) async fn wait(app: &Router, id: &str, until: impl Fn(&Job) -> bool) -> Job {
+    let patience = Instant::now();
+    loop {
+        let job: Job = get(app, &format!("/api/v1/jobs/{id}")).await.json();
+        if until(&job) {
+            return job;
+        }
+        assert!(patience.elapsed() < Duration::from_secs(200), "{job:?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// Job `id` as soon as it has ended.
+pub(crate) async fn ended(app: &Router, id: &str) -> Job {
+    wait(app, id, |job| !job.is_unfinished()).await
 }
 
 pub(crate) async fn send(app: &Router, method: &str, path: &str, body: Option<(&str, Vec<u8>)>) -> Answer {

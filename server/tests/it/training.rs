@@ -14,7 +14,7 @@ use palpate_server::{Access, AppState, Studio, app};
 use palpate_wire::api::{Job, JobKindDocument, JobState, ProblemDetails};
 use serde_json::{Value, json};
 
-use crate::support::{Data, access, arg, get, palpate_ok, palpate_refuses, post, send};
+use crate::support::{Data, access, arg, ended, get, palpate_ok, palpate_refuses, post, send, wait};
 
 /// Writes what it is asked to `asked.txt` of the job, and leaves a policy, a script or demonstrations as the program
 /// does.
@@ -74,22 +74,6 @@ fn studio(data: &Data, train: &Path) -> (Router, Arc<AppState>) {
     let access = Access { train: Some(train.to_owned()), ..access() };
     let state = Studio::open(data.root(), None, access).unwrap().state;
     (app(state.clone()), state)
-}
-
-async fn wait(app: &Router, id: &str, until: impl Fn(&Job) -> bool) -> Job {
-    let patience = Instant::now();
-    loop {
-        let job: Job = get(app, &format!("/api/v1/jobs/{id}")).await.json();
-        if until(&job) {
-            return job;
-        }
-        assert!(patience.elapsed() < Duration::from_secs(200), "{job:?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
-
-async fn ended(app: &Router, id: &str) -> Job {
-    wait(app, id, |job| !job.is_unfinished()).await
 }
 
 async fn start(app: &Router, kind: &str, request: Value) -> String {

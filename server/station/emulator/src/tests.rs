@@ -132,6 +132,17 @@ fn boards_speak_at_their_rates_from_their_own_channels() {
     assert_eq!((index.counters().malformed, fsr.counters().malformed, frames[0].len()), (0, 0, 12));
 }
 
+/// Switches the arm's motors on and lets it take motions.
+fn enable_arm(station: &mut EmulatedStation, client: u64, now_ns: u64) {
+    for command in [
+        Command::MotionEnable { joint: 8, on: 1 },
+        Command::SetMode { mode: 0, detection: None },
+        Command::SetState { state: 0 },
+    ] {
+        station.arm_input(client, &frame(&command), now_ns);
+    }
+}
+
 /// Lowers the flange by `down_m` from where it is, and waits until that is done.
 fn lower(station: &mut EmulatedStation, client: u64, now_ns: &mut u64, down_m: f64) {
     station.arm_input(client, &frame(&Command::GetPose {}), *now_ns);
@@ -167,13 +178,7 @@ fn a_hand_that_is_moved_onto_the_object_feels_it_until_it_leaves() {
     let mut station = station(2);
     let client = station.connect();
     let mut now_ns = 0;
-    for command in [
-        Command::MotionEnable { joint: 8, on: 1 },
-        Command::SetMode { mode: 0, detection: None },
-        Command::SetState { state: 0 },
-    ] {
-        station.arm_input(client, &frame(&command), now_ns);
-    }
+    enable_arm(&mut station, client, now_ns);
     let fsr = line_idx(&station, "fsr");
     let before = feel(&mut station, fsr, 4, &mut now_ns);
     assert!(before < 50.0, "untouched: {before}");
@@ -456,13 +461,7 @@ fn grip(share: f64) -> (Vec<f64>, Vec<f64>, f64) {
     control.set_resistance(share).expect("a share");
     let client = station.connect();
     let mut now_ns = 0;
-    for command in [
-        Command::MotionEnable { joint: 8, on: 1 },
-        Command::SetMode { mode: 0, detection: None },
-        Command::SetState { state: 0 },
-    ] {
-        station.arm_input(client, &frame(&command), now_ns);
-    }
+    enable_arm(&mut station, client, now_ns);
     lower(&mut station, client, &mut now_ns, 0.085);
     // Current-based position, gains and bound of the real hand, then closing.
     for id in 0..16 {

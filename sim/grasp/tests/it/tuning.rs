@@ -13,6 +13,14 @@ fn script(station: &Station, config: &GraspConfig) -> Script {
     Script::from_toml(SCRIPT, &text(SCRIPT), &station.robot, config).expect("a script")
 }
 
+/// `script` with the parameter `name` of `tuning` at `value`, and all others at 0.
+fn with_one(tuning: &TuningConfig, name: &str, value: f64, script: &Script, station: &Station) -> Script {
+    let values: Vec<f64> =
+        tuning.parameters.iter().map(|p| if p.name == name { value } else { 0.0 }).collect();
+    assert!(values.contains(&value), "no parameter {name}");
+    tuning.apply(&values, script, &station.robot, &config(station)).expect("within reach")
+}
+
 #[test]
 fn what_is_wrong_with_a_tuning_file_is_named() {
     let station = station();
@@ -47,12 +55,7 @@ fn a_search_gives_a_script_another_try_and_changes_what_it_names() {
     let (robot, config) = (&station.robot, config(&station));
     let script = script(&station, &config);
     let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &script).expect("a tuning file");
-    let with = |name: &str, value: f64| {
-        let values: Vec<f64> =
-            tuning.parameters.iter().map(|p| if p.name == name { value } else { 0.0 }).collect();
-        assert!(values.contains(&value), "no parameter {name}");
-        tuning.apply(&values, &script, robot, &config).expect("within reach")
-    };
+    let with = |name: &str, value: f64| with_one(&tuning, name, value, &script, &station);
     let given = with("time to close", 0.0);
     assert_eq!((given.keys(), given.again()), (script.keys(), tuning.again.as_slice()));
     let mut expected = tuning.again.clone();
@@ -77,12 +80,7 @@ fn a_parameter_changes_what_it_names_and_nothing_else() {
     let (robot, config) = (&station.robot, config(&station));
     let script = script(&station, &config);
     let tuning = TuningConfig::from_toml(TUNING, &text(TUNING), robot, &script).expect("a tuning file");
-    let with = |name: &str, value: f64| {
-        let values: Vec<f64> =
-            tuning.parameters.iter().map(|p| if p.name == name { value } else { 0.0 }).collect();
-        assert!(values.contains(&value), "no parameter {name}");
-        tuning.apply(&values, &script, robot, &config).expect("within reach")
-    };
+    let with = |name: &str, value: f64| with_one(&tuning, name, value, &script, &station);
     let palm = robot.link_index("palm").expect("a palm");
     let palm_at = |script: &Script, key: usize| {
         let mut frames = Vec::new();
