@@ -97,14 +97,15 @@ fn entry_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, plan: &PlanDocument, 
     }
 }
 
-/// How long a plan is before its motions are planned: a take may ask for less time than the robot's limits let it have.
+/// How long a plan is. Its motions are planned when a session is started; what it says of a take until then is the least.
 pub(super) fn extent_text(takes: usize, duration_s: f64) -> String {
     let takes = wording::counted(takes as u64, "take");
     format!("{takes}, at least {} of motion", duration_text(duration_s))
 }
 
-/// What is to be known of [`extent_text`].
-pub(super) const EXTENT_HINT: &str = "As the plan asks. Starting a session plans the motions: they last longer where the robot's limits make it slower.";
+/// Why [`extent_text`] says the least.
+pub(super) const EXTENT_HINT: &str = "Motions are planned when a session is started, and last longer where the robot's \
+                                      limits make it slower";
 
 fn plan_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, plan: &PlanDocument) {
     let station = cx.store.live_station();
