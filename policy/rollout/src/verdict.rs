@@ -8,7 +8,7 @@ use palpate_grasp::GraspConfig;
 use palpate_grasp::scene::digits;
 use palpate_messages::bits;
 use palpate_robot_model::Station;
-use palpate_wire::api::TrialVerdict;
+pub use palpate_wire::api::TrialVerdict;
 use palpate_wire::proto::LiveFrame;
 use palpate_wire::proto::control_state::Phase;
 use palpate_wire::proto::device_status::Link;

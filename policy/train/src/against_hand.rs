@@ -13,9 +13,9 @@ use anyhow::{Context as _, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use palpate_grasp::{GraspScene, Start};
 use palpate_rollout::read::{self, KnownStart, Recorded};
+use palpate_rollout::verdict::TrialVerdict;
 use palpate_sim::job::Progress as _;
 use palpate_terminal::Bar;
-use palpate_wire::api::TrialVerdict;
 use rayon::prelude::*;
 
 use self::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};

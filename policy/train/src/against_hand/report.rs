@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 
 use palpate_calibration::metrics::{MetricsSum, compare_take};
 use palpate_grasp::trial::{Outcome, Score};
+use palpate_rollout::verdict::TrialVerdict;
 use palpate_statistics::mcnemar_exact;
-use palpate_wire::api::TrialVerdict;
 use serde::Serialize;
 use serde_json::{Value, json};
 

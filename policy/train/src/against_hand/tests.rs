@@ -1,5 +1,5 @@
 use palpate_grasp::trial::Outcome::{self, EmptyGrasp, Slip, Success};
-use palpate_wire::api::TrialVerdict;
+use palpate_rollout::verdict::TrialVerdict;
 
 use super::report::{Comparison, LeftOut, Model, OnHand, Pair, Touch};
 
