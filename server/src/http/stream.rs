@@ -18,7 +18,6 @@ use palpate_people::Principal;
 use prost::Message as _;
 
 use super::{
-    documented::Refusal,
     extract::{Asking, Upgrade},
     identity::no_longer_valid,
     listener::KeepOpen,
