@@ -54,19 +54,14 @@ struct Failed<'a> {
     output: String,
 }
 
-/// Builds the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves.
-pub(crate) fn build(cargo: impl Fn() -> Command) -> anyhow::Result<()> {
-    shell::run(cargo().arg("--no-run"))
-}
-
-/// Runs the tests that [`build`] has built, those whose name contains `filter` only; `env` sets what they need. The examples
-/// of the documentation come last.
+/// Runs the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves: those whose name
+/// contains `filter` only; `env` sets what they need. The examples of the documentation come last.
 pub(crate) fn run(
-    cargo: impl Fn() -> Command,
+    cargo: impl Fn() -> anyhow::Result<Command>,
     env: impl Fn(&mut Command) + Sync,
     filter: Option<&str>,
 ) -> anyhow::Result<()> {
-    let listed = shell::output(cargo().args(["--no-run", "--quiet", "--message-format=json"]))?;
+    let listed = shell::output(cargo()?.args(["--no-run", "--quiet", "--message-format=json"]))?;
     let programs = programs(&listed)?;
     let (watching, computing): (Vec<&Program>, Vec<&Program>) =
         programs.iter().partition(|program| program.watches_a_clock());
@@ -79,7 +74,7 @@ pub(crate) fn run(
     });
     failed.extend(first?.into_iter().chain(second?));
     again(&failed, &env)?;
-    let mut examples = cargo();
+    let mut examples = cargo()?;
     examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());
     env(&mut examples);
     shell::run(&mut examples)

@@ -96,6 +96,23 @@ pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
     command
 }
 
+/// Has `cargo` lint what it builds of the workspace, with warnings denied: one pass over the code serves both.
+///
+/// What it builds is kept apart from what cargo builds without lints, and is not for shipping: clippy switches off rustc's own
+/// optimisations, though not LLVM's.
+pub(crate) fn lint_while_building(cargo: &mut Command) -> anyhow::Result<()> {
+    let mut rustc = Command::new("rustc");
+    let sysroot = output(rustc.args(["--print", "sysroot"]).current_dir(crate::paths::root()))?;
+    let clippy = Path::new(&sysroot).join("bin").join("clippy-driver");
+    if !clippy.exists() {
+        bail!("lints need {clippy:?}; run: rustup component add clippy");
+    }
+    // As `cargo clippy -- --deny warnings` has it, which compiles nothing that could be run.
+    cargo.env("RUSTC_WORKSPACE_WRAPPER", clippy);
+    cargo.env("CLIPPY_ARGS", "--deny__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
+    Ok(())
+}
+
 /// Held by whoever installs Debian packages: one at a time can.
 static DEBIAN: Mutex<()> = Mutex::new(());
 

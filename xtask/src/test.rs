@@ -1,6 +1,10 @@
 //! Every test, and what CI runs.
 
-use std::{path::PathBuf, process::Command, time::Instant};
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    time::Instant,
+};
 
 use clap::Args;
 
@@ -17,12 +21,14 @@ pub(crate) struct TestArgs {
 
 /// Sets everything up, then runs every test of the workspace, the browser's included.
 pub(crate) fn run(args: &TestArgs) -> anyhow::Result<()> {
-    Tests::build(args)?.run()
+    Tests::build(args, false)?.run()
 }
 
 /// Tests that are built.
 struct Tests {
     filter: Option<String>,
+    /// Whether everything is linted as it is built.
+    lints: bool,
     python: PathBuf,
     page: PathBuf,
     /// The folder of MuJoCo's library, unless what needs it is left out.
@@ -34,7 +40,7 @@ struct Tests {
 
 impl Tests {
     /// Installs what the tests need, and builds them.
-    fn build(args: &TestArgs) -> anyhow::Result<Self> {
+    fn build(args: &TestArgs, lints: bool) -> anyhow::Result<Self> {
         skip::check()?;
         let python = install_tools()?;
         let (page, grasp_world) = (wasm::build_page()?, grasp_world()?);
@@ -49,23 +55,36 @@ impl Tests {
         std::fs::write(&skipped, left_out)?;
         // By itself, with the features that the running xtask was built with.
         if args.filter.is_none() {
-            shell::run(shell::cargo(&paths::root()).args(["test", "--package", "xtask"]))?;
+            let mut cargo = shell::cargo(&paths::root());
+            if lints {
+                shell::lint_while_building(&mut cargo)?;
+            }
+            shell::run(cargo.args(["test", "--package", "xtask"]))?;
         }
-        let tests = Self { filter: args.filter.clone(), python, page, grasp_world, artifacts, skipped };
+        let tests =
+            Self { filter: args.filter.clone(), lints, python, page, grasp_world, artifacts, skipped };
         // A step of its own, so that one sees what building takes and what running takes.
-        programs::build(|| tests.cargo())?;
+        let mut cargo = tests.cargo()?;
+        if lints {
+            // Benchmarks too, which no test runs.
+            cargo.arg("--all-targets");
+        }
+        shell::run(cargo.arg("--no-run"))?;
         Ok(tests)
     }
 
     /// `cargo test` of every crate but this one. Each is built once, with the features that all of them together need; so
     /// is `palpate`, as its own tests start it.
-    fn cargo(&self) -> Command {
+    fn cargo(&self) -> anyhow::Result<Command> {
         let mut cargo = shell::cargo(&paths::root());
         cargo.args(["test", "--workspace", "--exclude", "xtask"]).env("PALPATE_UI_DIST", &self.page);
+        if self.lints {
+            shell::lint_while_building(&mut cargo)?;
+        }
         if let Some(dir) = &self.grasp_world {
             mujoco::add(&mut cargo, dir);
         }
-        cargo
+        Ok(cargo)
     }
 
     fn run(&self) -> anyhow::Result<()> {
@@ -109,36 +128,34 @@ pub(crate) fn check() -> anyhow::Result<()> {
     let (root, begun) = (paths::root(), Instant::now());
     skip::check()?;
     shell::run(shell::cargo(&root).args(["fmt", "--all", "--check"]))?;
-    let mut lints = shell::cargo(&root);
-    lints.args(["clippy", "--workspace", "--all-targets"]);
-    if let Some(dir) = grasp_world()? {
-        mujoco::add(&mut lints, &dir);
-    }
-    lints.args(["--", "--deny", "warnings"]);
+    let grasp_world = grasp_world()?;
     // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
     // The tests find it all there.
     std::thread::scope(|scope| {
         let page = scope.spawn(|| wasm::build_page().and_then(|_| wasm::lint_page()));
         let tools = scope.spawn(install_tools);
-        let linted = shell::run(&mut lints);
+        let documented = document(grasp_world.as_deref());
         let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;
         let installed = tools.join().map_err(|_| anyhow::anyhow!("the installation of tools panicked"))?;
-        linted.and(built).and(installed)
+        documented.and(built).and(installed.map(|_| ()))
     })?;
-    // Links in the documentation lead somewhere. It shares its work on dependencies with the lints.
-    let mut documents = shell::cargo(&root);
-    documents
-        .args(["doc", "--no-deps", "--document-private-items", "--workspace"])
-        .env("RUSTDOCFLAGS", "--deny warnings --allow rustdoc::private_intra_doc_links");
-    if let Some(dir) = grasp_world()? {
-        mujoco::add(&mut documents, &dir);
-    }
-    shell::run(&mut documents)?;
     build::check_alone()?;
     build::check_fuzz_targets()?;
-    let tested = run(&TestArgs { filter: None });
+    let tested = Tests::build(&TestArgs { filter: None }, true).and_then(|tests| tests.run());
     shell::print_long_steps(begun);
     tested
+}
+
+/// Looks whether links in the documentation lead somewhere.
+fn document(grasp_world: Option<&Path>) -> anyhow::Result<()> {
+    let mut cargo = shell::cargo(&paths::root());
+    cargo
+        .args(["doc", "--no-deps", "--document-private-items", "--workspace"])
+        .env("RUSTDOCFLAGS", "--deny warnings --allow rustdoc::private_intra_doc_links");
+    if let Some(dir) = grasp_world {
+        mujoco::add(&mut cargo, dir);
+    }
+    shell::run(&mut cargo)
 }
 
 /// The folder of MuJoCo's library; none where what needs it is left out.
