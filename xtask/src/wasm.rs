@@ -29,7 +29,8 @@ pub(crate) fn lint_page() -> anyhow::Result<()> {
     }
     let mut clippy = shell::cargo(&paths::root());
     clippy
-        .args(["clippy", "--package", "palpate_ui", "--lib", "--target", TARGET, "--", "--deny", "warnings"])
+        .args(["clippy", "--package", "palpate_ui", "--lib", "--profile", "web", "--target", TARGET])
+        .args(["--", "--deny", "warnings"])
         .env("CARGO_TARGET_DIR", paths::target().join("web"));
     shell::run(&mut clippy)
 }

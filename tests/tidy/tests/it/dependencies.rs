@@ -1,6 +1,9 @@
 //! Which crate may use which, checked against `cargo metadata`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, PackageId};
 
@@ -287,4 +290,23 @@ fn the_page_of_the_architecture_is_read_in_one_sitting() {
         lines <= 120,
         "ARCHITECTURE.md has {lines} lines, expected at most 120: details belong into docs/, beside their subject"
     );
+}
+
+/// The levels of optimisation of dependencies, by name, in the `Cargo.toml` of the workspace in `folder`.
+fn levels(folder: &Path) -> toml::Table {
+    let text = std::fs::read_to_string(folder.join("Cargo.toml")).expect("a workspace");
+    let manifest: toml::Table = toml::from_str(&text).expect("TOML");
+    manifest["profile"]["dev"]["package"].as_table().expect("levels").clone()
+}
+
+#[test]
+fn fuzz_targets_have_dependencies_of_the_same_levels() {
+    let fuzz = root().join("fuzz");
+    let lock = std::fs::read_to_string(fuzz.join("Cargo.lock")).expect("a lock file");
+    let lock: toml::Table = toml::from_str(&lock).expect("TOML");
+    let packages = lock["package"].as_array().expect("packages");
+    let is_of_fuzz = |name: &str| packages.iter().any(|package| package["name"].as_str() == Some(name));
+    let mut expected = levels(&root());
+    expected.retain(|name, _| name == "*" || (is_of_fuzz(name) && !name.starts_with("palpate_")));
+    assert_eq!(levels(&fuzz), expected, "what `cargo xtask check` would compile twice");
 }
