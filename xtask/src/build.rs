@@ -8,7 +8,7 @@ const PROGRAM: [&str; 4] = ["--package", "palpate_server", "--bin", "palpate"];
 
 /// Builds `target/release/palpate`.
 pub(crate) fn release() -> anyhow::Result<PathBuf> {
-    let page_dir = wasm::build_page()?;
+    let page_dir = wasm::build_page(false)?;
     let mut cargo = shell::cargo(&paths::root());
     cargo.args(["build", "--release"]).args(PROGRAM).env("PALPATE_UI_DIST", page_dir);
     shell::run(&mut cargo)?;

@@ -62,7 +62,7 @@ fn main() -> anyhow::Result<()> {
     match Args::parse().command {
         Command::Studio(args) => studio::run(&args),
         Command::Build => build::release().map(|binary| println!("built {}", binary.display())),
-        Command::BuildUi => wasm::build_page().map(|dir| println!("built {}", dir.display())),
+        Command::BuildUi => wasm::build_page(false).map(|dir| println!("built {}", dir.display())),
         Command::Test(args) => test::run(&args),
         Command::Check => test::check(),
         Command::CheckLerobot(args) => others::lerobot(&args),

