@@ -90,7 +90,16 @@ pub static RULES: &[Rule] = &[
 
 #[cfg(test)]
 mod tests {
+    use palpate_reports::wording;
+
     use super::*;
+
+    #[test]
+    fn every_rule_has_words() {
+        for Rule { id, .. } in RULES {
+            assert_ne!(wording::objection(id), wording::words(id));
+        }
+    }
 
     #[test]
     fn the_page_about_diagnosis_shows_this_table() {

@@ -114,18 +114,38 @@ pub fn p_value(p_value: f64) -> String {
     if p_value < 0.001 { "p < 0.001".to_owned() } else { format!("p = {p_value:.3}") }
 }
 
+/// What a rule that withholds names has found, as `doubt.check` names the rule; the id in words for a rule of a later version.
+pub fn objection(rule: &str) -> String {
+    let known = match rule {
+        "size_by_take" => "its size differs from take to take",
+        "size_by_part" => "its size differs from channel to channel",
+        "remainder" => "a stronger effect at the same place explains more",
+        "alike" => "another effect would add nearly the same",
+        "one_place" => "other effects would stand at the same place",
+        "loss_left" => "much of the misfit that it should remove is left",
+        "crumb" => "most of what repeats is left in all signals together",
+        "repeating_left" => "much of what repeats is left in the signals that it changes",
+        "repeats_more" => "more repeats with it than without",
+        "left_at_patch" => "most of what repeats is left at one patch",
+        "posture" => "a gain that bends with a joint explains more",
+        "gap_grows" => "more frames are mistaken with it than without",
+        "signal_raised" => "a signal is matched worse with it than without",
+        "left_by_constants" => "constants alone leave too much of the misfit",
+        "left_by_one" => "it leaves too much of the misfit before it",
+        "left_by_all" => "all effects together leave too much of the misfit",
+        other => return words(other),
+    };
+    known.to_owned()
+}
+
 /// What an operator should know of a withheld effect: which it is, and what speaks against it.
 pub fn in_doubt_sentence(effect: &EffectInDoubt) -> String {
     let doubts: Vec<String> = effect
         .doubt
         .iter()
         .map(|doubt| {
-            format!(
-                "{} is {}, at most {} is allowed",
-                doubt.check,
-                number(doubt.measured),
-                number(doubt.limit)
-            )
+            let (measured, limit) = (number(doubt.measured), number(doubt.limit));
+            format!("{} ({measured}, limit {limit})", objection(&doubt.check))
         })
         .collect();
     format!("{} comes near, but is in doubt: {}", effect_at(&effect.id, &effect.place), doubts.join("; "))
