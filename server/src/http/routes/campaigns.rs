@@ -91,7 +91,11 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Answer<Json<Vec<
     path = "/campaigns",
     tag = "campaigns",
     request_body = CampaignPlan,
-    responses((status = 201, description = "Done.", body = Campaign), Refusal<409>),
+    responses(
+        (status = 201, description = "Done.", body = Campaign,
+            headers(("Location" = String, description = "Path of the campaign"))),
+        Refusal<409>,
+    ),
 )]
 pub(super) async fn create(
     State(state): State<Arc<AppState>>,

@@ -176,7 +176,11 @@ pub(super) async fn list(State(state): State<Arc<AppState>>) -> Json<Vec<Person>
     path = "/people",
     tag = "people",
     request_body = NewPerson,
-    responses((status = 201, description = "Done.", body = Person), Refusal<409>),
+    responses(
+        (status = 201, description = "Done.", body = Person,
+            headers(("Location" = String, description = "Path of the person"))),
+        Refusal<409>,
+    ),
 )]
 pub(super) async fn add(
     State(state): State<Arc<AppState>>,
@@ -270,7 +274,12 @@ pub(super) async fn tokens(
     path = "/tokens",
     tag = "people",
     request_body = NewToken,
-    responses((status = 201, description = "Done.", body = CreatedToken), Refusal<404>, Refusal<409>),
+    responses(
+        (status = 201, description = "Done.", body = CreatedToken,
+            headers(("Location" = String, description = "Path of the token"))),
+        Refusal<404>,
+        Refusal<409>,
+    ),
 )]
 pub(super) async fn create_token(
     State(state): State<Arc<AppState>>,

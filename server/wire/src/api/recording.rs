@@ -192,7 +192,7 @@ pub struct PlanSummary {
     pub label: String,
     /// Number of takes.
     pub takes: usize,
-    /// How long its motions take together, s.
+    /// How long its motions take together, s; longer where limits make the robot slower.
     pub duration_s: f64,
 }
 
