@@ -19,7 +19,7 @@ use palpate_wire::{
 };
 use prost::Message as _;
 
-use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, station};
+use crate::fixture::{FakeWindow, SharedApi, app, deliver, full_api, page, page_of, station};
 
 fn metrics(onset_error_ms: f64, f1: f64) -> Metrics {
     Metrics { onset_error_ms: Some(onset_error_ms), f1: Some(f1), fpr: Some(0.042), ..Metrics::default() }
@@ -248,16 +248,18 @@ fn empty_choice_of_held_out_takes_is_refused_before_anything_runs() {
     harness.get_by_label_contains("Leave at least one take");
 }
 
-#[test]
-fn the_headline_says_what_got_worse_and_what_is_within_chance() {
-    let api = full_api();
+/// A run that made one metric worse and left one within chance.
+fn worse() -> CalibrationRun {
     let mut worse = run(JobState::Done);
     let report = worse.report.as_mut().expect("it is done");
     report.held_out.nominal.offset_error_ms = Some(425.0);
     report.held_out.calibrated.offset_error_ms = Some(445.0);
+    report.held_out.calibrated.fpr = Some(0.045);
+    let of_one_model =
+        MetricIntervals { offset_error_ms: Some([380.0, 512.0]), ..MetricIntervals::default() };
     report.intervals_95 = Some(Intervals {
-        nominal: MetricIntervals::default(),
-        calibrated: MetricIntervals::default(),
+        nominal: of_one_model.clone(),
+        calibrated: of_one_model,
         change: MetricIntervals {
             onset_error_ms: Some([-160.0, -120.0]),
             offset_error_ms: Some([-30.0, 71.0]),
@@ -267,8 +269,28 @@ fn the_headline_says_what_got_worse_and_what_is_within_chance() {
         resamples: 100,
         seed: 0,
     });
-    report.held_out.calibrated.fpr = Some(0.045);
-    answer(&api, &Request::Run("run-7".into()), &worse);
+    worse
+}
+
+#[test]
+fn no_metric_reaches_beyond_a_narrow_window() {
+    let api = full_api();
+    answer(&api, &Request::Run("run-7".into()), &worse());
+    for width in [360.0, 390.0, 900.0, 1280.0] {
+        let at = FakeWindow::at("#/calibrate/bench-1?run=run-7");
+        let harness = page_of(&api, &at, [width, 844.0]);
+        for (text, count) in [("no clear difference", 1), ("380 to 512", 2), ("False positive rate, %", 1)] {
+            let found: Vec<_> = harness.query_all_by_label_contains(text).map(|node| node.rect()).collect();
+            assert_eq!(found.len(), count, "{width}: {text}");
+            assert!(found.iter().all(|rect| rect.right() < width), "{width}: {text} {found:?}");
+        }
+    }
+}
+
+#[test]
+fn the_headline_says_what_got_worse_and_what_is_within_chance() {
+    let api = full_api();
+    answer(&api, &Request::Run("run-7".into()), &worse());
     let harness = page(&api, &FakeWindow::at("#/calibrate/bench-1?run=run-7"));
     harness.get_by_label_contains(
         "on takes it has not seen. Worse: false positives (4.20 to 4.50 %). No clear difference: release timing (425 to \

@@ -9,6 +9,7 @@ use crate::{
     route::Screen,
     screens::{ScreenContext, controls::file_link_ui, heading_ui, help_ui},
     store::Loadable,
+    theme::Palette,
 };
 
 pub(super) fn results_ui(
@@ -182,44 +183,105 @@ fn metrics_ui(ui: &mut egui::Ui, cx: &ScreenContext<'_>, run: &CalibrationRun, r
             file_link_ui(ui, face, label, &format!("calibrations/{{}}/tables/{file}"), &[&run.id]);
         }
     });
+    let lines = lines(report);
+    if ui.available_width() < GRID_WIDTH {
+        stacked_ui(ui, &cx.palette, &lines);
+    } else {
+        grid_ui(ui, &cx.palette, &lines);
+    }
+}
+
+/// Where the metrics have room beside each other.
+const GRID_WIDTH: f32 = 640.0;
+
+/// A metric as it is shown: value and interval of the nominal model, then of the calibrated one.
+struct Line {
+    name: &'static str,
+    nominal: [String; 2],
+    calibrated: [String; 2],
+    change: Option<Change>,
+}
+
+fn lines(report: &CalibrationReport) -> Vec<Line> {
+    let intervals = report.intervals_95.as_ref();
+    let mut lines: Vec<Line> = ROWS
+        .iter()
+        .map(|row| {
+            let (factor, digits) = (row.factor, row.digits);
+            let text = |metrics: &Metrics| tables::number((row.value)(metrics), factor, digits);
+            let range = |of: Option<&MetricIntervals>| range(of.and_then(row.of), factor, digits);
+            Line {
+                name: row.name,
+                nominal: [text(&report.held_out.nominal), range(intervals.map(|all| &all.nominal))],
+                calibrated: [text(&report.held_out.calibrated), range(intervals.map(|all| &all.calibrated))],
+                change: row.change(report),
+            }
+        })
+        .collect();
+    let coverage = |metrics: &Metrics| [tables::number(metrics.onset_coverage, 100.0, 0), String::new()];
+    lines.push(Line {
+        name: "Real contacts with a partner, %",
+        nominal: coverage(&report.held_out.nominal),
+        calibrated: coverage(&report.held_out.calibrated),
+        change: None,
+    });
+    lines
+}
+
+fn change_ui(ui: &mut egui::Ui, palette: &Palette, change: Option<Change>) {
+    let Some(change) = change else { return };
+    let colour = match change {
+        Change::Better => palette.diagnosed,
+        Change::Worse => palette.mismatch,
+        Change::Unclear => palette.text_weak,
+    };
+    ui.colored_label(colour, change.word());
+}
+
+fn grid_ui(ui: &mut egui::Ui, palette: &Palette, lines: &[Line]) {
     egui::Grid::new("calibrate_metrics").striped(true).min_row_height(22.0).spacing([28.0, 6.0]).show(
         ui,
         |ui| {
             ui.label("");
-            ui.label(RichText::new("Nominal").color(cx.palette.nominal_text).strong());
-            ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
-            ui.label(RichText::new("Calibrated").color(cx.palette.calibrated).strong());
-            ui.label(RichText::new("95 % interval").color(cx.palette.text_weak));
+            ui.label(RichText::new("Nominal").color(palette.nominal_text).strong());
+            ui.label(RichText::new("95 % interval").color(palette.text_weak));
+            ui.label(RichText::new("Calibrated").color(palette.calibrated).strong());
+            ui.label(RichText::new("95 % interval").color(palette.text_weak));
             ui.label("");
             ui.end_row();
-            for row in &ROWS {
-                let (factor, digits) = (row.factor, row.digits);
-                let intervals = report.intervals_95.as_ref();
-                let before = intervals.and_then(|intervals| (row.of)(&intervals.nominal));
-                let after = intervals.and_then(|intervals| (row.of)(&intervals.calibrated));
-                let text = |metrics: &Metrics| tables::number((row.value)(metrics), factor, digits);
-                ui.label(row.name);
-                ui.label(text(&report.held_out.nominal));
-                ui.label(RichText::new(range(before, factor, digits)).color(cx.palette.text_weak));
-                ui.label(RichText::new(text(&report.held_out.calibrated)).strong());
-                ui.label(RichText::new(range(after, factor, digits)).color(cx.palette.text_weak));
-                if let Some(change) = row.change(report) {
-                    let colour = match change {
-                        Change::Better => cx.palette.diagnosed,
-                        Change::Worse => cx.palette.mismatch,
-                        Change::Unclear => cx.palette.text_weak,
-                    };
-                    ui.colored_label(colour, change.word());
-                }
+            for Line { name, nominal, calibrated, change } in lines {
+                ui.label(*name);
+                ui.label(&nominal[0]);
+                ui.label(RichText::new(&nominal[1]).color(palette.text_weak));
+                ui.label(RichText::new(&calibrated[0]).strong());
+                ui.label(RichText::new(&calibrated[1]).color(palette.text_weak));
+                change_ui(ui, palette, *change);
                 ui.end_row();
             }
-            ui.label("Real contacts with a partner, %");
-            ui.label(tables::number(report.held_out.nominal.onset_coverage, 100.0, 0));
-            ui.label("");
-            ui.label(tables::number(report.held_out.calibrated.onset_coverage, 100.0, 0));
-            ui.end_row();
         },
     );
+}
+
+/// The same, each metric below the last, for a narrow window.
+fn stacked_ui(ui: &mut egui::Ui, palette: &Palette, lines: &[Line]) {
+    for Line { name, nominal, calibrated, change } in lines {
+        ui.add_space(4.0);
+        ui.horizontal_wrapped(|ui| {
+            ui.label(RichText::new(*name).strong());
+            change_ui(ui, palette, *change);
+        });
+        for (whose, colour, [value, range]) in
+            [("Nominal", palette.nominal_text, nominal), ("Calibrated", palette.calibrated, calibrated)]
+        {
+            ui.horizontal_wrapped(|ui| {
+                ui.colored_label(colour, whose);
+                ui.label(value);
+                if !range.is_empty() {
+                    ui.label(RichText::new(format!("(95 % interval {range})")).color(palette.text_weak));
+                }
+            });
+        }
+    }
 }
 
 fn range(interval: Option<[f64; 2]>, factor: f64, digits: usize) -> String {
@@ -278,7 +340,7 @@ fn keep_ui(
         }
     });
     if !report.streams.is_empty() {
-        streams_ui(ui, report);
+        egui::ScrollArea::horizontal().id_salt("streams_scroll").show(ui, |ui| streams_ui(ui, report));
     }
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Model name");
