@@ -19,23 +19,33 @@ use serde_json::Value;
 
 use crate::shell;
 
-/// Test programs with stations in real time, or servers that somebody waits for: package, and target where others of the
-/// package only compute.
-const WATCH_A_CLOCK: [(&str, Option<&str>); 7] = [
-    ("e2e", None),
-    ("palpate_control", None),
-    ("palpate_drivers", None),
-    ("palpate_emulator", None),
-    ("palpate_people", None),
-    ("palpate_server", None),
-    ("palpate_train", Some("hand")),
+/// How a test program spends its time, in the order in which they are begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    /// With stations in real time, or servers that somebody waits for: alone.
+    WatchesAClock,
+    /// For a cluster, most of the time: beside two that compute.
+    Waits,
+    /// Computes for minutes: before the others, so that the run does not end with one of them alone.
+    Long,
+    /// All others.
+    Computes,
+}
+
+/// Kinds of test programs that do not just compute: package, and target where only that one of the package is of this kind.
+const KINDS: [(&str, Option<&str>, Kind); 11] = [
+    ("e2e", None, Kind::WatchesAClock),
+    ("palpate_control", None, Kind::WatchesAClock),
+    ("palpate_drivers", None, Kind::WatchesAClock),
+    ("palpate_emulator", None, Kind::WatchesAClock),
+    ("palpate_people", None, Kind::WatchesAClock),
+    ("palpate_server", None, Kind::WatchesAClock),
+    ("palpate_train", Some("hand"), Kind::WatchesAClock),
+    ("palpate_jobs", None, Kind::Waits),
+    ("palpate_blind", None, Kind::Long),
+    ("palpate_train", None, Kind::Long),
+    ("palpate_cloning", None, Kind::Long),
 ];
-
-/// The package whose tests wait for a cluster, most of the time.
-const WAITS: &str = "palpate_jobs";
-
-/// Packages whose tests compute for minutes. They are begun first, so that the run does not end with one of them alone.
-const LONG: [&str; 3] = ["palpate_blind", "palpate_train", "palpate_cloning"];
 
 /// Tests of a run that may have a second time. More failures are no accident, and nothing is run again.
 const MAX_RETRIES: usize = 2;
@@ -69,11 +79,14 @@ pub(crate) fn run(
 ) -> anyhow::Result<()> {
     let listed = shell::output(cargo()?.args(["--no-run", "--quiet", "--message-format=json"]))?;
     let programs = programs(&listed)?;
-    let (watching, computing): (Vec<&Program>, Vec<&Program>) =
-        programs.iter().partition(|program| program.watches_a_clock());
-    let (waiting, mut computing): (Vec<&Program>, Vec<&Program>) =
-        computing.into_iter().partition(|program| program.package == WAITS);
-    computing.sort_by_key(|program| !LONG.contains(&&*program.package));
+    let of = |wanted: fn(Kind) -> bool| {
+        let mut some: Vec<&Program> = programs.iter().filter(|program| wanted(program.kind())).collect();
+        some.sort_by_key(|program| program.kind());
+        some
+    };
+    let watching = of(|kind| kind == Kind::WatchesAClock);
+    let waiting = of(|kind| kind == Kind::Waits);
+    let computing = of(|kind| kind >= Kind::Long);
     let mut failed = in_order(&Mutex::new(watching.iter()), &env, filter, true)?;
     let (waiting, computing) = (Mutex::new(waiting.iter()), Mutex::new(computing.iter()));
     let lanes = [&waiting, &computing, &computing];
@@ -150,10 +163,11 @@ impl Program {
         format!("{} {}", self.package, self.target)
     }
 
-    fn watches_a_clock(&self) -> bool {
-        WATCH_A_CLOCK.iter().any(|(package, target)| {
+    fn kind(&self) -> Kind {
+        let known = KINDS.iter().find(|(package, target, _)| {
             *package == self.package && target.is_none_or(|target| target == self.target)
-        })
+        });
+        known.map_or(Kind::Computes, |(.., kind)| *kind)
     }
 
     /// Runs it; `None` if it passes. Unless it `is_live`, what it prints is shown when it has ended.
@@ -290,10 +304,13 @@ mod tests {
             line("path+file:///x/server#palpate_server@0.1.0", "palpate", false),
         ];
         let programs = programs(&listed.join("\n")).expect("programs");
-        let found: Vec<_> =
-            programs.iter().map(|program| (program.name(), program.watches_a_clock())).collect();
-        let expected = [("e2e it", true), ("palpate_train hand", true), ("palpate_train it", false)];
-        assert_eq!(found, expected.map(|(name, watches)| (name.to_owned(), watches)));
+        let found: Vec<_> = programs.iter().map(|program| (program.name(), program.kind())).collect();
+        let expected = [
+            ("e2e it", Kind::WatchesAClock),
+            ("palpate_train hand", Kind::WatchesAClock),
+            ("palpate_train it", Kind::Long),
+        ];
+        assert_eq!(found, expected.map(|(name, kind)| (name.to_owned(), kind)));
         assert!(super::programs("warning: nothing\n").is_err());
     }
 }
