@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
-use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, diagnose};
+use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, Reference, diagnose, reference};
 use palpate_recording::{AxesLog, RecordingError, Take};
 use palpate_reports::DiagnosisReport;
 use palpate_sim::job::{Cancel, NoProgress, Progress};
@@ -65,6 +65,9 @@ pub struct BlindConfig {
     pub first_seed: u64,
     /// Sessions with nothing hidden in each round.
     pub nulls: usize,
+    /// Reference sessions by which the others are judged, recorded beside them with nothing hidden (touch only); 0: the
+    /// shipped limits.
+    pub references: usize,
     /// Whether each session is diagnosed again without its raw readings (touch only).
     pub binary_only: bool,
     /// Whether effects are diagnosed again with themselves left out of the library.
@@ -155,6 +158,10 @@ pub fn tactile(
         [] => name,
         rules => format!("{name}, without {}", rules.join(", ")),
     };
+    let name = match config.references {
+        0 => name,
+        count => format!("{name}, {count} reference sessions"),
+    };
     let sessions = all.into_iter().map(|case| {
         let secret = Secret {
             world: name.clone(),
@@ -167,11 +174,13 @@ pub fn tactile(
         };
         (secret, ())
     });
+    let references = References::new(&world, &nominal, config, cancel)?;
     let diagnosed = |secret: &Secret, (): &(), asked: Asked| {
         let takes = world.record(&secret.details, secret.seed, asked == Asked::EventsOnly)?;
         let config = DiagnosisConfig {
             without: without(secret, asked),
             without_rules: config.without_rules.clone(),
+            reference: references.of(asked).cloned(),
             bootstrap_resamples: 0,
             ..DiagnosisConfig::default()
         };
@@ -210,6 +219,41 @@ impl Physics {
         }
     }
 }
+
+/// What sessions with nothing hidden leave, with and without raw readings.
+struct References {
+    as_recorded: Option<Reference>,
+    events_only: Option<Reference>,
+}
+
+impl References {
+    fn new(
+        world: &Physics,
+        nominal: &SensorModel,
+        config: &BlindConfig,
+        cancel: &Cancel,
+    ) -> Result<Self, BlindError> {
+        let measured = |events_only: bool| {
+            let seeds = 0..config.references as u64;
+            let record =
+                |idx| world.record(&[], (config.first_seed << 20) + FIRST_REFERENCE + idx, events_only);
+            let takes = seeds.map(record).collect::<Result<Vec<_>, _>>()?;
+            let made = reference(&DiagnosisConfig::default(), &takes, nominal, &NoProgress, cancel);
+            made.map_err(|source| failed("reference sessions", source))
+        };
+        let wanted = |is_wanted: bool, events_only: bool| {
+            (is_wanted && config.references > 0).then(|| measured(events_only)).transpose()
+        };
+        Ok(Self { as_recorded: wanted(true, false)?, events_only: wanted(config.binary_only, true)? })
+    }
+
+    fn of(&self, asked: Asked) -> Option<&Reference> {
+        if asked == Asked::EventsOnly { self.events_only.as_ref() } else { self.as_recorded.as_ref() }
+    }
+}
+
+/// Seed of the first reference session, after that of the first round: beyond those of its cases.
+const FIRST_REFERENCE: u64 = 0xF_0000;
 
 /// Runs the bench of joint servos.
 pub fn actuator(

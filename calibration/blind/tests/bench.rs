@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
-use palpate_diagnosis::{DiagnosisConfig, diagnose};
+use palpate_diagnosis::{DiagnosisConfig, Reference, diagnose, reference};
 use palpate_recording::{SpanKind, Take};
 use palpate_reports::{Purpose, Verdict};
 use palpate_sim::{
@@ -28,6 +28,7 @@ fn config(only: &str, first_seed: u64) -> BlindConfig {
         binary_only: false,
         leave_out: false,
         without_rules: Vec::new(),
+        references: 0,
         only: vec![only.to_owned()],
         answers: None,
     }
@@ -40,7 +41,7 @@ fn touch(only: &str, seed: u64) -> BlindReport {
 /// The takes of the case with this label in the world of `truth`, and the nominal model of their station.
 fn session(truth: &str, label: &str, seed: u64) -> (Vec<Take>, SensorModel) {
     let stage = Stage::read(Path::new(truth)).unwrap();
-    let cases = cases(&stage, 0, seed).unwrap();
+    let cases = cases(&stage, 1, seed).unwrap();
     let case = cases.iter().find(|case| case.label == label).unwrap();
     let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
     (stage.record(&case.hidden, case.seed).unwrap(), nominal)
@@ -50,6 +51,42 @@ fn session(truth: &str, label: &str, seed: u64) -> (Vec<Take>, SensorModel) {
 fn a_late_stream_is_named() {
     let scores = touch("latency strong", 3).scores;
     assert_eq!((scores.cases, scores.named_correctly), (1, 1), "{scores:?}");
+}
+
+#[test]
+fn a_late_stream_is_named_beside_reference_sessions() {
+    let config = BlindConfig { references: 3, ..config("latency strong", 3) };
+    let scores = tactile(Path::new(TUNE), &config, &NoProgress, &Cancel::default()).unwrap().scores;
+    assert_eq!((scores.cases, scores.named_correctly), (1, 1), "{scores:?}");
+}
+
+#[test]
+fn a_session_is_judged_by_what_reference_sessions_leave() {
+    let nominal = session(SMALL, "latency strong", 1).1;
+    let healthy: Vec<Vec<Take>> = (1..4).map(|seed| session(SMALL, "nothing", seed).0).collect();
+    let config = DiagnosisConfig { max_effects: 2, bootstrap_resamples: 0, ..DiagnosisConfig::default() };
+    let measured =
+        |sessions: &[Vec<Take>]| reference(&config, sessions, &nominal, &NoProgress, &Cancel::default());
+    let too_few = measured(&healthy[..2]).unwrap_err().to_string();
+    assert!(too_few.contains("at least 3"), "{too_few}");
+    let reference = measured(&healthy).unwrap();
+    let judged = |takes: &[Take], reference: Option<Reference>| {
+        let config = DiagnosisConfig { reference, ..config.clone() };
+        diagnose(&config, takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap().report
+    };
+    let (late, _) = session(SMALL, "latency strong", 1);
+    let (alone, beside) = (judged(&late, None), judged(&late, Some(reference.clone())));
+    assert_eq!((alone.reference_sessions, beside.reference_sessions), (None, Some(3)));
+    assert!(beside.notes.iter().any(|note| note.contains("3 reference sessions")), "{:?}", beside.notes);
+    // Few and short takes: the healthy ones are explained by delays of their own, nearly as strong as what is hidden here.
+    assert_eq!(beside.effects, []);
+    assert!(beside.in_doubt.iter().any(|effect| effect.doubt[0].check == "usual"), "{:?}", beside.in_doubt);
+    // A session is no stranger among those that it is judged by.
+    for takes in &healthy {
+        let report = judged(takes, Some(reference.clone()));
+        assert_eq!(report.effects, [], "{:?}", report.sentence);
+        assert_eq!(report.unexplained.because, []);
+    }
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use palpate_calibration::HoldOut;
 
+use crate::reference::Reference;
+
 /// Candidates fitted in a round.
 pub(crate) const NUM_FITS: usize = 8;
 /// Share of the loss that a named effect removes at least.
@@ -21,6 +23,8 @@ pub struct DiagnosisConfig {
     pub without: Vec<String>,
     /// Rules that withhold nothing, by id: for benches that ask what each of [`crate::rules::RULES`] is good for.
     pub without_rules: Vec<String>,
+    /// What sessions of the station leave in which nothing is wrong; the shipped limits apply without it.
+    pub reference: Option<Reference>,
     /// Resamples behind intervals.
     pub bootstrap_resamples: usize,
     /// Seed of resampling.
@@ -34,6 +38,7 @@ impl Default for DiagnosisConfig {
             max_effects: 8,
             without: Vec::new(),
             without_rules: Vec::new(),
+            reference: None,
             bootstrap_resamples: 1000,
             seed: 0,
         }

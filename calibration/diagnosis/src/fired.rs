@@ -50,6 +50,7 @@ impl<'a> InForce<'a> {
     }
 }
 
+pub(crate) const USUAL: &str = "usual";
 pub(crate) const BY_TAKE: &str = "size_by_take";
 pub(crate) const BY_PART: &str = "size_by_part";
 pub(crate) const REMAINDER: &str = "remainder";

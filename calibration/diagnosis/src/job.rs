@@ -9,9 +9,10 @@ use palpate_sim::job::{Cancel, Progress};
 
 use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
 use crate::engine::{self, NamingConfig};
-use crate::fired::InForce;
+use crate::fired::{self, InForce};
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
+use crate::reference::Reference;
 use crate::steps::Steps;
 use crate::tactile::adequacy::{
     Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal, leave_most_at_a_patch,
@@ -43,6 +44,10 @@ pub struct DiagnosisOutcome {
 const EVENTS_EVIDENCE: f64 = 120.0;
 const EVENTS_SHARE: f64 = 0.035;
 
+/// Rules that ask for a share of the excess over a model that misses nothing. Where a library leaves much of a station anyway,
+/// right names leave a large share; reference sessions say how much may be left instead.
+const SHARES_OF_EXCESS: [&str; 3] = [fired::LOSS_LEFT, fired::CRUMB, fired::REPEATING_LEFT];
+
 /// Diagnoses `takes` (of one station), starting from `nominal`.
 ///
 /// `bar` is the station's null bar, see [`crate::null_bar`]; without one a shipped default applies and the report says
@@ -64,6 +69,14 @@ pub fn diagnose(
     };
     watch(0.0, "calibrating thresholds")?;
     let station = check(config, takes)?;
+    let shipped;
+    let reference = match &config.reference {
+        Some(reference) => reference.check(station)?,
+        None => {
+            shipped = Reference::shipped(station);
+            &shipped
+        }
+    };
     let Prepared { domain, start, calibrated, fitted } = prepare(config, station, takes, nominal, cancel)?;
     watch(0.1, "looking for what is missing")?;
     let of_station = bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence);
@@ -87,8 +100,12 @@ pub fn diagnose(
         naming.settle(&domain, &fitted)?;
     }
     let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
-    let rules = InForce::all_but(&config.without_rules);
-    withhold(&domain, &start, &mut naming, &fitted, is_cut_short, rules)?;
+    let mut unasked = config.without_rules.clone();
+    if reference.sessions().is_some() {
+        unasked.extend(SHARES_OF_EXCESS.map(str::to_owned));
+    }
+    let rules = InForce::all_but(&unasked);
+    withhold(&domain, &start, &mut naming, &fitted, is_cut_short, reference, rules)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
@@ -100,14 +117,16 @@ pub fn diagnose(
     let of_channels_only = names.iter().all(is_of_channels);
     let of_limb = domain.limb_of(names);
     let by_patch = [&left_before, &left].map(|left| repeating_by_patch(station, left));
-    let mut bent = with_posture(&domain, &naming.model, &fitted)?;
+    let mut bent = with_posture(&domain, &naming.model, &fitted, reference.posture)?;
     let evidence = naming.evidence[start.effects.len()..].iter().sum();
+    // What reference sessions leave as well speaks against no name.
+    let is_usual = reference.sessions().is_some() && adequacy.repeating <= reference.left.repeating;
     let of_something_else = || {
-        let at_patch = rules.keep(leave_most_at_a_patch(&by_patch, &of_limb));
+        let at_patch = rules.keep(leave_most_at_a_patch(&by_patch, &of_limb, reference.much_at_patch()));
         at_patch.or_else(|| bent.iter().find_map(|change| rules.keep(change.outweighs(evidence, &of_limb))))
     };
     let fired = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short, rules)
-        .or_else(|| rules.keep(adequacy.repeats_more(&before).filter(|_| of_channels_only)))
+        .or_else(|| rules.keep(adequacy.repeats_more(&before).filter(|_| of_channels_only && !is_usual)))
         .or_else(|| of_something_else().filter(|_| !is_cut_short));
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     let fired = match fired {
@@ -117,7 +136,7 @@ pub fn diagnose(
     if let Some(why) = fired {
         naming.withhold(&start, why);
         (adequacy, left) = (before, left_before);
-        bent = with_posture(&domain, &start, &fitted)?;
+        bent = with_posture(&domain, &start, &fitted, reference.posture)?;
         steps.models.truncate(1);
     }
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
@@ -126,6 +145,7 @@ pub fn diagnose(
     let touch_to_touch = streams.filter_map(|(stream, of)| Some((stream.id.clone(), of?))).collect();
     let report = show::report(&show::Evidence {
         config,
+        reference,
         station,
         domain: &domain,
         naming: &naming,

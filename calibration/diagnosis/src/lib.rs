@@ -10,8 +10,10 @@ mod config;
 pub mod engine;
 mod fired;
 mod job;
+mod measure;
 mod null;
 mod prepare;
+mod reference;
 pub mod report;
 pub mod rules;
 mod show;
@@ -21,7 +23,9 @@ mod withhold;
 
 pub use config::DiagnosisConfig;
 pub use job::{DiagnosisOutcome, diagnose};
+pub use measure::{MIN_REFERENCES, reference};
 pub use null::{NullBar, null_bar};
+pub use reference::Reference;
 pub use tactile::adequacy::Adequacy;
 
 /// A diagnosis that cannot be made.

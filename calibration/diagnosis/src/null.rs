@@ -10,7 +10,6 @@ use crate::DiagnosisError;
 use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
 use crate::engine::{self, NamingConfig};
 use crate::prepare::{Prepared, check, prepare};
-use crate::tactile::adequacy::Adequacy;
 
 /// A station's null bar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,17 +23,6 @@ pub struct NullBar {
 impl NullBar {
     /// The bar where a station has none of its own: tuned on sessions of an emulated station in which nothing is hidden.
     pub const DEFAULT_EVIDENCE: f64 = 12.0;
-
-    /// Limits of the adequacy statistics, tuned likewise.
-    pub const ADEQUACY: Adequacy = Adequacy {
-        repeating: 0.5,
-        at_patch: 0.85,
-        common_mode: 1.5,
-        loss: 0.61,
-        switching: 0.03,
-        patch: 0,
-        stream: 0,
-    };
 
     /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The
     /// normal distribution would not do in their place: standard errors leave out that the model is only roughly right,

@@ -7,10 +7,10 @@
 
 use crate::fired::{
     ALIKE, BY_PART, BY_TAKE, CRUMB, GAP_GROWS, LEFT_AT_PATCH, LOSS_LEFT, ONE_PLACE, POSTURE, REMAINDER,
-    REPEATING_LEFT, REPEATS_MORE,
+    REPEATING_LEFT, REPEATS_MORE, USUAL,
 };
 use crate::tactile::{adequacy, posture};
-use crate::{steps, withhold};
+use crate::{reference, steps, withhold};
 
 /// A rule that withholds names.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +26,11 @@ pub struct Rule {
 /// Every rule, in the order in which they are asked.
 pub static RULES: &[Rule] = &[
     Rule {
+        id: USUAL,
+        measures: "highest Wald statistic of effects of the same reach in reference sessions, over the effect's own",
+        limit: withhold::MOST_USUAL,
+    },
+    Rule {
         id: BY_TAKE,
         measures: "spread of the effect's size between takes, over its size",
         limit: withhold::MOST_BY_TAKE,
@@ -33,7 +38,7 @@ pub static RULES: &[Rule] = &[
     Rule {
         id: BY_PART,
         measures: "loss that sizes of its own for each channel in each take remove, on average, in variances",
-        limit: withhold::MOST_BY_PART,
+        limit: reference::MOST_BY_PART,
     },
     Rule {
         id: REMAINDER,

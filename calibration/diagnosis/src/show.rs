@@ -17,6 +17,7 @@ use crate::DiagnosisError;
 use crate::config::DiagnosisConfig;
 use crate::engine::{Naming, Tried};
 use crate::null::NullBar;
+use crate::reference::Reference;
 use crate::steps::{Steps, in_doubt, interval, judge_all};
 use crate::tactile::adequacy::Adequacy;
 use crate::tactile::find::{cells, residual_map};
@@ -28,6 +29,7 @@ use crate::tactile::{Observed, TactileDomain};
 /// Everything that a report is made of.
 pub(crate) struct Evidence<'a> {
     pub(crate) config: &'a DiagnosisConfig,
+    pub(crate) reference: &'a Reference,
     pub(crate) station: &'a Station,
     pub(crate) domain: &'a TactileDomain<'a>,
     pub(crate) naming: &'a Naming,
@@ -108,6 +110,11 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     if evidence.bar.is_none() {
         notes.push("no null bar of this station: the shipped one applies".to_owned());
     }
+    if let Some(count) = evidence.reference.sessions() {
+        notes.push(format!(
+            "limits are what {count} reference sessions of this station leave, in which nothing is wrong"
+        ));
+    }
     for effect in &naming.dropped {
         notes.push(format!(
             "{} was named at first and dropped when later effects accounted for it",
@@ -140,6 +147,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         next_experiment: next_experiment(station, domain, naming, fitted, verdict)?,
         residual_map: residual_map(station, &observed, &judged[1], &judged[last]),
         takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(&steps.confirm))]),
+        reference_sessions: evidence.reference.sessions(),
         bar: Bar {
             evidence: evidence.least_evidence,
             ..evidence.bar.map_or_else(Bar::default, NullBar::to_report)
@@ -230,7 +238,7 @@ fn share_left(gap: &Gap) -> f64 {
 
 /// What is left, by the measures that are above their limits.
 fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
-    let (of, limits) = (&evidence.adequacy, NullBar::ADEQUACY);
+    let (of, limits) = (&evidence.adequacy, &evidence.reference.left);
     let layout = &evidence.station.layout;
     let patch = layout.patches.get(of.patch);
     let patch = patch.map_or(("", ""), |patch| (patch.id.as_str(), patch.label.as_str()));
@@ -269,7 +277,12 @@ fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
         );
         measure("loss", of.loss, limits.loss, None, says);
     }
-    left.extend(evidence.with_posture.iter().map(|change| change.too_much_left(evidence.station)));
+    left.extend(
+        evidence
+            .with_posture
+            .iter()
+            .map(|change| change.too_much_left(evidence.station, evidence.reference.posture.evidence)),
+    );
     left
 }
 

@@ -8,16 +8,19 @@ use palpate_sim::effects::{self, Effect, Stage};
 use crate::DiagnosisError;
 use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
 use crate::fired::{self, Fired, InForce};
+use crate::reference::Reference;
 use crate::tactile::{TactileDomain, is_local};
 
+/// Highest evidence of effects like it in reference sessions, over that of a name, at most: a name is twice as far beyond the
+/// smallest size that matters as these are, in standard errors.
+pub(crate) const MOST_USUAL: f64 = 0.25;
+/// Less than any evidence that counts: keeps quotients finite, as reports need them.
+const NO_EVIDENCE: f64 = 1e-3;
 /// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
 pub(crate) const LEAST_BESIDE: f64 = 0.2;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.
 pub(crate) const MOST_BY_TAKE: f64 = 0.8;
-/// Loss, in variances, that sizes of its own for each channel in each take remove at most of a right name: on the tuning
-/// stations up to 26 (crosstalk along a layer); where a joint is named for an object that has moved, 40 to 150.
-pub(crate) const MOST_BY_PART: f64 = 32.0;
 /// Cosine between what two names add to the readings from which they do nearly the same: of right ones at most 0.11, of a bent
 /// joint and a stiffer layer in place of a preload 0.7.
 pub(crate) const ALIKE: f64 = 0.3;
@@ -33,12 +36,16 @@ pub(crate) fn withhold(
     naming: &mut Naming,
     fitted: &[usize],
     is_part: bool,
+    reference: &Reference,
     rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     let known = start.effects.len();
     let has_readings = domain.num_raw_takes() > 0;
+    if rules.has(fired::USUAL) {
+        withhold_usual(known, naming, reference);
+    }
     if has_readings && !is_part {
-        withhold_disagreeing(domain, known, naming, fitted, rules)?;
+        withhold_disagreeing(domain, known, naming, fitted, reference.by_part, rules)?;
     }
     if rules.has(fired::REMAINDER) {
         withhold_remainders(domain, known, naming, fitted)?;
@@ -52,18 +59,31 @@ pub(crate) fn withhold(
     Ok(())
 }
 
+/// Takes back names beyond the first `known` that have not much more evidence than effects like them have in sessions in which
+/// nothing is wrong. They are there, and usual: the others stay as they were fitted beside them.
+fn withhold_usual(known: usize, naming: &mut Naming, reference: &Reference) {
+    for idx in (known..naming.model.effects.len()).rev() {
+        let Some(usual) = reference.evidence_of(&naming.model.effects[idx]) else { continue };
+        let measured = usual / naming.evidence[idx].max(NO_EVIDENCE);
+        if let Some(why) = Fired::above(fired::USUAL, measured, MOST_USUAL) {
+            naming.set_aside(idx, why);
+        }
+    }
+}
+
 /// Takes back names beyond the first `known` on whose size the takes do not agree, the worst first.
 fn withhold_disagreeing(
     domain: &TactileDomain<'_>,
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
+    most_by_part: f64,
     rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     // How many times as much as it may, and by which rule.
     let excess = |of: Disagreement| {
         let measures =
-            [(fired::BY_TAKE, of.by_take, MOST_BY_TAKE), (fired::BY_PART, of.by_part, MOST_BY_PART)];
+            [(fired::BY_TAKE, of.by_take, MOST_BY_TAKE), (fired::BY_PART, of.by_part, most_by_part)];
         let in_force = measures.into_iter().filter(|(rule, ..)| rules.has(rule));
         let ratios =
             in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));

@@ -65,6 +65,9 @@ pub struct DiagnosisReport {
     pub takes: BTreeMap<String, Vec<String>>,
     /// Evidence that an effect must reach to be named, and where it comes from.
     pub bar: Bar,
+    /// Reference sessions, in which nothing is wrong, that set the limits; absent if the shipped ones apply.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference_sessions: Option<usize>,
     /// What a reader of the numbers should know.
     pub notes: Vec<String>,
     /// Wall time, s.

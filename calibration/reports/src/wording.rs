@@ -117,6 +117,7 @@ pub fn p_value(p_value: f64) -> String {
 /// What a rule that withholds names has found, as `doubt.check` names the rule; the id in words for a rule of a later version.
 pub fn objection(rule: &str) -> String {
     let known = match rule {
+        "usual" => "effects like it are found in sessions in which nothing is wrong",
         "size_by_take" => "its size differs from take to take",
         "size_by_part" => "its size differs from channel to channel",
         "remainder" => "a stronger effect at the same place explains more",
@@ -288,6 +289,7 @@ mod tests {
             residual_map: Vec::new(),
             takes: BTreeMap::new(),
             bar: Bar::default(),
+            reference_sessions: None,
             notes: Vec::new(),
             seconds: 1.0,
         }

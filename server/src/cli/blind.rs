@@ -25,6 +25,9 @@ pub(crate) struct BlindArgs {
     /// Sessions with nothing hidden in each round
     #[arg(long, value_name = "N", default_value_t = 20)]
     nulls: usize,
+    /// Judge touch by N reference sessions, recorded beside the others with nothing hidden: three or more
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    references: usize,
     /// Whose physics touch has: a, the emulated station's; b, another skin, other boards, a person's pace, imported
     /// from CSV; c, d, e, of b its skin alone, its boards alone, its geometry and pace alone
     #[arg(long, value_enum, default_value = "a")]
@@ -81,6 +84,7 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         seeds: args.seeds,
         first_seed: args.first_seed,
         nulls: args.nulls,
+        references: args.references,
         binary_only: !args.raw_only,
         leave_out: !args.whole_library,
         without_rules: args.without_rule.clone(),

@@ -39,6 +39,10 @@ pub(crate) struct DiagnoseArgs {
     /// Effects to leave out of the library, by id
     #[arg(long, value_name = "ID,...", value_delimiter = ',')]
     without: Vec<String>,
+    /// Folder of a session of the same station in which nothing is wrong; give three or more, better five. What such sessions
+    /// leave unexplained sets the limits for this one, instead of the shipped ones
+    #[arg(long = "reference", value_name = "SESSION")]
+    references: Vec<PathBuf>,
     /// First set the station's bar: diagnose N sessions simulated with nothing missing, and keep what chance gives there
     /// for this and later diagnoses (200 is a good number; takes N times as long as a diagnosis)
     #[arg(long, value_name = "N")]
@@ -58,7 +62,10 @@ pub(crate) struct DiagnoseArgs {
 
 pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
     let sessions = args.sessions.iter().map(|dir| Session::open(dir)).collect::<Result<Vec<_>, _>>()?;
-    check_sessions(&sessions)?;
+    let references = args.references.iter().map(|dir| Session::open(dir)).collect::<Result<Vec<_>, _>>()?;
+    check_sessions("--session", &sessions)?;
+    check_sessions("--reference", &references)?;
+    check_not_references(&args.sessions, &args.references)?;
     for out in args.out.iter().chain(&args.plan) {
         files::check_target(out)?;
     }
@@ -70,14 +77,14 @@ pub(super) fn run(args: &DiagnoseArgs) -> Outcome {
         seed: args.report.seed,
         ..default
     };
-    check_diagnosis(&config, args.null_bar)?;
+    check_diagnosis(&config, args.null_bar, references.len())?;
     let start = args.model.as_ref().map(read_model).transpose()?;
     let library = Library::default();
     let artifacts = {
         let bar = Bar::new();
         let (bars, cancel) = (Bars::of(&args.data), cancel_on_ctrl_c());
         let null = BarConfig { bars: &bars, null_sessions: args.null_bar };
-        diagnose_sessions(&library, &sessions, &config, start.as_ref(), null, &bar, &cancel)?
+        diagnose_sessions(&library, &sessions, &references, &config, start.as_ref(), null, &bar, &cancel)?
     };
     args.report.write(args.out.as_deref(), &artifacts.report, &artifacts.html, &artifacts.model)?;
     args.report.print(&artifacts.report, text)?;
@@ -114,16 +121,31 @@ fn write_plan(
 }
 
 /// Refuses sessions that are called alike: nobody could tell their takes apart.
-fn check_sessions(sessions: &[Session]) -> Result<(), Error> {
+fn check_sessions(flag: &str, sessions: &[Session]) -> Result<(), Error> {
     for (idx, session) in sessions.iter().enumerate() {
         if sessions[..idx].iter().any(|other| other.id == session.id) {
             return Err(Error::Argument(format!(
-                "--session: two of the sessions are called {:?}; give each once, or rename a folder",
+                "{flag}: two of the sessions are called {:?}; give each once, or rename a folder",
                 session.id
             )));
         }
     }
     Ok(())
+}
+
+/// Refuses to judge a session by itself.
+fn check_not_references(sessions: &[PathBuf], references: &[PathBuf]) -> Result<(), Error> {
+    let same = |one: &Path, other: &Path| match (one.canonicalize(), other.canonicalize()) {
+        (Ok(one), Ok(other)) => one == other,
+        _ => one == other,
+    };
+    match references.iter().find(|reference| sessions.iter().any(|session| same(session, reference))) {
+        Some(both) => Err(Error::Argument(format!(
+            "--reference: {} is also the session that is diagnosed; a session cannot be judged by itself",
+            both.display()
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// [`hold_out`] for takes of several sessions.

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use palpate_diagnosis::{DiagnosisConfig, diagnose, null_bar, report};
+use palpate_diagnosis::{DiagnosisConfig, MIN_REFERENCES, diagnose, null_bar, reference, report};
 use palpate_recording::{Session, Take};
 use palpate_reports::DiagnosisReport;
 use palpate_sim::{
@@ -42,11 +42,19 @@ pub struct BarConfig<'a> {
     pub null_sessions: Option<usize>,
 }
 
+/// Shares of the work after which takes are read, and sessions searched.
+const READ: f64 = 0.05;
+const SEARCHED: f64 = 0.97;
+
 /// Fewest null sessions that hold a 95 % point.
 const MIN_NULL_SESSIONS: usize = 20;
 
 /// Refuses what no session can be diagnosed with.
-pub fn check_diagnosis(config: &DiagnosisConfig, null_sessions: Option<usize>) -> Result<(), Error> {
+pub fn check_diagnosis(
+    config: &DiagnosisConfig,
+    null_sessions: Option<usize>,
+    references: usize,
+) -> Result<(), Error> {
     for id in &config.without {
         if effects::tactile(id).is_none() {
             let known: Vec<&str> = effects::TACTILE.iter().map(|kind| kind.id()).collect();
@@ -58,6 +66,11 @@ pub fn check_diagnosis(config: &DiagnosisConfig, null_sessions: Option<usize>) -
     }
     if config.max_effects == 0 {
         return Err(Error::Argument("at most 0 effects can be named; allow at least 1".to_owned()));
+    }
+    if (1..MIN_REFERENCES).contains(&references) {
+        return Err(Error::Argument(format!(
+            "{references} reference sessions cannot tell what is usual; give at least {MIN_REFERENCES}, better 5"
+        )));
     }
     match null_sessions {
         Some(count) if count < MIN_NULL_SESSIONS => Err(Error::Argument(format!(
@@ -72,12 +85,27 @@ pub fn take_of_session(session: &str, take: &str) -> String {
     format!("{session}/{take}")
 }
 
+/// The accepted takes of `session`.
+fn all_takes(library: &Library, session: &Session, cancel: &Cancel) -> Result<Vec<Take>, Error> {
+    let mut takes = Vec::new();
+    accepted_takes(library, session, cancel, |idx, _| {
+        takes.push((*library.take(session, idx)?).clone());
+        Ok(())
+    })?;
+    Ok(takes)
+}
+
 /// Diagnoses the accepted takes of all `sessions`, of one station, together, from `start` or else from the station's nominal
 /// model: a session and what was recorded after it, because its diagnosis asked for it. Takes of several sessions have the ids
-/// of [`take_of_session`].
+/// of [`take_of_session`]. In the `references`, if there are any, nothing is wrong: what they leave sets the limits.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "what a diagnosis looks at, what it is asked, and how it is watched"
+)]
 pub fn diagnose_sessions(
     library: &Library,
     sessions: &[Session],
+    references: &[Session],
     config: &DiagnosisConfig,
     start: Option<&SensorModel>,
     bar: BarConfig<'_>,
@@ -92,7 +120,7 @@ pub fn diagnose_sessions(
         accepted_takes(library, session, cancel, |take_idx, share| {
             let mut take: Take = (*library.take(session, take_idx)?).clone();
             let share = (idx as f64 + share) / sessions.len() as f64;
-            progress.report(0.05 * share, &format!("reading {}", take.id));
+            progress.report(READ * share, &format!("reading {}", take.id));
             if sessions.len() > 1 {
                 take.id = take_of_session(&session.id, &take.id);
             }
@@ -113,24 +141,34 @@ pub fn diagnose_sessions(
     };
     let begun = Instant::now();
     let clock_s = || begun.elapsed().as_secs_f64();
-    let search_from = match bar.null_sessions {
-        Some(sessions) => {
-            // Setting the bar is the same work as many times over as there are null sessions.
-            let end = 0.05 + 0.9 * sessions as f64 / (sessions + 1) as f64;
-            let section = Section { whole: progress, start: 0.05, end };
-            // The bar is the station's, whatever this diagnosis leaves out.
-            let of_station = DiagnosisConfig { without: Vec::new(), ..config.clone() };
-            let start = nominal_model(first)?;
-            let bar_found = null_bar(&of_station, &takes, &start, sessions, &section, cancel)?;
-            bar.bars.put(files, &bar_found)?;
-            end
-        }
-        None => 0.05,
+    // A null session and a reference are each as much work as the diagnosis.
+    let shares = 1 + bar.null_sessions.unwrap_or(0) + references.len();
+    let end_of = |done: usize| READ + (SEARCHED - READ) * done as f64 / shares as f64;
+    let mut done = 0;
+    let mut section = |count: usize| {
+        let section = Section { whole: progress, start: end_of(done), end: end_of(done + count) };
+        done += count;
+        section
     };
+    if let Some(sessions) = bar.null_sessions {
+        // The bar is the station's, whatever this diagnosis leaves out.
+        let of_station = DiagnosisConfig { without: Vec::new(), ..config.clone() };
+        let start = nominal_model(first)?;
+        let bar_found = null_bar(&of_station, &takes, &start, sessions, &section(sessions), cancel)?;
+        bar.bars.put(files, &bar_found)?;
+    }
+    let reference = match references {
+        [] => None,
+        sessions => {
+            let takes = sessions.iter().map(|session| all_takes(library, session, cancel));
+            let takes = takes.collect::<Result<Vec<_>, _>>()?;
+            Some(reference(config, &takes, &nominal, &section(sessions.len()), cancel)?)
+        }
+    };
+    let config = &DiagnosisConfig { reference, ..config.clone() };
     let null = bar.bars.get(files)?;
-    let search = Section { whole: progress, start: search_from, end: 0.97 };
-    let outcome = diagnose(config, &takes, &nominal, null.as_ref(), &search, cancel, &clock_s)?;
-    progress.report(0.97, "writing the report");
+    let outcome = diagnose(config, &takes, &nominal, null.as_ref(), &section(1), cancel, &clock_s)?;
+    progress.report(SEARCHED, "writing the report");
     let source = palpate_calibration::report::ReportSource {
         session: &ids,
         station: &session.file.station,

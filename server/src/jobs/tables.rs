@@ -272,6 +272,7 @@ mod tests {
             residual_map: Vec::new(),
             takes: BTreeMap::new(),
             bar: Bar::default(),
+            reference_sessions: None,
             notes: Vec::new(),
             seconds: 0.0,
         }

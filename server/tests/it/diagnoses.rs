@@ -207,6 +207,10 @@ async fn what_cannot_be_diagnosed_is_refused_before_it_is_queued() {
     start(json!({"session": "taps", "without": ["gremlins"]}), 400, "latency").await;
     start(json!({"session": "taps", "max_effects": 0}), 400, "at least 1").await;
     start(json!({"session": "taps", "null_sessions": 3}), 400, "null sessions").await;
+    start(json!({"session": "taps", "references": ["nowhere", "else", "or"]}), 404, "nowhere").await;
+    start(json!({"session": "taps", "references": ["some"]}), 400, "at least 3").await;
+    start(json!({"session": "taps", "references": ["a", "b", "a"]}), 400, "given twice").await;
+    start(json!({"session": "taps", "references": ["a", "b", "taps"]}), 400, "given twice").await;
     start(json!({"session": "taps", "nonsense": 3}), 422, "nonsense").await;
     assert!(tree(data.root()) == before, "something was queued");
 }

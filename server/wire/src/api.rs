@@ -174,6 +174,10 @@ pub struct DiagnosisRequest {
     /// bar kept for the station is used, else the shipped one.
     #[serde(default)]
     pub null_sessions: Option<usize>,
+    /// Ids of at least three sessions of the same station in which nothing is wrong: limits are then what such sessions leave;
+    /// empty means the shipped ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub references: Vec<String>,
 }
 
 /// State of a diagnosis: `GET /api/v1/diagnoses/{job}`.

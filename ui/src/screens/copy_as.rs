@@ -90,6 +90,12 @@ pub fn diagnosis(request: &DiagnosisRequest, data: &str) -> Forms {
         python.push(format!("null_sessions={sessions}"));
         command += &format!(" --null-bar {sessions}");
     }
+    if !request.references.is_empty() {
+        python.push(format!("references={}", json(&request.references)));
+        for reference in &request.references {
+            command += &format!(" --reference {}", quoted(&format!("{data}/sessions/{reference}")));
+        }
+    }
     Forms {
         curl: curl("/diagnoses", &json(request)),
         python: script(&format!("p.diagnose({})", python.join(", "))),
@@ -265,12 +271,14 @@ mod tests {
             max_effects: Some(4),
             without: vec!["latency".into()],
             null_sessions: Some(200),
+            references: vec!["good-1".into(), "good-2".into(), "good-3".into()],
         };
         let forms = diagnosis(&request, "data");
         let command = "palpate diagnose --session data/sessions/demo --data data --model data/models/demo-exact.toml \
-            --max-effects 4 --without latency --null-bar 200";
+            --max-effects 4 --without latency --null-bar 200 --reference data/sessions/good-1 --reference data/sessions/good-2 \
+            --reference data/sessions/good-3";
         assert_eq!(forms.command.as_deref(), Some(command));
-        let call = r#"p.diagnose("demo", model="demo-exact", max_effects=4, without=["latency"], null_sessions=200)"#;
+        let call = r#"p.diagnose("demo", model="demo-exact", max_effects=4, without=["latency"], null_sessions=200, references=["good-1","good-2","good-3"])"#;
         assert!(forms.python.contains(call), "{}", forms.python);
         let nominal = DiagnosisRequest { model: Some("nominal".into()), ..request };
         assert!(!diagnosis(&nominal, "data").command.is_some_and(|command| command.contains("--model")));

@@ -6,6 +6,7 @@ mod details;
 mod effects;
 mod keep;
 mod names;
+mod references;
 mod residual_map;
 mod results;
 
@@ -64,6 +65,8 @@ struct DiagnoseState {
     max_effects: Option<usize>,
     /// Effects left out of the library, by id.
     without: BTreeSet<String>,
+    /// Sessions in which nothing is wrong, by id.
+    references: BTreeSet<String>,
     sets_bar: bool,
     waits_for_start: bool,
     shown: Shown,
@@ -125,6 +128,9 @@ fn about_request(request: &DiagnosisRequest) -> String {
         let ids: Vec<String> = request.without.iter().map(|id| words(id)).collect();
         about.push(format!("without {}", ids.join(", ")));
     }
+    if !request.references.is_empty() {
+        about.push(format!("judged by {} reference sessions", request.references.len()));
+    }
     about.join(", ")
 }
 
@@ -154,6 +160,7 @@ fn choose_ui(
         "Runs this whole diagnosis on sessions simulated with nothing missing, to learn what chance gives on this \
          station. Slow once; the bar is kept for the station.",
     );
+    let of_references = references::references_ui(ui, &cx.palette, &mut state.references, sessions, &session);
     if !state.without.is_empty() {
         ui.label("Left out of the library");
         let mut brought_back = None;
@@ -172,6 +179,7 @@ fn choose_ui(
         }
     }
     let (may_start, problem) = state.hold_out.ui(ui, cx, &session);
+    let (may_start, problem) = (may_start && of_references.is_none(), problem.or(of_references));
 
     ui.add_space(8.0);
     heading_ui(ui, "2  Run");
@@ -215,6 +223,7 @@ fn request(cx: &ScreenContext<'_>, state: &mut DiagnoseState) -> Option<Diagnosi
         max_effects: state.max_effects,
         without: state.without.iter().cloned().collect(),
         null_sessions: state.sets_bar.then_some(NULL_SESSIONS),
+        references: state.references.iter().cloned().collect(),
     })
 }
 
@@ -276,6 +285,7 @@ fn mirror(state: &mut DiagnoseState, request: &DiagnosisRequest) {
     state.max_effects = request.max_effects;
     state.without = request.without.iter().cloned().collect();
     state.sets_bar = request.null_sessions.is_some();
+    state.references = request.references.iter().cloned().collect();
 }
 
 /// The model that a run started from, as its first step is called: only the station's own is nominal.

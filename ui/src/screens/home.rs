@@ -192,6 +192,7 @@ fn do_step(cx: &mut ScreenContext<'_>, state: &mut HomeState, step: &Step) {
                 max_effects: None,
                 without: Vec::new(),
                 null_sessions: None,
+                references: Vec::new(),
             });
         }
         other => *cx.go_to = Some(other.route()),

@@ -18,7 +18,7 @@ use palpate_ui::{
 use palpate_wire::{
     api::{
         DiagnosisRequest, DiagnosisRun, JobState, ModelSummary, RecordingDocument, SaveDiagnosisRequest,
-        WantedTake,
+        SessionSummary, WantedTake,
     },
     proto::{JobUpdate, StreamMessage, stream_message},
 };
@@ -148,6 +148,7 @@ fn report(effects: Vec<NamedEffect>, verdict: Verdict, sentence: &str) -> Diagno
             ("confirm".into(), vec!["take-02".into()]),
         ]),
         bar: Bar { evidence: 12.5, null_sessions: 200, null_maxima: vec![2.0, 4.0, 5.5, 9.0] },
+        reference_sessions: None,
         notes: Vec::new(),
         seconds: 4.2,
         effects,
@@ -224,6 +225,7 @@ fn request() -> DiagnosisRequest {
         max_effects: None,
         without: Vec::new(),
         null_sessions: None,
+        references: Vec::new(),
     }
 }
 
@@ -610,6 +612,40 @@ fn the_form_is_copied_with_every_choice() {
     harness.get_by_role_and_label(Role::Button, "Copy as command line").click();
     let copied = crate::fixture::copied(&mut harness);
     let command = "palpate diagnose --session data/sessions/bench-1 --data data --null-bar 200";
+    assert_eq!(copied.as_deref(), Some(command));
+}
+
+#[test]
+fn reference_sessions_are_of_the_same_station_and_three_or_none() {
+    let api = full_api();
+    let other = |id: &str, station: &str| SessionSummary {
+        id: id.into(),
+        station: station.into(),
+        ..crate::fixture::summary()
+    };
+    let good = ["good-1", "good-2", "good-3"];
+    let mut sessions = vec![crate::fixture::summary(), other("elsewhere", "another-bench")];
+    sessions.extend(good.map(|id| other(id, "probe-bench")));
+    let listed = serde_json::to_vec(&sessions).expect("sessions are plain data");
+    api.0.borrow_mut().answer(&Request::Sessions, listed);
+    let mut harness = page_of(&api, &FakeWindow::at("#/diagnose/bench-1"), [1280.0, 1600.0]);
+    harness.get_by_label("Reference sessions: none").click();
+    harness.run_steps(20);
+    assert!(harness.query_by_role_and_label(Role::CheckBox, "elsewhere").is_none(), "of another station");
+    assert!(harness.query_by_role_and_label(Role::CheckBox, "bench-1").is_none(), "of itself");
+    harness.get_by_role_and_label(Role::CheckBox, "good-1").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("Tick at least 3 reference sessions, or none.");
+    for id in &good[1..] {
+        harness.get_by_role_and_label(Role::CheckBox, id).click();
+        harness.run_steps(3);
+    }
+    harness.get_by_label("Reference sessions: 3");
+    assert!(harness.query_by_label_contains("Tick at least 3").is_none());
+    harness.get_by_role_and_label(Role::Button, "Copy as command line").click();
+    let copied = crate::fixture::copied(&mut harness);
+    let command = "palpate diagnose --session data/sessions/bench-1 --data data --reference data/sessions/good-1 --reference \
+        data/sessions/good-2 --reference data/sessions/good-3";
     assert_eq!(copied.as_deref(), Some(command));
 }
 

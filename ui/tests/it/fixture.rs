@@ -240,7 +240,7 @@ fn replay(station: &Station, lag: usize) -> ReplayTrace {
     }
 }
 
-fn summary() -> SessionSummary {
+pub(crate) fn summary() -> SessionSummary {
     SessionSummary {
         id: "bench-1".into(),
         station: "probe-bench".into(),

@@ -163,6 +163,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         residual_map: Vec::new(),
         takes: BTreeMap::from([("fit".to_owned(), ids(fitted)), ("confirm".to_owned(), ids(judged_on))]),
         bar: Bar { evidence: config.bar.unwrap_or(ACTUATOR_BAR), ..Bar::default() },
+        reference_sessions: None,
         notes,
         seconds: evidence.seconds,
     })

@@ -131,6 +131,13 @@ impl Naming {
         Ok(())
     }
 
+    /// Takes the name of the effect `idx` back; the others stay as they were fitted and assessed beside it.
+    pub(crate) fn set_aside(&mut self, idx: usize, why: Fired) {
+        self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
+        self.evidence.remove(idx);
+        self.standard_errors.remove(idx);
+    }
+
     /// Takes the name of the effect `idx` back, and fits and assesses the others without it.
     pub(crate) fn withhold_one<D: Domain>(
         &mut self,

@@ -31,6 +31,17 @@ pub struct Adequacy {
 }
 
 impl Adequacy {
+    /// Limits, tuned on sessions of an emulated station in which nothing is hidden.
+    pub(crate) const SHIPPED: Self = Self {
+        repeating: 0.5,
+        at_patch: 0.85,
+        common_mode: 1.5,
+        loss: 0.61,
+        switching: 0.03,
+        patch: 0,
+        stream: 0,
+    };
+
     /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel
     /// that is taken for a flickering one: its errors shrink, but become the same in every repetition.
     pub(crate) fn repeats_more(&self, before: &Self) -> Option<Fired> {
@@ -356,17 +367,22 @@ pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
 
 /// Fires if names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with
 /// that limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
-pub(crate) fn leave_most_at_a_patch([before, after]: &[Vec<f64>; 2], patches: &[usize]) -> Option<Fired> {
-    let is_much = |patch: &&usize| after[**patch] > MUCH_AT_PATCH.max(MOST_LEFT_AT_PATCH * before[**patch]);
+/// From `much` on it is more than the model's own misfit.
+pub(crate) fn leave_most_at_a_patch(
+    [before, after]: &[Vec<f64>; 2],
+    patches: &[usize],
+    much: f64,
+) -> Option<Fired> {
+    let is_much = |patch: &&usize| after[**patch] > much.max(MOST_LEFT_AT_PATCH * before[**patch]);
     let patch = *patches.iter().find(is_much)?;
     let before = before[patch].max(TINY);
-    let limit = MOST_LEFT_AT_PATCH.max(MUCH_AT_PATCH / before);
+    let limit = MOST_LEFT_AT_PATCH.max(much / before);
     Some(Fired { rule: fired::LEFT_AT_PATCH, measured: after[patch] / before, limit })
 }
 
 /// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at
 /// most 0.8 on the tuning stations.
-const MUCH_AT_PATCH: f64 = 1.3;
+pub(crate) const MUCH_AT_PATCH: f64 = 1.3;
 /// Share of what repeats in a patch that right names of its limb leave at most.
 pub(crate) const MOST_LEFT_AT_PATCH: f64 = 0.7;
 
@@ -489,13 +505,16 @@ mod tests {
     #[test]
     fn names_of_a_limb_leave_little_in_its_worst_patch() {
         let leaves = |before: f64, after: f64| {
-            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1]).is_some()
+            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1], MUCH_AT_PATCH).is_some()
         };
         assert!(leaves(2.4, 2.3), "another pad of that finger was named");
         assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
         assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
         assert!(leaves(0.9, 1.4), "it is worse than before");
-        assert!(leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[]).is_none(), "names of several limbs");
+        assert!(
+            leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[], MUCH_AT_PATCH).is_none(),
+            "names of several limbs"
+        );
     }
 
     #[test]

@@ -27,7 +27,7 @@ pub(crate) struct WithPosture {
     /// Change of the response per rad, as a share of it.
     per_rad: f64,
     /// Squares of residuals that it removes, in variances.
-    evidence: f64,
+    pub(crate) evidence: f64,
 }
 
 impl WithPosture {
@@ -39,13 +39,13 @@ impl WithPosture {
     }
 
     /// As a report has it.
-    pub(crate) fn too_much_left(&self, station: &Station) -> TooMuchLeft {
+    pub(crate) fn too_much_left(&self, station: &Station, limit: f64) -> TooMuchLeft {
         let joint = station.robot.dofs().nth(self.dof).map_or("a joint", |joint| joint.name.as_str());
         let (patch, percent) = (&station.layout.patches[self.patch], 100.0 * self.per_rad);
         TooMuchLeft {
             check: fired::POSTURE.to_owned(),
             measured: self.evidence,
-            limit: LEAST_EVIDENCE,
+            limit,
             place: Some(Place::Patch(patch.id.clone())),
             sentence: format!(
                 "What patch {} reads changes by {percent:+.0} % a rad of {joint}, which no name accounts for.",
@@ -107,6 +107,7 @@ pub(crate) fn with_posture(
     domain: &TactileDomain<'_>,
     model: &Model,
     takes: &[usize],
+    least: Least,
 ) -> Result<Vec<WithPosture>, DiagnosisError> {
     let (station, num_dofs) = (domain.station, domain.station.robot.num_dofs());
     let (patches, streams) = (&station.layout.patches, &station.layout.streams);
@@ -140,7 +141,7 @@ pub(crate) fn with_posture(
     let most = pressed.iter().zip(&sums).filter_map(|(&patch, by_object)| {
         let changes = (0..num_dofs).filter(|&dof| of_limb(patch, dof)).filter_map(|dof| {
             let [per_rad, share, evidence] = change(by_object.values(), dof)?;
-            let is_there = evidence > LEAST_EVIDENCE && share > LEAST_SHARE;
+            let is_there = evidence > least.evidence && share > least.share;
             is_there.then_some(WithPosture { patch, dof, per_rad, evidence })
         });
         changes.max_by(|one, other| one.evidence.total_cmp(&other.evidence))
@@ -148,10 +149,22 @@ pub(crate) fn with_posture(
     Ok(most.collect())
 }
 
-/// What chance and misfit make of a session in which nothing is missing: on the tuning stations a change of at most 3.5 %,
-/// with an evidence of at most 65.
-const LEAST_SHARE: f64 = 0.036;
-const LEAST_EVIDENCE: f64 = 110.0;
+/// From where on a change is more than what chance and misfit make.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Least {
+    /// Squares that it removes, in variances.
+    pub(crate) evidence: f64,
+    /// Root mean square of the change, as a share of the response.
+    pub(crate) share: f64,
+}
+
+impl Least {
+    /// Any change.
+    pub(crate) const ANY: Self = Self { evidence: 0.0, share: 0.0 };
+    /// Of a session in which nothing is missing: on the tuning stations a change of at most 3.5 %, with an evidence of at most
+    /// 65.
+    pub(crate) const SHIPPED: Self = Self { evidence: 110.0, share: 0.036 };
+}
 
 #[cfg(test)]
 mod tests {

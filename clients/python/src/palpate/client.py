@@ -224,6 +224,7 @@ class Palpate:
         max_effects: int | None = None,
         without: list[str] | None = None,
         null_sessions: int | None = None,
+        references: list[str] | None = None,
     ) -> DiagnosisRun:
         """Starts a diagnosis, which names the effects that the calibrated model lacks.
 
@@ -234,6 +235,7 @@ class Palpate:
             max_effects: Most effects to name.
             without: Effects to leave out of the library, by id.
             null_sessions: Sessions to simulate first to set the station's bar anew.
+            references: Ids of at least three sessions of the station in which nothing is wrong; what they leave sets the limits.
 
         """
         body = {
@@ -243,6 +245,7 @@ class Palpate:
             "max_effects": max_effects,
             "without": without or [],
             "null_sessions": null_sessions,
+            "references": references or [],
         }
         return DiagnosisRun(self, self.connection.json("POST", "/diagnoses", body=body))
 

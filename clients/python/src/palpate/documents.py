@@ -463,7 +463,8 @@ class DiagnosisReport:
     """The result of a diagnosis.
 
     `verdict`: `explained`, `partly_explained`, `unexplained`, `no_discrepancy` or `cannot_be_judged`. `gap` and
-    `held_out` are of the takes that were kept for judging, `fitted` is of the others.
+    `held_out` are of the takes that were kept for judging, `fitted` is of the others. `reference_sessions` is the number of
+    sessions that set the limits; None if the shipped ones apply.
     """
 
     verdict: str
@@ -484,6 +485,7 @@ class DiagnosisReport:
     bar: Bar
     notes: list[str]
     seconds: float
+    reference_sessions: int | None = None
 
 
 @dataclass(frozen=True)

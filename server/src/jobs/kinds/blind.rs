@@ -83,6 +83,7 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let config = BlindConfig {
         world: World::A,
         without_rules: Vec::new(),
+        references: 0,
         seeds: request.seeds,
         first_seed: cx.seed,
         nulls: request.nulls,

@@ -35,8 +35,18 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: DiagnosisRequest = parse(DIAGNOSE.name, request)?;
     let session = store.session(&request.session)?;
     let config = config_of(&request, &session, 0)?;
-    check_diagnosis(&config, request.null_sessions)?;
+    check_diagnosis(&config, request.null_sessions, request.references.len())?;
     let mut files = files_of(&session);
+    for reference in references_of(store, &request)? {
+        let station = &reference.file.station;
+        if *station != session.file.station {
+            return Err(Error::Argument(format!(
+                "references: session {:?} is of station {station:?}, but {:?} is of {:?}; name sessions of one station",
+                reference.id, session.id, session.file.station
+            )));
+        }
+        files.extend(files_of(&reference));
+    }
     if let Some(model) = &request.model {
         files.push(store.model_file(model)?);
     }
@@ -52,6 +62,7 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let artifacts = diagnose_sessions(
         cx.library,
         std::slice::from_ref(&session),
+        &references_of(cx.store, &request)?,
         &config,
         start.as_ref().map(|(model, _)| model),
         BarConfig { bars: &bars, null_sessions: request.null_sessions },
@@ -65,6 +76,18 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     }
     cx.save(HTML_FILE, &artifacts.html)?;
     cx.save_report(&artifacts.report)
+}
+
+/// The sessions of `request` in which nothing is wrong.
+fn references_of(store: &Store, request: &DiagnosisRequest) -> Result<Vec<Session>, Error> {
+    for (idx, id) in request.references.iter().enumerate() {
+        if *id == request.session || request.references[..idx].contains(id) {
+            return Err(Error::Argument(format!(
+                "references: session {id:?} is given twice; name each once, and not the session that is diagnosed"
+            )));
+        }
+    }
+    request.references.iter().map(|id| store.session(id)).collect()
 }
 
 /// What `request` asks of `session`, or why it cannot be done.
