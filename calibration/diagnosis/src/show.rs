@@ -123,7 +123,7 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     }
     Ok(DiagnosisReport {
         verdict,
-        sentence: sentence(verdict, &reported, &held_out),
+        sentence: sentence(verdict, &reported, &held_out, evidence.reference.sessions()),
         candidates: first
             .tried
             .iter()
@@ -297,7 +297,7 @@ fn verdict(left: bool, named: &[NamedEffect], repeats: bool) -> Verdict {
     }
 }
 
-fn sentence(verdict: Verdict, named: &[NamedEffect], gap: &Gap) -> String {
+fn sentence(verdict: Verdict, named: &[NamedEffect], gap: &Gap, references: Option<usize>) -> String {
     let removed = if gap.calibrated > 0.0 { 100.0 * (1.0 - gap.diagnosed / gap.calibrated) } else { 0.0 };
     let names: Vec<&str> = named.iter().map(|effect| effect.explanation.trim_end_matches('.')).collect();
     let found = match names.len() {
@@ -321,6 +321,9 @@ fn sentence(verdict: Verdict, named: &[NamedEffect], gap: &Gap) -> String {
         }
         Verdict::CannotBeJudged => {
             format!("{found}; no motion is repeated, by which to tell whether something else is missing.")
+        }
+        Verdict::NoDiscrepancy if references.is_some() => {
+            "Nothing stands out from what the reference sessions of this station leave.".to_owned()
         }
         Verdict::NoDiscrepancy => {
             "Simulation and measurement agree as well as repetitions of the same motion do.".to_owned()

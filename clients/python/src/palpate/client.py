@@ -235,7 +235,8 @@ class Palpate:
             max_effects: Most effects to name.
             without: Effects to leave out of the library, by id.
             null_sessions: Sessions to simulate first to set the station's bar anew.
-            references: Ids of at least three sessions of the station in which nothing is wrong; what they leave sets the limits.
+            references: Ids of at least three sessions of the station in which nothing is wrong; what they leave sets
+                the limits.
 
         """
         body = {

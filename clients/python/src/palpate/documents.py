@@ -463,8 +463,8 @@ class DiagnosisReport:
     """The result of a diagnosis.
 
     `verdict`: `explained`, `partly_explained`, `unexplained`, `no_discrepancy` or `cannot_be_judged`. `gap` and
-    `held_out` are of the takes that were kept for judging, `fitted` is of the others. `reference_sessions` is the number of
-    sessions that set the limits; None if the shipped ones apply.
+    `held_out` are of the takes that were kept for judging, `fitted` is of the others. `reference_sessions` is how many
+    sessions set the limits; None if the shipped ones apply.
     """
 
     verdict: str
