@@ -6,8 +6,8 @@ use palpate_sim::SensorModel;
 use palpate_sim::job::{Cancel, Progress};
 
 use crate::DiagnosisError;
-use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
-use crate::engine::{self, NamingConfig};
+use crate::config::DiagnosisConfig;
+use crate::engine;
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
 use crate::reference::{Measured, Reference};
@@ -55,14 +55,7 @@ pub fn reference(
         let Prepared { domain, start, fitted, .. } = prepare(config, station, takes, nominal, cancel)?;
         let (of_all, left) = adequacy(station, &domain, &start, &fitted)?;
         let bent = with_posture(&domain, &start, &fitted, Least::ANY)?;
-        let naming = NamingConfig {
-            max_effects: config.max_effects + nominal.effects.len(),
-            bar: NullBar::DEFAULT_EVIDENCE,
-            kept_bar: KEPT_EVIDENCE,
-            least_share: LEAST_SHARE,
-            num_fits: NUM_FITS,
-            without: Vec::new(),
-        };
+        let naming = NullBar::naming(config.max_effects + nominal.effects.len());
         let known = start.effects.len();
         let mut found = engine::name(&domain, &start, &fitted, &naming, &watch)?;
         if found.model.effects.len() > known {

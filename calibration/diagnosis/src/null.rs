@@ -24,6 +24,18 @@ impl NullBar {
     /// The bar where a station has none of its own: tuned on sessions of an emulated station in which nothing is hidden.
     pub const DEFAULT_EVIDENCE: f64 = 12.0;
 
+    /// How sessions are searched that miss nothing: by the shipped bar.
+    pub(crate) fn naming(max_effects: usize) -> NamingConfig {
+        NamingConfig {
+            max_effects,
+            bar: Self::DEFAULT_EVIDENCE,
+            kept_bar: KEPT_EVIDENCE,
+            least_share: LEAST_SHARE,
+            num_fits: NUM_FITS,
+            without: Vec::new(),
+        }
+    }
+
     /// Probability of evidence this strong if nothing is missing, from the null sessions; `None` without any. The
     /// normal distribution would not do in their place: standard errors leave out that the model is only roughly right,
     /// so that it gives probabilities many orders of magnitude too small.
@@ -55,14 +67,7 @@ pub fn null_bar(
 ) -> Result<NullBar, DiagnosisError> {
     let station = check(config, takes)?;
     let Prepared { domain, start, fitted, .. } = prepare(config, station, takes, nominal, cancel)?;
-    let naming = NamingConfig {
-        max_effects: 0,
-        bar: NullBar::DEFAULT_EVIDENCE,
-        kept_bar: KEPT_EVIDENCE,
-        least_share: LEAST_SHARE,
-        num_fits: NUM_FITS,
-        without: config.without.clone(),
-    };
+    let naming = NamingConfig { without: config.without.clone(), ..NullBar::naming(0) };
     let mut maxima = Vec::with_capacity(sessions);
     for session in 0..sessions {
         progress.report(
