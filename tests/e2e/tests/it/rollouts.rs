@@ -427,12 +427,15 @@ fn a_campaign_goes_on_where_it_was_whoever_was_restarted() {
     let (station, data) = (scene.bench.station_args(), scene.data.path().to_owned());
     scene.studio.signal("KILL").unwrap();
     scene.studio.ended(PATIENCE).unwrap();
+    // Its zero shall not be what the channel has drifted to, at the end of its range after 13 s.
+    scene.bench.set_faults("").unwrap();
     scene.studio = Studio::serve_at(&tools, &address, &data, station).unwrap();
     scene.watcher = Watcher::connect(&scene.studio).unwrap();
     assert!(!night.ended().unwrap(), "it asks to be started again");
     let told = suggested(&scene.studio, 2);
     assert!(told.len() == 1 && told[0]["suggested"] == "void", "{told:?}");
     scene.watcher.wait_for("every device to be ready", all_ready).unwrap();
+    scene.bench.set_faults(&drifts).unwrap();
     drop(night);
 
     // Somebody wants a break: the trial that runs is the last one until they are back.

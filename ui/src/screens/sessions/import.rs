@@ -4,6 +4,7 @@ use egui::RichText;
 
 use crate::{
     route::{Route, Screen},
+    screens::busy_ui,
     screens::{PickedFile, ScreenContext},
     store::Loadable,
 };
@@ -75,7 +76,7 @@ pub(super) fn import_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &m
         }
         if busy {
             ui.horizontal(|ui| {
-                ui.spinner();
+                busy_ui(ui);
                 ui.label("Importing and checking\u{2026}");
             });
         }

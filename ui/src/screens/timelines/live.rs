@@ -13,7 +13,7 @@ use palpate_wire::{
 };
 
 use super::super::{
-    ScreenContext,
+    ScreenContext, busy_ui,
     controls::{combo_ui, option_ui},
     empty_ui, loaded_ui, loading_ui, topic_ui,
 };
@@ -205,7 +205,7 @@ fn model_ui(
     }
     match &cx.store.live_model {
         Loadable::Loading => {
-            ui.spinner();
+            busy_ui(ui);
         }
         Loadable::Failed(why) => {
             let text = format!("\u{26a0} The twin keeps its model: {why}");
