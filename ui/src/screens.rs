@@ -269,8 +269,8 @@ pub fn empty_ui(ui: &mut egui::Ui, title: &str, text: &str, button: &str) -> boo
     })
 }
 
-/// Something is on its way: a ring of dots, one of which goes around. It moves in steps, because a browser without a graphics
-/// card would give a core to painting it smoothly.
+/// Something is on its way: a ring of dots, one of which goes around. It moves in steps, because whoever waits needs
+/// no frame more.
 pub fn busy_ui(ui: &mut egui::Ui) -> egui::Response {
     let size = ui.style().spacing.interact_size.y;
     let (rect, response) = ui.allocate_exact_size(egui::Vec2::splat(size), egui::Sense::hover());
