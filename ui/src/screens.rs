@@ -269,33 +269,10 @@ pub fn empty_ui(ui: &mut egui::Ui, title: &str, text: &str, button: &str) -> boo
     })
 }
 
-/// Something is on its way: a ring of dots, one of which goes around. It moves in steps, because whoever waits needs
-/// no frame more.
-pub fn busy_ui(ui: &mut egui::Ui) -> egui::Response {
-    let size = ui.style().spacing.interact_size.y;
-    let (rect, response) = ui.allocate_exact_size(egui::Vec2::splat(size), egui::Sense::hover());
-    response.widget_info(|| egui::WidgetInfo::new(egui::Role::ProgressIndicator));
-    if ui.is_rect_visible(rect) {
-        const DOTS: usize = 8;
-        const STEP_S: f64 = 0.2;
-        let now_s = ui.input(|input| input.time);
-        let first = (now_s / STEP_S) as usize % DOTS;
-        let (radius, color) = (0.36 * size, ui.visuals().strong_text_color());
-        for idx in 0..DOTS {
-            let angle = std::f32::consts::TAU * idx as f32 / DOTS as f32;
-            let age = (first + DOTS - idx) % DOTS;
-            let shade = color.gamma_multiply(1.0 - age as f32 / DOTS as f32);
-            ui.painter().circle_filled(rect.center() + radius * egui::Vec2::angled(angle), 0.1 * size, shade);
-        }
-        ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(STEP_S - now_s % STEP_S));
-    }
-    response
-}
-
 /// Something is on its way: what.
 pub fn loading_ui(ui: &mut egui::Ui, what: &str) {
     centered(ui, |ui| {
-        busy_ui(ui);
+        ui.spinner();
         announced_ui(ui, format!("{what}\u{2026}"), false);
     });
 }

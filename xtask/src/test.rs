@@ -146,8 +146,8 @@ pub(crate) fn check() -> anyhow::Result<()> {
     tested
 }
 
-/// Looks whether links in the documentation lead somewhere. xtask's is left out: what it alone depends on would be compiled for
-/// nothing else here.
+/// Looks whether links in the documentation lead somewhere. xtask's is left out: its dependencies would be compiled for it
+/// alone.
 fn document(grasp_world: Option<&Path>) -> anyhow::Result<()> {
     let mut cargo = shell::cargo(&paths::root());
     cargo

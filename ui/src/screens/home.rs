@@ -15,7 +15,7 @@ use palpate_wire::{
 
 use self::next::{CampaignFacts, Facts, SessionFacts, Step};
 use super::{
-    About, ScreenContext, Subject, View, busy_ui,
+    About, ScreenContext, Subject, View,
     control::wording::{link_word, phase_color, phase_mark_ui, phase_word},
     duration_text, heading_ui,
     jobs::{NEW, working_now},
@@ -120,7 +120,7 @@ fn missing_ui<T>(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, what: &str, list
             }
         }
         Loadable::Idle | Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
         }
     }
     true

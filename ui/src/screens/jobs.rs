@@ -9,7 +9,7 @@ use egui::RichText;
 use palpate_wire::api::{Job, JobState, RolloutsRequest};
 
 use super::{
-    About, ScreenContext, Subject, View, busy_ui,
+    About, ScreenContext, Subject, View,
     controls::{combo_ui, may_start_jobs_ui, option_ui},
     copy_as, duration_text, empty_ui, heading_ui, is_missing, loaded_ui, progress_bar, topic_ui,
 };
@@ -458,7 +458,7 @@ fn log_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut JobsState, 
             ui.label(format!("There is no log: {error}"));
         }
         Loadable::Idle | Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
         }
     }
 }

@@ -6,8 +6,8 @@ use palpate_robot_model::Station;
 use palpate_wire::api::{PlanDocument, PlanTake};
 
 use super::{
-    About, Part, ScreenContext, Subject, View, busy_ui, duration_text, empty_ui, hand::channel_map_ui,
-    heading_ui, loaded_ui, topic_heading_ui, two_parts_ui,
+    About, Part, ScreenContext, Subject, View, duration_text, empty_ui, hand::channel_map_ui, heading_ui,
+    loaded_ui, topic_heading_ui, two_parts_ui,
 };
 use crate::{
     route::{Route, Screen},
@@ -129,7 +129,7 @@ fn plan_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, plan: &PlanDocument) {
                 );
             }
             Loadable::Idle | Loadable::Loading => {
-                busy_ui(ui);
+                ui.spinner();
             }
         }
         ui.add_space(10.0);

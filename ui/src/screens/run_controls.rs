@@ -6,7 +6,7 @@ use egui::RichText;
 use palpate_wire::api::{JobState, Run, SessionDetail, SessionSummary};
 
 use super::{
-    ScreenContext, announced_ui, busy_ui,
+    ScreenContext, announced_ui,
     controls::{OfSession, may_start_jobs_ui},
     duration_text, empty_ui, failed_ui, heading_ui, is_missing, loading_ui, missing_session_ui, progress_bar,
     sessions_ui, words,
@@ -135,7 +135,7 @@ impl HoldOutChoice {
                 ui.colored_label(cx.palette.mismatch, why);
             }
             Loadable::Idle | Loadable::Loading => {
-                busy_ui(ui);
+                ui.spinner();
             }
         }
         (false, None)

@@ -7,7 +7,7 @@ use palpate_wire::api::CalibrationRun;
 use super::{CalibrateState, objective, tables};
 use crate::{
     route::Screen,
-    screens::{ScreenContext, busy_ui, controls::file_link_ui, heading_ui, help_ui},
+    screens::{ScreenContext, controls::file_link_ui, heading_ui, help_ui},
     store::Loadable,
     theme::Palette,
 };
@@ -364,7 +364,7 @@ fn keep_ui(
             ui.label(format!("\u{2714} Saved as {id}."));
         }
         (Loadable::Loading, None) => {
-            busy_ui(ui);
+            ui.spinner();
         }
         _ => {}
     }

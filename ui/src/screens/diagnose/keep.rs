@@ -7,7 +7,7 @@ use palpate_wire::api::{DiagnosisRun, ModelSummary, SaveDiagnosisRequest};
 use super::Shown;
 use crate::{
     route::Screen,
-    screens::{ScreenContext, busy_ui, heading_ui},
+    screens::{ScreenContext, heading_ui},
     store::Loadable,
 };
 
@@ -78,7 +78,7 @@ fn add_ui(
         cx.store.save_diagnosis(&run.id, SaveDiagnosisRequest { effects: Some(effects), name, to: None });
     }
     if cx.store.added_to == Loadable::Loading {
-        busy_ui(ui);
+        ui.spinner();
     }
 }
 

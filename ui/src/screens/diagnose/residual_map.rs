@@ -12,7 +12,7 @@ use crate::{
     playback::ShownChannels,
     route::Screen,
     screens::{
-        ScreenContext, busy_ui, channel_label,
+        ScreenContext, channel_label,
         hand::{channel_map_ui, residual::Residual},
         words,
     },
@@ -111,7 +111,7 @@ fn on_hand_ui(
             ui.colored_label(cx.palette.mismatch, error);
         }
         Loadable::Idle | Loadable::Loading => {
-            ui.put(rect, busy_ui);
+            ui.put(rect, egui::Spinner::new());
         }
     }
 }

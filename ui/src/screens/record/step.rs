@@ -11,7 +11,7 @@ use super::{Names, Primary, RecordState, Scene, ask_twice, moves, primary};
 use crate::{
     route::{Route, Screen},
     screens::{
-        ScreenContext, as_sentence, busy_ui, duration_text,
+        ScreenContext, as_sentence, duration_text,
         hand::{Placement, PlacementView},
         progress_bar,
     },
@@ -65,7 +65,7 @@ pub(super) fn step_ui(
         RecordingPhase::GoingToStart => {
             big_ui(ui, "The robot goes to the start pose");
             ui.label(RichText::new("Keep your hands away from it. Space stops it.").size(18.0));
-            busy_ui(ui);
+            ui.spinner();
         }
         RecordingPhase::Baseline => {
             big_ui(ui, "Touch nothing");
@@ -79,13 +79,13 @@ pub(super) fn step_ui(
         RecordingPhase::Running => running_ui(ui, scene, step),
         RecordingPhase::Checking => {
             big_ui(ui, "Checking the take");
-            busy_ui(ui);
+            ui.spinner();
         }
         RecordingPhase::Review => match &step.verdict {
             Some(verdict) => verdict_ui(ui, verdict, names, &cx.palette),
             None => {
                 big_ui(ui, "Checking the take");
-                busy_ui(ui);
+                ui.spinner();
             }
         },
         RecordingPhase::Done => {}

@@ -4,7 +4,7 @@ use egui::{Align2, FontId, RichText, Sense, Stroke, pos2, vec2};
 use palpate_reports::{ChannelCoverage, CheckReport, Problem, Severity};
 
 use crate::{
-    screens::{ScreenContext, busy_ui, channel_label, failed_ui, heading_ui},
+    screens::{ScreenContext, channel_label, failed_ui, heading_ui},
     store::Loadable,
     theme::Palette,
 };
@@ -18,7 +18,7 @@ pub(super) fn check_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, id: &str) 
         Loadable::Failed(error) => return failed_ui(ui, cx, "The session could not be checked", &error),
         Loadable::Idle | Loadable::Loading => {
             ui.horizontal(|ui| {
-                busy_ui(ui);
+                ui.spinner();
                 ui.label("Checking rates, clocks and coverage\u{2026}");
             });
             return;

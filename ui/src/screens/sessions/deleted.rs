@@ -3,7 +3,7 @@
 use egui::RichText;
 use palpate_wire::api::{Role, TrashSort};
 
-use super::super::{ScreenContext, busy_ui, controls::name_button};
+use super::super::{ScreenContext, controls::name_button};
 use crate::store::Loadable;
 
 /// The list, folded; it is asked for when it is opened.
@@ -50,7 +50,7 @@ pub(super) fn deleted_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>) {
             }
         }
         Loadable::Idle | Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
         }
     });
 }

@@ -4,7 +4,6 @@ use egui::RichText;
 
 use crate::{
     route::{Route, Screen},
-    screens::busy_ui,
     screens::{PickedFile, ScreenContext},
     store::Loadable,
 };
@@ -76,7 +75,7 @@ pub(super) fn import_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &m
         }
         if busy {
             ui.horizontal(|ui| {
-                busy_ui(ui);
+                ui.spinner();
                 ui.label("Importing and checking\u{2026}");
             });
         }

@@ -13,7 +13,7 @@ use palpate_wire::{
 };
 
 use super::super::{
-    ScreenContext, busy_ui,
+    ScreenContext,
     controls::{combo_ui, option_ui},
     empty_ui, loaded_ui, loading_ui, topic_ui,
 };
@@ -205,7 +205,7 @@ fn model_ui(
     }
     match &cx.store.live_model {
         Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
         }
         Loadable::Failed(why) => {
             let text = format!("\u{26a0} The twin keeps its model: {why}");

@@ -18,7 +18,7 @@ use self::{
 use crate::{
     api_client::JobAct,
     route::{Route, Screen},
-    screens::{ScreenContext, busy_ui, progress_bar},
+    screens::{ScreenContext, progress_bar},
     store::Loadable,
 };
 
@@ -83,7 +83,7 @@ fn job_ui(ui: &mut egui::Ui, cx: &mut ScreenContext<'_>, state: &mut BesideState
             ui.colored_label(cx.palette.mismatch, text);
         }
         Loadable::Idle | Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
         }
     }
 }

@@ -8,7 +8,7 @@ use palpate_wire::api::{ArtifactSort, CampaignObject, CampaignPlan, CampaignPoli
 
 use crate::{
     screens::{
-        ScreenContext, busy_ui,
+        ScreenContext,
         controls::{combo_ui, option_ui},
     },
     store::Loadable,
@@ -224,7 +224,7 @@ fn objects_ui(
             return Vec::new();
         }
         Loadable::Idle | Loadable::Loading => {
-            busy_ui(ui);
+            ui.spinner();
             return Vec::new();
         }
     };
