@@ -24,7 +24,7 @@ fuzz_target!(|bytes: &[u8]| {
     match import_csv(&STATION, &root.path().join("csv"), &session_dir) {
         // What was imported can be read.
         Ok(dir) => {
-            drop(Session::open(&dir).and_then(|session| session.take(0)).expect("an imported take opens"))
+            drop(Session::open(&dir).and_then(|session| session.take(0)).expect("an imported take opens"));
         }
         Err(_) => assert!(!session_dir.exists()),
     }

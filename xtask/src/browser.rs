@@ -14,10 +14,17 @@ pub(crate) fn folder() -> PathBuf {
     paths::root().join("tests/e2e/browser")
 }
 
-/// Installs Chromium and playwright-core where they are missing.
+/// Where Mesa says that it serves EGL.
+const MESA: &str = "/usr/share/glvnd/egl_vendor.d/50_mesa.json";
+
+/// Installs Chromium, Mesa and playwright-core where they are missing.
 pub(crate) fn install() -> anyhow::Result<()> {
     if !shell::exists("chromium") {
         shell::install_debian_packages(&["chromium"], "testing the page in a browser")?;
+    }
+    if !Path::new(MESA).exists() {
+        let packages = ["libegl1", "libegl-mesa0", "libgl1-mesa-dri"];
+        shell::install_debian_packages(&packages, "drawing the page without a graphics card")?;
     }
     if !shell::exists("npm") {
         shell::install_debian_packages(&["nodejs", "npm"], "driving the browser")?;

@@ -1,10 +1,10 @@
-//! Runs the test programs: those that watch a clock first, alone, then those that compute, two at a time, beside those that
-//! mostly wait.
+//! Runs the test programs: the page's first, alone, then all others. Of these, those that watch a clock take turns, and those
+//! that compute have what the former leave of the processor.
 //!
-//! A station in real time waits most of the time, and needs the processor at once when it wakes; whatever computes beside it
-//! makes it late, also with the lowest priority, because Linux gives every session its share. A test that fails is run a
-//! second time when everything else has ended: a station on a busy machine may be late once. What fails twice is wrong, and
-//! so is a run in which more than a few fail. A test that needed its second time is named at the end.
+//! A station in real time waits most of the time, and needs the processor at once when it wakes. What computes gives way to it
+//! at once where Linux schedules it as idle, in the same session (each session has its share, whatever runs in it). A test that
+//! fails is run a second time when everything else has ended: a station on a busy machine may be late once. What fails twice
+//! is wrong, and so is a run in which more than one fails. A test that needed its second time is named at the end.
 
 use std::{
     io::{BufRead as _, BufReader, Read, Write as _},
@@ -22,9 +22,11 @@ use crate::shell;
 /// How a test program spends its time, in the order in which they are begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
-    /// With stations in real time, or servers that somebody waits for: alone.
+    /// With stations in real time beside browsers, which need all of the processor: before everything else, alone.
+    Draws,
+    /// With stations in real time, or servers that somebody waits for: one after another.
     WatchesAClock,
-    /// For a cluster, most of the time: beside two that compute.
+    /// For a cluster, most of the time: beside all that follow.
     Waits,
     /// Computes for minutes: before the others, so that the run does not end with one of them alone.
     Long,
@@ -34,7 +36,7 @@ enum Kind {
 
 /// Kinds of test programs that do not just compute: package, and target where only that one of the package is of this kind.
 const KINDS: [(&str, Option<&str>, Kind); 11] = [
-    ("e2e", None, Kind::WatchesAClock),
+    ("e2e", None, Kind::Draws),
     ("palpate_control", None, Kind::WatchesAClock),
     ("palpate_drivers", None, Kind::WatchesAClock),
     ("palpate_emulator", None, Kind::WatchesAClock),
@@ -47,11 +49,22 @@ const KINDS: [(&str, Option<&str>, Kind); 11] = [
     ("palpate_cloning", None, Kind::Long),
 ];
 
-/// Tests of a run that may have a second time. More failures are no accident, and nothing is run again.
-const MAX_RETRIES: usize = 2;
+/// How many tests of a run may have a second time. More failures are no accident, and nothing is run again.
+const MAX_RETRIES: usize = 1;
 
 /// Tests that passed at their second time in this run.
 static LATE: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// How a test program is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// What it prints is shown as it comes.
+    Shown,
+    /// Beside others: what it prints is shown when it has ended.
+    Beside,
+    /// Beside others, with what they leave of the processor.
+    Idle,
+}
 
 /// A test program.
 #[derive(Debug)]
@@ -70,52 +83,52 @@ struct Failed<'a> {
     output: String,
 }
 
-/// Runs the tests of `cargo`, which makes a command `cargo test` without arguments for the tests themselves: those whose name
-/// contains `filter` only; `env` sets what they need. The examples of the documentation come last.
+/// Runs the tests that `cargo` builds, a command `cargo test`, and those of `examples`, a command `cargo test --doc`, last: only
+/// those whose name contains `filter`. `env` sets what they need.
 pub(crate) fn run(
-    cargo: impl Fn() -> anyhow::Result<Command>,
+    mut cargo: Command,
+    mut examples: Command,
     env: impl Fn(&mut Command) + Sync,
     filter: Option<&str>,
 ) -> anyhow::Result<()> {
-    let listed = shell::output(cargo()?.args(["--no-run", "--quiet", "--message-format=json"]))?;
+    let listed = shell::output(cargo.args(["--no-run", "--quiet", "--message-format=json"]))?;
     let programs = programs(&listed)?;
     let of = |wanted: fn(Kind) -> bool| {
         let mut some: Vec<&Program> = programs.iter().filter(|program| wanted(program.kind())).collect();
         some.sort_by_key(|program| program.kind());
         some
     };
-    let watching = of(|kind| kind == Kind::WatchesAClock);
-    let waiting = of(|kind| kind == Kind::Waits);
-    let computing = of(|kind| kind >= Kind::Long);
-    let mut failed = in_order(&Mutex::new(watching.iter()), &env, filter, true)?;
-    let (waiting, computing) = (Mutex::new(waiting.iter()), Mutex::new(computing.iter()));
-    let lanes = [&waiting, &computing, &computing];
+    let queue = |kinds: fn(Kind) -> bool, way: Way| (Mutex::new(of(kinds).into_iter()), way);
+    let drawing = queue(|kind| kind == Kind::Draws, Way::Shown);
+    let watching = queue(|kind| kind == Kind::WatchesAClock, Way::Beside);
+    let waiting = queue(|kind| kind == Kind::Waits, Way::Beside);
+    let computing = queue(|kind| kind >= Kind::Long, Way::Idle);
+    let mut failed = in_order(&drawing, &env, filter)?;
+    let lanes = [&watching, &waiting, &computing, &computing];
     thread::scope(|scope| {
         let env = &env;
-        let begun = lanes.map(|programs| scope.spawn(move || in_order(programs, env, filter, false)));
+        let begun = lanes.map(|programs| scope.spawn(move || in_order(programs, env, filter)));
         for lane in begun {
             failed.extend(lane.join().unwrap_or_else(|_| bail!("a thread that runs tests panicked"))?);
         }
         Ok::<_, anyhow::Error>(())
     })?;
     again(&failed, &env)?;
-    let mut examples = cargo()?;
-    examples.arg("--doc").args(filter.map(|filter| ["--", filter]).into_iter().flatten());
+    examples.args(filter.map(|filter| ["--", filter]).into_iter().flatten());
     env(&mut examples);
     shell::run(&mut examples)
 }
 
 /// Runs what comes next of `programs` until there is no more; gives those that did not pass.
 fn in_order<'a>(
-    programs: &Mutex<std::slice::Iter<'_, &'a Program>>,
+    (programs, way): &(Mutex<std::vec::IntoIter<&'a Program>>, Way),
     env: &(impl Fn(&mut Command) + Sync),
     filter: Option<&str>,
-    is_live: bool,
 ) -> anyhow::Result<Vec<Failed<'a>>> {
     let mut failed = Vec::new();
     let next = || programs.lock().unwrap_or_else(PoisonError::into_inner).next();
     while let Some(program) = next() {
-        failed.extend(program.attempt(env, filter.as_slice(), is_live)?);
+        failed.extend(program.attempt(env, filter.as_slice(), *way)?);
     }
     Ok(failed)
 }
@@ -150,7 +163,7 @@ fn again(failed: &[Failed<'_>], env: &(impl Fn(&mut Command) + Sync)) -> anyhow:
     for (one, names) in failed.iter().zip(&names) {
         let mut args = vec!["--exact", "--test-threads=1"];
         args.extend(names.iter().map(String::as_str));
-        if one.program.attempt(env, &args, true)?.is_some() {
+        if one.program.attempt(env, &args, Way::Shown)?.is_some() {
             bail!("tests failed twice; see above");
         }
     }
@@ -170,14 +183,22 @@ impl Program {
         known.map_or(Kind::Computes, |(.., kind)| *kind)
     }
 
-    /// Runs it; `None` if it passes. Unless it `is_live`, what it prints is shown when it has ended.
+    /// Runs it; `None` if it passes.
     fn attempt(
         &self,
         env: &(impl Fn(&mut Command) + Sync),
         args: &[&str],
-        is_live: bool,
+        way: Way,
     ) -> anyhow::Result<Option<Failed<'_>>> {
-        let mut command = Command::new(&self.executable);
+        let is_live = way == Way::Shown;
+        // Other systems have no such command, and their tests take longer.
+        let mut command = if way == Way::Idle && shell::exists("chrt") {
+            let mut chrt = Command::new("chrt");
+            chrt.args(["--idle", "0"]).arg(&self.executable);
+            chrt
+        } else {
+            Command::new(&self.executable)
+        };
         command.args(args).current_dir(&self.dir).env("CARGO_MANIFEST_DIR", &self.dir);
         env(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -306,7 +327,7 @@ mod tests {
         let programs = programs(&listed.join("\n")).expect("programs");
         let found: Vec<_> = programs.iter().map(|program| (program.name(), program.kind())).collect();
         let expected = [
-            ("e2e it", Kind::WatchesAClock),
+            ("e2e it", Kind::Draws),
             ("palpate_train hand", Kind::WatchesAClock),
             ("palpate_train it", Kind::Long),
         ];

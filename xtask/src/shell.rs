@@ -2,7 +2,7 @@
 
 use std::{
     os::unix::process::CommandExt as _,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Command, Stdio},
     sync::{Mutex, PoisonError},
     time::{Duration, Instant},
@@ -101,16 +101,22 @@ pub(crate) fn cargo_at(program: &str, dir: &Path) -> Command {
 /// What it builds is kept apart from what cargo builds without lints, and is not for shipping: clippy switches off rustc's own
 /// optimisations, though not LLVM's.
 pub(crate) fn lint_while_building(cargo: &mut Command) -> anyhow::Result<()> {
-    let mut rustc = Command::new("rustc");
-    let sysroot = output(rustc.args(["--print", "sysroot"]).current_dir(crate::paths::root()))?;
-    let clippy = Path::new(&sysroot).join("bin").join("clippy-driver");
-    if !clippy.exists() {
-        bail!("lints need {clippy:?}; run: rustup component add clippy");
-    }
+    let clippy = tool_of_toolchain("clippy-driver").context("run: rustup component add clippy")?;
     // As `cargo clippy -- --deny warnings` has it, which compiles nothing that could be run.
     cargo.env("RUSTC_WORKSPACE_WRAPPER", clippy);
     cargo.env("CLIPPY_ARGS", "--deny__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
     Ok(())
+}
+
+/// The program `name` of the checkout's own toolchain.
+pub(crate) fn tool_of_toolchain(name: &str) -> anyhow::Result<PathBuf> {
+    let mut rustc = Command::new("rustc");
+    let sysroot = output(rustc.args(["--print", "sysroot"]).current_dir(crate::paths::root()))?;
+    let tool = Path::new(&sysroot).join("bin").join(name);
+    if !tool.exists() {
+        bail!("the Rust toolchain lacks {tool:?}");
+    }
+    Ok(tool)
 }
 
 /// Held by whoever installs Debian packages: one at a time can.

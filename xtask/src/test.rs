@@ -1,14 +1,11 @@
 //! Every test, and what CI runs.
 
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-    time::Instant,
-};
+use std::{path::PathBuf, process::Command, thread, time::Instant};
 
+use anyhow::bail;
 use clap::Args;
 
-use crate::{browser, build, mujoco, paths, programs, python, shell, skip, slurm, wasm};
+use crate::{browser, documentation, mujoco, paths, programs, python, shell, skip, slurm, wasm};
 
 /// Properties see the same cases every time here, so that a red run can be repeated; `cargo test` tries new ones.
 const PROPTEST_SEED: &str = "20261121";
@@ -42,8 +39,13 @@ impl Tests {
     /// Installs what the tests need, and builds them.
     fn build(args: &TestArgs, lints: bool) -> anyhow::Result<Self> {
         skip::check()?;
-        let python = install_tools()?;
-        let (page, grasp_world) = (wasm::build_page(lints)?, grasp_world()?);
+        // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
+        let (page, python) = thread::scope(|scope| {
+            let page = scope.spawn(|| wasm::build_page(lints));
+            let python = install_tools().and_then(|python| test_xtask(args, lints).map(|()| python));
+            (page.join().unwrap_or_else(|_| bail!("the build of the page panicked")), python)
+        });
+        let (page, python, grasp_world) = (page?, python?, grasp_world()?);
         let artifacts = paths::target().join("e2e");
         std::fs::create_dir_all(&artifacts)?;
         let skipped = artifacts.join("skipped.txt");
@@ -53,14 +55,6 @@ impl Tests {
             ""
         };
         std::fs::write(&skipped, left_out)?;
-        // By itself, with the features that the running xtask was built with.
-        if args.filter.is_none() {
-            let mut cargo = shell::cargo(&paths::root());
-            if lints {
-                shell::lint_while_building(&mut cargo)?;
-            }
-            shell::run(cargo.args(["test", "--package", "xtask"]))?;
-        }
         let tests =
             Self { filter: args.filter.clone(), lints, python, page, grasp_world, artifacts, skipped };
         // A step of its own, so that one sees what building takes and what running takes.
@@ -102,12 +96,29 @@ impl Tests {
                 mujoco::let_find(command, dir);
             }
         };
-        let tested = programs::run(|| self.cargo(), env, self.filter.as_deref());
+        let mut examples = self.cargo()?;
+        examples.arg("--doc");
+        if self.lints {
+            documentation::make_pages_too(&mut examples)?;
+        }
+        let tested = programs::run(self.cargo()?, examples, env, self.filter.as_deref());
         eprintln!("screenshots and reports: {}", self.artifacts.display());
         skip::report(&self.skipped);
         programs::report();
         tested
     }
+}
+
+/// Tests this program by itself, with the features that it was built with.
+fn test_xtask(args: &TestArgs, lints: bool) -> anyhow::Result<()> {
+    if args.filter.is_some() {
+        return Ok(());
+    }
+    let mut cargo = shell::cargo(&paths::root());
+    if lints {
+        shell::lint_while_building(&mut cargo)?;
+    }
+    shell::run(cargo.args(["test", "--package", "xtask"]))
 }
 
 /// Installs what the tests need besides compilers, and gives the Python interpreter.
@@ -122,41 +133,13 @@ fn install_tools() -> anyhow::Result<PathBuf> {
     python::interpreter()
 }
 
-/// Formatting, lints and documentation with warnings denied, whether `palpate` and the fuzz targets compile by themselves,
-/// and every test.
+/// Formatting, lints with warnings denied, links of the documentation, and every test.
 pub(crate) fn check() -> anyhow::Result<()> {
-    let (root, begun) = (paths::root(), Instant::now());
-    skip::check()?;
-    shell::run(shell::cargo(&root).args(["fmt", "--all", "--check"]))?;
-    let grasp_world = grasp_world()?;
-    // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
-    // The tests find it all there.
-    std::thread::scope(|scope| {
-        let page = scope.spawn(|| wasm::build_page(true));
-        let tools = scope.spawn(install_tools);
-        let documented = document(grasp_world.as_deref());
-        let built = page.join().map_err(|_| anyhow::anyhow!("the build of the page panicked"))?;
-        let installed = tools.join().map_err(|_| anyhow::anyhow!("the installation of tools panicked"))?;
-        documented.and(built).and(installed.map(|_| ()))
-    })?;
-    build::check_alone()?;
-    build::check_fuzz_targets()?;
+    let begun = Instant::now();
+    shell::run(shell::cargo(&paths::root()).args(["fmt", "--all", "--check"]))?;
     let tested = Tests::build(&TestArgs { filter: None }, true).and_then(|tests| tests.run());
     shell::print_long_steps(begun);
     tested
-}
-
-/// Looks whether links in the documentation lead somewhere. xtask's is left out: its dependencies would be compiled for it
-/// alone.
-fn document(grasp_world: Option<&Path>) -> anyhow::Result<()> {
-    let mut cargo = shell::cargo(&paths::root());
-    cargo
-        .args(["doc", "--no-deps", "--document-private-items", "--workspace", "--exclude", "xtask"])
-        .env("RUSTDOCFLAGS", "--deny warnings --allow rustdoc::private_intra_doc_links");
-    if let Some(dir) = grasp_world {
-        mujoco::add(&mut cargo, dir);
-    }
-    shell::run(&mut cargo)
 }
 
 /// The folder of MuJoCo's library; none where what needs it is left out.

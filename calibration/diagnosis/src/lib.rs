@@ -23,7 +23,7 @@ mod withhold;
 
 pub use config::DiagnosisConfig;
 pub use job::{DiagnosisOutcome, diagnose};
-pub use measure::{MIN_REFERENCES, reference};
+pub use measure::reference;
 pub use null::{NullBar, null_bar};
 pub use reference::Reference;
 pub use tactile::adequacy::Adequacy;

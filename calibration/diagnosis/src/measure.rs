@@ -2,6 +2,7 @@
 
 use palpate_calibration::HoldOut;
 use palpate_recording::Take;
+use palpate_reports::MIN_REFERENCES;
 use palpate_sim::SensorModel;
 use palpate_sim::job::{Cancel, Progress};
 
@@ -13,9 +14,6 @@ use crate::prepare::{Prepared, check, prepare};
 use crate::reference::{Measured, Reference};
 use crate::tactile::adequacy::{adequacy, touch_to_touch};
 use crate::tactile::posture::{Least, with_posture};
-
-/// Sessions from which a limit can be told.
-pub const MIN_REFERENCES: usize = 3;
 
 /// Measures what `sessions`, of one station, leave in which nothing is wrong; each is searched like any other session.
 ///
@@ -74,6 +72,6 @@ pub fn reference(
 
 fn too_few(count: usize) -> DiagnosisError {
     DiagnosisError::Input(format!(
-        "{count} reference sessions are too few to tell what is usual; give at least {MIN_REFERENCES}, better 5"
+        "expected at least {MIN_REFERENCES} reference sessions, better 5, to tell what is usual; got {count}"
     ))
 }

@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Metrics;
 
+/// Fewest reference sessions from which one can tell what is usual.
+pub const MIN_REFERENCES: usize = 3;
+
 /// What the data says about the simulator as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

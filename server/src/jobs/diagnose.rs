@@ -3,9 +3,9 @@
 
 use std::time::Instant;
 
-use palpate_diagnosis::{DiagnosisConfig, MIN_REFERENCES, diagnose, null_bar, reference, report};
+use palpate_diagnosis::{DiagnosisConfig, diagnose, null_bar, reference, report};
 use palpate_recording::{Session, Take};
-use palpate_reports::DiagnosisReport;
+use palpate_reports::{DiagnosisReport, MIN_REFERENCES};
 use palpate_sim::{
     SensorModel, effects,
     job::{Cancel, Progress},
@@ -69,7 +69,7 @@ pub fn check_diagnosis(
     }
     if (1..MIN_REFERENCES).contains(&references) {
         return Err(Error::Argument(format!(
-            "{references} reference sessions cannot tell what is usual; give at least {MIN_REFERENCES}, better 5"
+            "expected at least {MIN_REFERENCES} reference sessions, better 5, to tell what is usual; got {references}"
         )));
     }
     match null_sessions {

@@ -11,8 +11,9 @@ const FLAGS = [
   "--disable-background-networking",
   "--disable-component-update",
   "--disable-sync",
-  "--use-angle=swiftshader",
-  "--enable-unsafe-swiftshader",
+  // Mesa's llvmpipe: it takes half the time of Chromium's own SwiftShader.
+  "--use-gl=angle",
+  "--use-angle=gl-egl",
   "--ignore-gpu-blocklist",
 ];
 
@@ -41,7 +42,8 @@ export async function launchBrowser() {
 async function inOwnFolder(launch) {
   const folder = mkdtempSync(join(tmpdir(), "chromium-"));
   try {
-    return await launch(folder, { executablePath, args: FLAGS, env: { ...process.env, TMPDIR: folder } });
+    const env = { ...process.env, LIBGL_ALWAYS_SOFTWARE: "1", TMPDIR: folder };
+    return await launch(folder, { executablePath, args: FLAGS, env });
   } finally {
     // After the launch: Playwright kills the browser when this process ends, and has to come first.
     process.on("exit", () => rmSync(folder, { recursive: true, force: true, maxRetries: 10, retryDelay: 50 }));

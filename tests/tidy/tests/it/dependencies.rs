@@ -1,9 +1,6 @@
 //! Which crate may use which, checked against `cargo metadata`.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, PackageId};
 
@@ -292,21 +289,62 @@ fn the_page_of_the_architecture_is_read_in_one_sitting() {
     );
 }
 
-/// The levels of optimisation of dependencies, by name, in the `Cargo.toml` of the workspace in `folder`.
-fn levels(folder: &Path) -> toml::Table {
-    let text = std::fs::read_to_string(folder.join("Cargo.toml")).expect("a workspace");
-    let manifest: toml::Table = toml::from_str(&text).expect("TOML");
-    manifest["profile"]["dev"]["package"].as_table().expect("levels").clone()
+/// Features that only other programs than `palpate` ask for. The tests have these, the `palpate` that is installed does not.
+/// None of its crates may need one; `clippy.toml` forbids what uses rand's.
+const NOT_IN_PALPATE: [(&str, &[&str]); 4] = [
+    ("rand", &["alloc", "std", "std_rng", "sys_rng", "thread_rng"]),
+    ("rustix", &["time"]),
+    ("serde", &["alloc"]),
+    ("serde_json", &["alloc", "unbounded_depth"]),
+];
+
+/// Features by package (`name version`), of those that `cargo tree` with `args` ends up with. A package may be built twice, for
+/// programs and for what runs while these are compiled; here it has the features of both.
+fn features(args: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+    let format = ["--prefix", "none", "--no-dedupe", "--format", "{p}|{f}"];
+    let tree = std::process::Command::new(cargo)
+        .current_dir(root())
+        .arg("tree")
+        .args(args)
+        .args(format)
+        .output()
+        .expect("cargo tree");
+    assert!(tree.status.success(), "cargo tree: {}", String::from_utf8_lossy(&tree.stderr));
+    let mut features: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for line in String::from_utf8(tree.stdout).expect("text").lines() {
+        let (package, listed) = line.split_once('|').expect("a package and its features");
+        // Without the folder of ours.
+        let package = package.split(' ').take(2).collect::<Vec<_>>().join(" ");
+        let listed = listed.split(',').filter(|name| !name.is_empty()).map(str::to_owned);
+        features.entry(package).or_default().extend(listed);
+    }
+    features
 }
 
 #[test]
-fn fuzz_targets_have_dependencies_of_the_same_levels() {
-    let fuzz = root().join("fuzz");
-    let lock = std::fs::read_to_string(fuzz.join("Cargo.lock")).expect("a lock file");
-    let lock: toml::Table = toml::from_str(&lock).expect("TOML");
-    let packages = lock["package"].as_array().expect("packages");
-    let is_of_fuzz = |name: &str| packages.iter().any(|package| package["name"].as_str() == Some(name));
-    let mut expected = levels(&root());
-    expected.retain(|name, _| name == "*" || (is_of_fuzz(name) && !name.starts_with("palpate_")));
-    assert_eq!(levels(&fuzz), expected, "what `cargo xtask check` would compile twice");
+fn palpate_is_tested_with_the_features_that_it_has_by_itself() {
+    let alone = features(&["--package", "palpate_server", "--edges", "normal"]);
+    let tested = features(&["--workspace", "--exclude", "xtask", "--edges", "normal,dev"]);
+    let metadata = metadata(&host());
+    let mut ours = reached(&metadata, "palpate_server");
+    ours.insert("palpate_server".to_owned());
+    // What other crates use among themselves is theirs to know.
+    let mut used = BTreeSet::new();
+    for package in metadata.packages.iter().filter(|package| ours.contains(package.name.as_str())) {
+        if package.source.is_none() {
+            used.insert(package.name.to_string());
+            used.extend(package.dependencies.iter().map(|dependency| dependency.name.clone()));
+        }
+    }
+    let mut differ = BTreeMap::new();
+    for (package, alone) in &alone {
+        let (name, _) = package.split_once(' ').expect("a name and a version");
+        let more: Vec<&str> = tested[package].difference(alone).map(String::as_str).collect();
+        if used.contains(name) && !more.is_empty() {
+            differ.insert(name, more);
+        }
+    }
+    let expected = NOT_IN_PALPATE.map(|(name, features)| (name, features.to_vec()));
+    assert_eq!(differ, BTreeMap::from(expected));
 }

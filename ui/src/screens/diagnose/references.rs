@@ -2,12 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use palpate_reports::MIN_REFERENCES;
 use palpate_wire::api::SessionSummary;
 
 use crate::theme::Palette;
-
-/// Fewest that can tell what is usual; the server asks for as many.
-const FEWEST: usize = 3;
 
 /// Check boxes for the sessions of the station of `session`, other than itself; what is wrong with the choice, in words.
 pub(super) fn references_ui(
@@ -36,13 +34,13 @@ pub(super) fn references_ui(
             )
             .color(palette.text_weak),
         );
-        if others.len() < FEWEST {
+        if others.len() < MIN_REFERENCES {
             let found = match others.len() {
                 0 => "There is no other session of this station".to_owned(),
                 1 => "There is one other session of this station".to_owned(),
                 count => format!("There are {count} other sessions of this station"),
             };
-            ui.label(format!("{found}; record at least {FEWEST} while the hand works as it should."));
+            ui.label(format!("{found}; record at least {MIN_REFERENCES} while the hand works as it should."));
         }
         for other in &others {
             let mut is_chosen = chosen.contains(&other.id);
@@ -56,7 +54,7 @@ pub(super) fn references_ui(
             }
         }
     });
-    (1..FEWEST)
+    (1..MIN_REFERENCES)
         .contains(&chosen.len())
-        .then(|| format!("Tick at least {FEWEST} reference sessions, or none."))
+        .then(|| format!("Tick at least {MIN_REFERENCES} reference sessions, or none."))
 }
