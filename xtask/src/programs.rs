@@ -22,7 +22,7 @@ use crate::shell;
 /// How a test program spends its time, in the order in which they are begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
-    /// With stations in real time beside browsers, which need all of the processor: before everything else, alone.
+    /// With browsers, which need all of the processor and are in a session of their own: before everything else, alone.
     Draws,
     /// With stations in real time, or servers that somebody waits for: one after another.
     WatchesAClock,
@@ -42,7 +42,7 @@ const KINDS: [(&str, Option<&str>, Kind); 11] = [
     ("palpate_emulator", None, Kind::WatchesAClock),
     ("palpate_people", None, Kind::WatchesAClock),
     ("palpate_server", None, Kind::WatchesAClock),
-    ("palpate_train", Some("hand"), Kind::WatchesAClock),
+    ("palpate_train", Some("hand"), Kind::Draws),
     ("palpate_jobs", None, Kind::Waits),
     ("palpate_blind", None, Kind::Long),
     ("palpate_train", None, Kind::Long),
@@ -326,11 +326,8 @@ mod tests {
         ];
         let programs = programs(&listed.join("\n")).expect("programs");
         let found: Vec<_> = programs.iter().map(|program| (program.name(), program.kind())).collect();
-        let expected = [
-            ("e2e it", Kind::Draws),
-            ("palpate_train hand", Kind::WatchesAClock),
-            ("palpate_train it", Kind::Long),
-        ];
+        let expected =
+            [("e2e it", Kind::Draws), ("palpate_train hand", Kind::Draws), ("palpate_train it", Kind::Long)];
         assert_eq!(found, expected.map(|(name, kind)| (name.to_owned(), kind)));
         assert!(super::programs("warning: nothing\n").is_err());
     }

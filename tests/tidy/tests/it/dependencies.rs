@@ -176,7 +176,7 @@ fn viser_the_video_encoder_stays_out() {
 /// Words of a crate's sources, its build script included.
 fn words(package: &cargo_metadata::Package) -> BTreeSet<String> {
     let folder = package.manifest_path.parent().expect("a folder").as_std_path();
-    let inside = ["src", "tests", "benches", "examples"];
+    let inside = ["src", "tests", "benches", "examples", "fuzz_targets"];
     let mut files: Vec<_> =
         inside.iter().flat_map(|inside| crate::rust_files(&folder.join(inside))).collect();
     files.extend(Some(folder.join("build.rs")).filter(|path| path.exists()));
@@ -312,7 +312,8 @@ fn features(args: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
         .expect("cargo tree");
     assert!(tree.status.success(), "cargo tree: {}", String::from_utf8_lossy(&tree.stderr));
     let mut features: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    for line in String::from_utf8(tree.stdout).expect("text").lines() {
+    // Trees have an empty line between them.
+    for line in String::from_utf8(tree.stdout).expect("text").lines().filter(|line| !line.is_empty()) {
         let (package, listed) = line.split_once('|').expect("a package and its features");
         // Without the folder of ours.
         let package = package.split(' ').take(2).collect::<Vec<_>>().join(" ");

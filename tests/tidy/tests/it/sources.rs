@@ -184,9 +184,12 @@ fn the_truth_world_shares_geometry_with_the_simulator_and_nothing_else() {
 fn every_crate_says_what_it_is_for() {
     for folder in crates() {
         let src = folder.join("src");
-        let opening = ["lib.rs", "main.rs"].map(|name| src.join(name));
-        assert!(opening.iter().any(|path| path.exists()), "{} has no lib.rs or main.rs", shown(&folder));
-        for path in opening.iter().filter(|path| path.exists()) {
+        let mut opening = rust_files(&folder.join("fuzz_targets"));
+        opening.extend(
+            ["lib.rs", "main.rs"].map(|name| src.join(name)).into_iter().filter(|path| path.exists()),
+        );
+        assert!(!opening.is_empty(), "{} has no lib.rs or main.rs", shown(&folder));
+        for path in &opening {
             let text = std::fs::read_to_string(path).expect("a source file");
             assert!(
                 text.starts_with("//! "),
