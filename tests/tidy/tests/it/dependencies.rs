@@ -291,7 +291,8 @@ fn the_page_of_the_architecture_is_read_in_one_sitting() {
 
 /// Features that only other programs than `palpate` ask for. The tests have these, the `palpate` that is installed does not.
 /// None of its crates may need one; `clippy.toml` forbids what uses rand's.
-const NOT_IN_PALPATE: [(&str, &[&str]); 4] = [
+const NOT_IN_PALPATE: [(&str, &[&str]); 5] = [
+    ("getrandom", &["std", "sys_rng"]),
     ("rand", &["alloc", "std", "std_rng", "sys_rng", "thread_rng"]),
     ("rustix", &["time"]),
     ("serde", &["alloc"]),
