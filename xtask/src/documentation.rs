@@ -1,8 +1,8 @@
-//! The documentation's pages, from what the tests were built of. `cargo doc` would check every dependency anew for them, which
-//! takes longer than all else that it does.
+//! The documentation's pages, from what the tests were built of. `cargo doc` would check every dependency anew for them,
+//! which takes longer than all else that it does.
 //!
-//! cargo starts rustdoc once for each library, to test its examples. Here it starts this program in rustdoc's place, which has
-//! rustdoc make the pages as well. What a program keeps to itself has no examples, and no pages.
+//! cargo starts rustdoc once for each library, to test its examples. Here it starts this program in rustdoc's place, which
+//! has rustdoc make the pages as well. Programs without a library have no examples, and no pages.
 
 use std::{
     env,

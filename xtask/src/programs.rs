@@ -1,10 +1,11 @@
-//! Runs the test programs: the page's first, alone, then all others. Of these, those that watch a clock take turns, and those
-//! that compute have what the former leave of the processor.
+//! Runs the test programs: those with browsers first, alone, then all others. Of these, those that watch a clock take turns,
+//! and those that compute have what the former leave of the processor.
 //!
-//! A station in real time waits most of the time, and needs the processor at once when it wakes. What computes gives way to it
-//! at once where Linux schedules it as idle, in the same session (each session has its share, whatever runs in it). A test that
-//! fails is run a second time when everything else has ended: a station on a busy machine may be late once. What fails twice
-//! is wrong, and so is a run in which more than one fails. A test that needed its second time is named at the end.
+//! A station in real time waits most of the time, and needs the processor at once when it wakes. What computes gives way to
+//! it at once where Linux schedules it as idle, in the same session (each session has its share, whatever runs in it). A
+//! test that fails is run a second time when everything else has ended: a station on a busy machine may be late once. What
+//! fails twice is wrong, and so is a run in which more than one fails. A test that needed its second time is named at the
+//! end.
 
 use std::{
     io::{BufRead as _, BufReader, Read, Write as _},
@@ -83,8 +84,8 @@ struct Failed<'a> {
     output: String,
 }
 
-/// Runs the tests that `cargo` builds, a command `cargo test`, and those of `examples`, a command `cargo test --doc`, last: only
-/// those whose name contains `filter`. `env` sets what they need.
+/// Runs the tests that `cargo` builds, a command `cargo test`, and those of `examples`, a command `cargo test --doc`, last:
+/// only those whose name contains `filter`. `env` sets what they need.
 pub(crate) fn run(
     mut cargo: Command,
     mut examples: Command,

@@ -39,7 +39,8 @@ impl Tests {
     /// Installs what the tests need, and builds them.
     fn build(args: &TestArgs, lints: bool) -> anyhow::Result<Self> {
         skip::check()?;
-        // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the network.
+        // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the
+        // network.
         let (page, python) = thread::scope(|scope| {
             let page = scope.spawn(|| wasm::build_page(lints));
             let python = install_tools().and_then(|python| test_xtask(args, lints).map(|()| python));

@@ -289,8 +289,8 @@ fn the_page_of_the_architecture_is_read_in_one_sitting() {
     );
 }
 
-/// Features that only other programs than `palpate` ask for. The tests have these, the `palpate` that is installed does not.
-/// None of its crates may need one; `clippy.toml` forbids what uses rand's.
+/// Features that only other programs than `palpate` ask for. The tests have these, the `palpate` that is installed does
+/// not. None of its crates may need one; `clippy.toml` forbids what uses rand's.
 const NOT_IN_PALPATE: [(&str, &[&str]); 5] = [
     ("getrandom", &["std", "sys_rng"]),
     ("rand", &["alloc", "std", "std_rng", "sys_rng", "thread_rng"]),
@@ -299,8 +299,8 @@ const NOT_IN_PALPATE: [(&str, &[&str]); 5] = [
     ("serde_json", &["alloc", "unbounded_depth"]),
 ];
 
-/// Features by package (`name version`), of those that `cargo tree` with `args` ends up with. A package may be built twice, for
-/// programs and for what runs while these are compiled; here it has the features of both.
+/// Features by package (`name version`), of those that `cargo tree` with `args` ends up with. A package may be built twice,
+/// for programs and for what runs while these are compiled; here it has the features of both.
 fn features(args: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let format = ["--prefix", "none", "--no-dedupe", "--format", "{p}|{f}"];
