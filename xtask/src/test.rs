@@ -27,7 +27,6 @@ struct Tests {
     /// Whether everything is linted as it is built.
     lints: bool,
     python: PathBuf,
-    page: PathBuf,
     /// The folder of MuJoCo's library, unless what needs it is left out.
     grasp_world: Option<PathBuf>,
     artifacts: PathBuf,
@@ -41,12 +40,20 @@ impl Tests {
         skip::check()?;
         // Beside each other: at its end, the page keeps one core busy for a minute, and what is installed waits for the
         // network.
-        let (page, python) = thread::scope(|scope| {
+        let (page, tests) = thread::scope(|scope| {
             let page = scope.spawn(|| wasm::build_page(lints));
-            let python = install_tools().and_then(|python| test_xtask(args, lints).map(|()| python));
-            (page.join().unwrap_or_else(|_| bail!("the build of the page panicked")), python)
+            let tests = Self::build_all_but_page(args, lints);
+            (page.join().unwrap_or_else(|_| bail!("the build of the page panicked")), tests)
         });
-        let (page, python, grasp_world) = (page?, python?, grasp_world()?);
+        page?;
+        tests
+    }
+
+    /// The same, where somebody else builds the page.
+    fn build_all_but_page(args: &TestArgs, lints: bool) -> anyhow::Result<Self> {
+        let python = install_tools()?;
+        test_xtask(args, lints)?;
+        let grasp_world = grasp_world()?;
         let artifacts = paths::target().join("e2e");
         std::fs::create_dir_all(&artifacts)?;
         let skipped = artifacts.join("skipped.txt");
@@ -56,8 +63,7 @@ impl Tests {
             ""
         };
         std::fs::write(&skipped, left_out)?;
-        let tests =
-            Self { filter: args.filter.clone(), lints, python, page, grasp_world, artifacts, skipped };
+        let tests = Self { filter: args.filter.clone(), lints, python, grasp_world, artifacts, skipped };
         // A step of its own, so that one sees what building takes and what running takes.
         let mut cargo = tests.cargo()?;
         if lints {
@@ -69,10 +75,10 @@ impl Tests {
     }
 
     /// `cargo test` of every crate but this one. Each is built once, with the features that all of them together need; so
-    /// is `palpate`, as its own tests start it.
+    /// is `palpate`, as its own tests start it, without a page inside.
     fn cargo(&self) -> anyhow::Result<Command> {
         let mut cargo = shell::cargo(&paths::root());
-        cargo.args(["test", "--workspace", "--exclude", "xtask"]).env("PALPATE_UI_DIST", &self.page);
+        cargo.args(["test", "--workspace", "--exclude", "xtask"]);
         if self.lints {
             shell::lint_while_building(&mut cargo)?;
         }
@@ -88,6 +94,7 @@ impl Tests {
             command
                 .env("PALPATE_BIN", paths::target().join("debug").join("palpate"))
                 .env("PALPATE_PYTHON", &self.python)
+                .env("PALPATE_UI_DIST", wasm::page_dir())
                 .env("PALPATE_BROWSER_TESTS", browser::folder())
                 .env("PALPATE_SKIPPED", &self.skipped)
                 .env("PALPATE_ARTIFACTS", &self.artifacts)

@@ -20,7 +20,12 @@ pub(crate) fn build_page(lints: bool) -> anyhow::Result<PathBuf> {
     let wasm = compile(lints)?;
     let bound = paths::target().join("web").join("bound");
     bind(&wasm, &bound)?;
-    page::assemble(&bound, &paths::target().join("page"))
+    page::assemble(&bound, &page_dir())
+}
+
+/// Where the page is built into.
+pub(crate) fn page_dir() -> PathBuf {
+    paths::target().join("page")
 }
 
 fn compile(lints: bool) -> anyhow::Result<PathBuf> {

@@ -1,4 +1,6 @@
-//! The embedded page: compressed copies where the browser takes them, hashed names cached for ever.
+//! The page: compressed copies where the browser takes them, hashed names cached for ever.
+
+use std::{env, ffi::OsStr, fs, io, path::Path, sync::OnceLock};
 
 use axum::{
     body::Body,
@@ -6,25 +8,60 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 
-/// Sorted by path. `x.br` and `x.gz` are compressed copies of `x`.
-static PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+/// Files by path, sorted. `x.br` and `x.gz` are compressed copies of `x`.
+type Files = &'static [(&'static str, &'static [u8])];
+
+/// The page that this binary was built with.
+static EMBEDDED: Files = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+
+/// Names a folder whose page is served in place of the embedded one, for tests and for those who work on the page:
+/// neither has to build this binary again.
+const FOLDER: &str = "PALPATE_UI_DIST";
 
 const NOT_BUILT: &str = "<!doctype html><html lang=\"en\"><title>Palpate</title><h1>Palpate</h1>\
     <p>This binary was built without its page. <code>cargo xtask build</code> builds one that has it.</p>\
     <p>The API answers below <a href=\"/api/v1/info\">/api/v1/</a>.</p></html>";
 
-/// Whether this binary carries the page.
+/// The page that is served, read when it is first asked for.
+fn page() -> Files {
+    static PAGE: OnceLock<Files> = OnceLock::new();
+    PAGE.get_or_init(|| match env::var_os(FOLDER) {
+        Some(folder) => read(&folder).unwrap_or_else(|err| {
+            tracing::error!(
+                "{FOLDER} is {folder:?}, whose page cannot be read, so the embedded one is served: {err}"
+            );
+            EMBEDDED
+        }),
+        None => EMBEDDED,
+    })
+}
+
+/// The files of `folder`, which are kept for as long as the process lives.
+fn read(folder: &OsStr) -> io::Result<Files> {
+    let mut files: Vec<(&'static str, &'static [u8])> = Vec::new();
+    for entry in fs::read_dir(Path::new(folder))? {
+        let entry = entry?;
+        if entry.file_type()?.is_file() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            files.push((name.leak(), fs::read(entry.path())?.leak()));
+        }
+    }
+    files.sort_unstable_by_key(|(name, _)| *name);
+    Ok(files.leak())
+}
+
+/// Whether there is a page to serve.
 pub(crate) fn is_built() -> bool {
-    !PAGE.is_empty()
+    !page().is_empty()
 }
 
 /// Serves a file of the page.
 pub(crate) async fn serve(uri: Uri, headers: HeaderMap) -> Response {
     let accepted = headers.get(header::ACCEPT_ENCODING).and_then(|value| value.to_str().ok());
-    respond(PAGE, uri.path(), accepted.unwrap_or(""))
+    respond(page(), uri.path(), accepted.unwrap_or(""))
 }
 
-fn respond(page: &'static [(&str, &[u8])], path: &str, accept_encoding: &str) -> Response {
+fn respond(page: Files, path: &str, accept_encoding: &str) -> Response {
     let name = match path.trim_start_matches('/') {
         "" => "index.html",
         name => name,
@@ -54,7 +91,7 @@ fn respond(page: &'static [(&str, &[u8])], path: &str, accept_encoding: &str) ->
     response
 }
 
-fn find(page: &'static [(&str, &[u8])], name: &str) -> Option<&'static [u8]> {
+fn find(page: Files, name: &str) -> Option<&'static [u8]> {
     page.binary_search_by_key(&name, |(name, _)| name).ok().map(|idx| page[idx].1)
 }
 
@@ -138,6 +175,18 @@ mod tests {
         let response = respond(SMALL, "/", "br");
         assert_eq!(header(&response, header::CACHE_CONTROL), "no-cache");
         assert_eq!(header(&response, header::CONTENT_TYPE), "text/html; charset=utf-8");
+    }
+
+    #[test]
+    fn the_page_of_a_folder_is_read_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in [("index.html.br", "br"), ("index.html", "<html>")] {
+            fs::write(folder.path().join(name), bytes).unwrap();
+        }
+        fs::create_dir(folder.path().join("folder")).unwrap();
+        let files = read(folder.path().as_os_str()).unwrap();
+        assert_eq!(files, [("index.html", &b"<html>"[..]), ("index.html.br", b"br")]);
+        assert!(read(folder.path().join("none").as_os_str()).is_err());
     }
 
     #[test]
