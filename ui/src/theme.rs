@@ -97,30 +97,12 @@ impl Palette {
     }
 }
 
-/// Anchors of viridis at equal steps (sRGB).
-const VIRIDIS: [[u8; 3]; 9] = [
-    [68, 1, 84],
-    [72, 40, 120],
-    [62, 74, 137],
-    [49, 104, 142],
-    [38, 130, 142],
-    [31, 158, 137],
-    [53, 183, 121],
-    [110, 206, 88],
-    [253, 231, 37],
-];
-
-/// The fixed perceptual scale of taxels: 0 is dark violet, 1 bright yellow; outside is clamped, no number is 0.
+/// The fixed perceptual scale of taxels, viridis: 0 is dark violet, 1 bright yellow; outside is clamped, no number is
+/// 0.
 pub fn taxel_scale(share: f32) -> Color32 {
-    let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
-    let position = share * (VIRIDIS.len() - 1) as f32;
-    let lower_idx = (position as usize).min(VIRIDIS.len() - 2);
-    let mix = position - lower_idx as f32;
-    let channel = |idx: usize| {
-        let (a, b) = (f32::from(VIRIDIS[lower_idx][idx]), f32::from(VIRIDIS[lower_idx + 1][idx]));
-        (a + mix * (b - a)).round() as u8
-    };
-    Color32::from_rgb(channel(0), channel(1), channel(2))
+    let share = if share.is_nan() { 0.0 } else { f64::from(share.clamp(0.0, 1.0)) };
+    let colour = colorous::VIRIDIS.eval_continuous(share);
+    Color32::from_rgb(colour.r, colour.g, colour.b)
 }
 
 /// A bar with the colours of [`taxel_scale`], 0 on the left.

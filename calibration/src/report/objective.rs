@@ -10,6 +10,8 @@ const LEFT: f64 = 64.0;
 const TOP: f64 = 8.0;
 const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 260.0;
+/// Steps between the colours of a heat map.
+const COLOURS: usize = 64;
 
 pub(super) fn write(page: &mut String, report: &CalibrationReport) -> fmt::Result {
     page.push_str("<div class=\"pictures\">\n");
@@ -184,16 +186,9 @@ fn position_on(axis: &[f64], value: f64) -> Option<f64> {
     Some((above - 1) as f64 + share)
 }
 
-/// Anchors of the viridis map, dark to bright.
-const VIRIDIS: [[f64; 3]; 5] =
-    [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
-
+/// Of viridis, dark to bright.
 fn colour(share: f64) -> String {
     // Steps that the eye cannot tell apart are one colour, which keeps the file small.
-    let position = (share.clamp(0.0, 1.0) * 64.0).round() / 64.0 * (VIRIDIS.len() - 1) as f64;
-    let below = (position.floor() as usize).min(VIRIDIS.len() - 2);
-    let within = position - below as f64;
-    let [r, g, b] =
-        std::array::from_fn(|i| VIRIDIS[below][i] + within * (VIRIDIS[below + 1][i] - VIRIDIS[below][i]));
-    format!("#{:02x}{:02x}{:02x}", r.round() as u8, g.round() as u8, b.round() as u8)
+    let step = (share.clamp(0.0, 1.0) * COLOURS as f64).round() as usize;
+    format!("#{:x}", colorous::VIRIDIS.eval_rational(step, COLOURS + 1))
 }

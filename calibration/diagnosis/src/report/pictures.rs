@@ -183,19 +183,7 @@ fn row(page: &mut String, idx: usize, name: &str, x: f64, class: &str, number: &
     )
 }
 
-/// From dark violet (0) to bright yellow (1), near viridis.
+/// Of viridis, from dark violet (0) to bright yellow (1).
 fn colour(share: f64) -> String {
-    const ANCHORS: [[f64; 3]; 5] = [
-        [68.0, 1.0, 84.0],
-        [62.0, 74.0, 137.0],
-        [38.0, 130.0, 142.0],
-        [83.0, 190.0, 110.0],
-        [253.0, 231.0, 37.0],
-    ];
-    let position = share * (ANCHORS.len() - 1) as f64;
-    let lower = (position as usize).min(ANCHORS.len() - 2);
-    let mix = position - lower as f64;
-    let [r, g, b] =
-        [0, 1, 2].map(|i| (ANCHORS[lower][i] * (1.0 - mix) + ANCHORS[lower + 1][i] * mix).round() as u8);
-    format!("#{r:02x}{g:02x}{b:02x}")
+    format!("#{:x}", colorous::VIRIDIS.eval_continuous(share))
 }
