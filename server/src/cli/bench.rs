@@ -1,6 +1,7 @@
 //! `palpate bench`: the paths that have to be fast, measured on a whole session or a live station.
 
 mod api;
+mod http;
 mod sessions;
 mod stop;
 mod stream;

@@ -2,8 +2,11 @@
 
 use std::{path::Path, sync::Arc, time::Duration};
 
-use axum::http::{HeaderName, StatusCode, header};
+use axum::http::{HeaderName, Request, StatusCode, header};
 use futures_util::{SinkExt as _, StreamExt as _};
+use http_body_util::BodyExt as _;
+use hyper::client::conn::http1::handshake;
+use hyper_util::rt::TokioIo;
 use palpate_people::{TokenRequest, now_s};
 use palpate_server::{
     Access, AppState, LiveStation, NeedsLease, Route, Studio, app, assets, root_routes, routes, serve_on,
@@ -17,7 +20,6 @@ use palpate_wire::{
 use prost::Message as _;
 use serde_json::{Value, json};
 use tokio::{
-    io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::{TcpListener, TcpStream},
     sync::oneshot,
     task::JoinHandle,
@@ -84,19 +86,20 @@ impl House {
 
     /// Sends a request over a connection of its own.
     async fn send(&self, method: &str, path: &str, headers: &[(HeaderName, String)], body: &str) -> Answer {
-        let mut text = format!("{method} {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n", self.address);
+        let mut request = Request::builder().method(method).uri(path).header(header::HOST, &self.address);
         for (name, value) in headers {
-            text += &format!("{name}: {value}\r\n");
+            request = request.header(name, value);
         }
         if !headers.iter().any(|(name, _)| name == header::CONTENT_TYPE) {
-            text += "Content-Type: application/json\r\n";
+            request = request.header(header::CONTENT_TYPE, "application/json");
         }
-        text += &format!("Content-Length: {}\r\n\r\n{body}", body.len());
-        let mut stream = TcpStream::connect(&self.address).await.unwrap();
-        stream.write_all(text.as_bytes()).await.unwrap();
-        let mut bytes = Vec::new();
-        stream.read_to_end(&mut bytes).await.unwrap();
-        parse(&bytes)
+        let request = request.body(body.to_owned()).unwrap();
+        let stream = TcpStream::connect(&self.address).await.unwrap();
+        let (mut sender, connection) = handshake(TokioIo::new(stream)).await.unwrap();
+        // Whoever waits for the answer hears of what goes wrong.
+        tokio::spawn(async { drop(connection.await) });
+        let (head, body) = sender.send_request(request).await.unwrap().into_parts();
+        Answer { status: head.status, headers: head.headers, body: body.collect().await.unwrap().to_bytes() }
     }
 
     async fn socket(&self, path: &str, headers: &[(HeaderName, String)]) -> Result<Socket, StatusCode> {
@@ -117,19 +120,6 @@ impl House {
         let text = String::from_utf8(answer.body.to_vec()).unwrap();
         text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
-}
-
-/// Status, headers and body of an answer as it came.
-fn parse(bytes: &[u8]) -> Answer {
-    let end = bytes.windows(4).position(|window| window == b"\r\n\r\n").expect("there is an answer");
-    let head = std::str::from_utf8(&bytes[..end]).unwrap();
-    let mut lines = head.split("\r\n");
-    let status = lines.next().unwrap().split(' ').nth(1).unwrap().parse().unwrap();
-    let headers = lines.map(|line| {
-        let (name, value) = line.split_once(": ").unwrap();
-        (name.parse::<HeaderName>().unwrap(), value.parse().unwrap())
-    });
-    Answer { status, headers: headers.collect(), body: bytes[end + 4..].to_vec().into() }
 }
 
 fn cookie(secret: &str) -> (HeaderName, String) {

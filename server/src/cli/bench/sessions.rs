@@ -104,7 +104,7 @@ pub(super) fn run(args: &SessionsArgs) -> Result<(), Error> {
     let studio = Studio::start(data.path(), &[])?;
     bar.report(0.0, "first list");
     let mut client = Client::connect(studio.addr)?;
-    client.wait_up_to(FIRST_LIST_PATIENCE)?;
+    client.wait_up_to(FIRST_LIST_PATIENCE);
     let (listed, first_list_s): (Vec<SessionSummary>, f64) = client.ask("GET", "sessions", None)?;
     check(&listed, usize::from(args.sessions), takes)?;
     leave_jobs(studio.addr, args.jobs, &bar)?;

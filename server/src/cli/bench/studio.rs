@@ -1,16 +1,20 @@
 //! A studio in a process of its own, and a connection to it.
 
 use std::{
-    io::{BufRead as _, BufReader, Read as _, Write as _},
-    net::{SocketAddr, TcpStream},
+    io::{BufRead as _, BufReader},
+    net::SocketAddr,
     path::Path,
     process::{Child, Command, Stdio},
     time::{Duration, Instant},
 };
 
+use axum::body::Bytes;
 use palpate_server::Error;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use tokio::{runtime::Runtime, time::timeout};
+
+use super::http::Connection;
 
 /// A studio that has not answered by now does not work.
 pub(super) const PATIENCE: Duration = Duration::from_secs(60);
@@ -71,24 +75,24 @@ impl Drop for Studio {
     }
 }
 
-/// A connection that stays open.
+/// A connection that stays open, for whoever waits for answers.
 pub(super) struct Client {
-    stream: BufReader<TcpStream>,
+    runtime: Runtime,
+    connection: Connection,
+    patience: Duration,
 }
 
 impl Client {
     pub(super) fn connect(addr: SocketAddr) -> Result<Self, Error> {
-        let stream = TcpStream::connect(addr).map_err(|err| broken(&err))?;
-        stream
-            .set_nodelay(true)
-            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
-            .map_err(|err| broken(&err))?;
-        Ok(Self { stream: BufReader::new(stream) })
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(Error::io("start", "a runtime"))?;
+        let connection = runtime.block_on(Connection::open(addr))?;
+        Ok(Self { runtime, connection, patience: PATIENCE })
     }
 
     /// Waits for answers as long as `patience`.
-    pub(super) fn wait_up_to(&self, patience: Duration) -> Result<(), Error> {
-        self.stream.get_ref().set_read_timeout(Some(patience)).map_err(|err| broken(&err))
+    pub(super) fn wait_up_to(&mut self, patience: Duration) {
+        self.patience = patience;
     }
 
     /// The answer to a request below `/api/v1/`, and how long it took, s.
@@ -98,8 +102,11 @@ impl Client {
         path: &str,
         body: Option<&Value>,
     ) -> Result<(T, f64), Error> {
-        let (answer, seconds) = self.exchange(method, &format!("/api/v1/{path}"), body)?;
-        let answer = serde_json::from_slice(&answer).map_err(|err| broken(&err))?;
+        let path = format!("/api/v1/{path}");
+        let (answer, seconds) = self.exchange(method, &path, body)?;
+        let answer = serde_json::from_slice(&answer).map_err(|err| {
+            Error::Internal(format!("the answer to {method} {path} is not what was expected: {err}"))
+        })?;
         Ok((answer, seconds))
     }
 
@@ -109,69 +116,13 @@ impl Client {
         method: &str,
         path: &str,
         body: Option<&Value>,
-    ) -> Result<(Vec<u8>, f64), Error> {
-        let body = body.map(Value::to_string).unwrap_or_default();
-        let head = format!(
-            "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
-            body.len()
-        );
-        let begun = Instant::now();
-        self.stream.get_mut().write_all((head + &body).as_bytes()).map_err(|err| broken(&err))?;
-        let (status, answer) = self.answer().map_err(|err| broken(&err))?;
-        let seconds = begun.elapsed().as_secs_f64();
-        match status {
-            200..300 => Ok((answer, seconds)),
-            _ => {
-                let said = String::from_utf8_lossy(&answer).into_owned();
-                Err(Error::Internal(format!("{method} {path} was answered by {status}: {said}")))
-            }
-        }
+    ) -> Result<(Bytes, f64), Error> {
+        let (begun, patience) = (Instant::now(), self.patience);
+        let asked = self.connection.ask(method, path, 0, body.map(Value::to_string));
+        let answer = self.runtime.block_on(async { timeout(patience, asked).await });
+        let answer = answer.map_err(|_| {
+            Error::Internal(format!("{method} {path} was not answered within {} s", patience.as_secs()))
+        })??;
+        Ok((answer, begun.elapsed().as_secs_f64()))
     }
-
-    fn answer(&mut self) -> std::io::Result<(u16, Vec<u8>)> {
-        let (mut status, mut length, mut is_chunked) = (0, 0, false);
-        loop {
-            let line = self.line()?;
-            if line.is_empty() {
-                break;
-            }
-            if let Some(rest) = line.strip_prefix("HTTP/1.1 ") {
-                status = rest.get(..3).and_then(|code| code.parse().ok()).unwrap_or(0);
-            }
-            let lower = line.to_ascii_lowercase();
-            if let Some(value) = lower.strip_prefix("content-length:") {
-                length = value.trim().parse().unwrap_or(0);
-            }
-            is_chunked |= lower.starts_with("transfer-encoding:") && lower.contains("chunked");
-        }
-        let mut body = Vec::new();
-        if !is_chunked {
-            body.resize(length, 0);
-            self.stream.read_exact(&mut body)?;
-            return Ok((status, body));
-        }
-        loop {
-            let size = usize::from_str_radix(self.line()?.trim(), 16).unwrap_or(0);
-            let start = body.len();
-            body.resize(start + size, 0);
-            self.stream.read_exact(&mut body[start..])?;
-            self.line()?;
-            if size == 0 {
-                return Ok((status, body));
-            }
-        }
-    }
-
-    /// Without its end.
-    fn line(&mut self) -> std::io::Result<String> {
-        let mut line = String::new();
-        if self.stream.read_line(&mut line)? == 0 {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
-        }
-        Ok(line.trim_end().to_owned())
-    }
-}
-
-fn broken(err: &dyn std::fmt::Display) -> Error {
-    Error::Internal(format!("a request failed: {err}"))
 }

@@ -6,22 +6,20 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use palpate_server::Error;
 use palpate_wire::{
     api::{
-        LEASE_HEADER, LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession,
-        StartRecording,
+        LiveDocument, RecordingAction, RecordingDocument, RecordingPhase, RecordingSession, StartRecording,
     },
     proto::{Acquire, Arm, ControlReply, ControlRequest, Disarm, Heartbeat, control_request::Request},
 };
 use prost::Message as _;
 use serde::{Serialize, de::DeserializeOwned};
 use tokio::{
-    io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::TcpStream,
     sync::{Mutex, watch},
     time::sleep,
 };
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async, tungstenite::Message};
 
-use super::socket_url;
+use super::{super::http::Connection, socket_url};
 
 /// The session that is recorded.
 pub(super) const SESSION: &str = "load";
@@ -205,22 +203,8 @@ pub(in crate::cli::bench) async fn ask<T: DeserializeOwned>(
     path: &str,
     body: Option<&impl Serialize>,
 ) -> Result<T, Error> {
-    let failed =
-        |err: &dyn std::fmt::Display| Error::Internal(format!("{method} /api/v1/{path} failed: {err}"));
-    let body = body.map(serde_json::to_string).transpose().map_err(|err| failed(&err))?.unwrap_or_default();
-    let request = format!(
-        "{method} /api/v1/{path} HTTP/1.1\r\nHost: {addr}\r\nConnection: close\r\nContent-Type: application/json\r\n\
-         {LEASE_HEADER}: {lease}\r\nContent-Length: {}\r\n\r\n{body}",
-        body.len()
-    );
-    let mut stream = TcpStream::connect(addr).await.map_err(|err| failed(&err))?;
-    stream.write_all(request.as_bytes()).await.map_err(|err| failed(&err))?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).await.map_err(|err| failed(&err))?;
-    let (head, body) = answer.split_once("\r\n\r\n").ok_or_else(|| failed(&"the answer has no end"))?;
-    let status = head.split(' ').nth(1).unwrap_or_default();
-    if !status.starts_with('2') {
-        return Err(failed(&format!("{status} {body}")));
-    }
-    serde_json::from_str(body).map_err(|err| failed(&err))
+    let body = body.map(serde_json::to_string).transpose().map_err(|err| broken(&err))?;
+    let path = format!("/api/v1/{path}");
+    let answer = Connection::open(addr).await?.ask(method, &path, lease, body).await?;
+    serde_json::from_slice(&answer).map_err(|err| broken(&err))
 }
