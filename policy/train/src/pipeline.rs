@@ -8,29 +8,29 @@ mod config;
 mod manifest;
 mod report;
 mod stages;
+mod tables;
+mod work;
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use palpate_sim::job::{Cancel, Progress};
-use palpate_terminal::child::{self, Listener};
-use palpate_terminal::{Bar, cancel_on_ctrl_c, events};
-use serde_json::{Map, Value};
+use palpate_terminal::{cancel_on_ctrl_c, events};
 
 use self::config::PipelineConfig;
-use self::manifest::{Manifest, StageRecord};
+use self::manifest::Manifest;
 use self::stages::Stage;
+use self::work::Work;
 use crate::files;
 
 const REPORT_FILE: &str = "report.html";
 
 #[derive(clap::Args)]
 pub(crate) struct PipelineArgs {
-    /// What to do: "small" (two cores, an evening) or "paper" (the method's sizes; see --device)
+    /// What to do: "small" (two cores, an evening), "tables" (the paper's comparisons of policies, two cores, some
+    /// hours) or "paper" (the method's sizes; see --device)
     #[arg(long, default_value = "small")]
     preset: String,
     /// The same from a file; --print-config shows what one looks like
@@ -77,34 +77,20 @@ pub(crate) fn run(args: &PipelineArgs) -> anyhow::Result<()> {
     let assets = manifest::of_assets()?;
     let mut manifest = Manifest::read(out)?;
     if args.plan {
-        print!("{}", plan(&stages, &manifest, &assets, args.threads)?);
+        print!("{}", plan(&stages, &manifest, &assets, args)?);
         return Ok(());
     }
     std::fs::create_dir_all(out).with_context(|| format!("failed to create {out:?}"))?;
     let _lock = lock(out)?;
     env!("CARGO_PKG_VERSION").clone_into(&mut manifest.software);
     manifest.config = text;
-    let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
-    let all_s: f64 = stages.iter().map(|stage| stage.core_s).sum();
-    let mut done_s = 0.0;
-    for (idx, stage) in stages.iter().enumerate() {
-        let whole = Whole {
-            bar: &bar,
-            stage: format!("{} ({} of {})", stage.name, idx + 1, stages.len()),
-            out,
-            begin: done_s / all_s,
-            share: stage.core_s / all_s,
-        };
-        let is_done = make(stage, &mut manifest, &assets, args, &whole, &cancel)
-            .with_context(|| format!("stage {:?}", stage.name))?;
-        if !is_done {
-            drop(bar);
-            eprintln!("stopped; the same command goes on from where it was");
-            return Ok(());
-        }
-        done_s += stage.core_s;
+    let cancel = cancel_on_ctrl_c();
+    let work = Work::new(&stages, manifest, &assets, args, out, &cancel);
+    let (manifest, is_done) = work.run()?;
+    if !is_done {
+        eprintln!("stopped; the same command goes on from where it was");
+        return Ok(());
     }
-    drop(bar);
     let report = report::Report::read(&config, &manifest, out)?;
     let path = out.join(REPORT_FILE);
     files::write_in_one_move(&path, report.html().as_bytes())?;
@@ -146,118 +132,6 @@ fn standing(stage: &Stage, manifest: &Manifest, key: &str) -> anyhow::Result<Sta
     })
 }
 
-/// Makes what `stage` leaves, unless it is there; says whether it is there now, and not stopped before.
-fn make(
-    stage: &Stage,
-    manifest: &mut Manifest,
-    assets: &str,
-    args: &PipelineArgs,
-    whole: &Whole<'_>,
-    cancel: &Cancel,
-) -> anyhow::Result<bool> {
-    let key = manifest.key(stage, assets)?;
-    let standing = standing(stage, manifest, &key)?;
-    if standing == Standing::Done {
-        whole.bar.line(&format!("{}: nothing has changed, it is left as it is", whole.stage));
-        return Ok(true);
-    }
-    if standing == Standing::Due {
-        clear(stage, manifest)?;
-        let record = StageRecord { command: shown(&stage.command), key, ..StageRecord::default() };
-        manifest.stages.insert(stage.name.clone(), record);
-        manifest.write(whole.out)?;
-    }
-    for path in stage.writes.iter().filter_map(|path| path.parent()) {
-        std::fs::create_dir_all(path).with_context(|| format!("failed to create {path:?}"))?;
-    }
-    whole.bar.line(&format!("{}: {}", whole.stage, shown(&stage.command)));
-    let began = Instant::now();
-    let ended = start(stage, args, whole, cancel)?;
-    let record = manifest.stages.entry(stage.name.clone()).or_default();
-    record.seconds += began.elapsed().as_secs_f64();
-    let is_there = stage.results.iter().all(|path| path.exists());
-    if cancel.is_cancelled() || !ended.status.success() || !is_there {
-        manifest.write(whole.out)?;
-        if cancel.is_cancelled() {
-            return Ok(false);
-        }
-        match ended.complaint.as_str() {
-            "" => {
-                bail!("palpate-train {} ended without its results ({})", shown(&stage.command), ended.status)
-            }
-            complaint => bail!("{complaint}"),
-        }
-    }
-    record.results = manifest::results(&stage.results)?;
-    manifest.write(whole.out)?;
-    Ok(true)
-}
-
-/// Removes what an earlier run of `stage` left; refuses to where no pipeline made it.
-fn clear(stage: &Stage, manifest: &Manifest) -> anyhow::Result<()> {
-    for path in stage.writes.iter().filter(|path| path.exists()) {
-        if !manifest.stages.contains_key(&stage.name) {
-            bail!("{path:?} is there, and no pipeline made it; move it away, or take another --out");
-        }
-        let removed = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
-        removed.with_context(|| format!("failed to remove {path:?}"))?;
-    }
-    Ok(())
-}
-
-/// Runs the command of `stage` until it ends.
-fn start(
-    stage: &Stage,
-    args: &PipelineArgs,
-    whole: &Whole<'_>,
-    cancel: &Cancel,
-) -> anyhow::Result<child::Ended> {
-    let program = std::env::current_exe().context("failed to find this program")?;
-    let mut command = child::command(&program);
-    command.args(&stage.command);
-    if let Some(threads) = args.threads {
-        command.args(["--threads", &threads.to_string()]);
-    }
-    let prefix = stage.name.replace(' ', "_");
-    let listener = Listener {
-        progress: whole,
-        metrics: &|point| events::metrics(step(point), &Value::Object(prefixed(&prefix, point))),
-        log: &|line| whole.bar.line(line),
-        cancel,
-    };
-    child::run(&mut command, &listener).with_context(|| format!("failed to run {program:?}"))
-}
-
-fn step(point: &Map<String, Value>) -> u64 {
-    point.get("step").and_then(Value::as_u64).unwrap_or_default()
-}
-
-/// The values of `point` in an object called `prefix`, so that stages do not share curves.
-fn prefixed(prefix: &str, point: &Map<String, Value>) -> Map<String, Value> {
-    let values = point.iter().filter(|(name, _)| *name != "step");
-    let values: Map<String, Value> = values.map(|(name, value)| (name.clone(), value.clone())).collect();
-    Map::from_iter([(prefix.to_owned(), Value::Object(values))])
-}
-
-/// How far the whole pipeline is, by how far a stage is.
-struct Whole<'a> {
-    bar: &'a Bar,
-    /// The folder of everything.
-    out: &'a Path,
-    stage: String,
-    begin: f64,
-    share: f64,
-}
-
-impl Progress for Whole<'_> {
-    fn report(&self, fraction: f64, stage: &str) {
-        self.bar.report(
-            (self.begin + self.share * fraction.clamp(0.0, 1.0)).min(1.0),
-            &format!("{}: {stage}", self.stage),
-        );
-    }
-}
-
 /// A command as one gives it in a terminal.
 fn shown(command: &[OsString]) -> String {
     let quoted = |argument: &OsString| {
@@ -269,35 +143,52 @@ fn shown(command: &[OsString]) -> String {
     format!("palpate-train {}", arguments.join(" "))
 }
 
+/// Cores that there are for everything.
+fn cores(threads: Option<usize>) -> usize {
+    threads.or_else(|| std::thread::available_parallelism().ok().map(usize::from)).unwrap_or(1)
+}
+
+/// How many stages at the beginning of `stages` are done side by side, at least 1: those that use one core each, and
+/// need nothing of each other. On a graphics card one training is done after the other: side by side none of them would
+/// be faster.
+fn side_by_side(stages: &[Stage], args: &PipelineArgs) -> usize {
+    let is_alone = |stage: &Stage| stage.is_parallel || args.device == "gpu";
+    let goes_with = |(idx, stage): &(usize, &Stage)| {
+        !is_alone(stage) && !stages[..*idx].iter().any(|before| stage.needs.contains(&before.name))
+    };
+    stages.iter().enumerate().take_while(goes_with).count().max(1)
+}
+
 /// What is left to do, for people.
-fn plan(
-    stages: &[Stage],
-    manifest: &Manifest,
-    assets: &str,
-    threads: Option<usize>,
-) -> anyhow::Result<String> {
-    let cores = threads.or_else(|| std::thread::available_parallelism().ok().map(usize::from)).unwrap_or(1);
+fn plan(stages: &[Stage], manifest: &Manifest, assets: &str, args: &PipelineArgs) -> anyhow::Result<String> {
+    let cores = cores(args.threads);
     let (mut text, mut left_min) = (String::new(), 0.0);
     let mut made_anew: BTreeSet<&str> = BTreeSet::new();
-    for stage in stages {
-        let standing = match manifest.key(stage, assets) {
-            Ok(key) if !stage.needs.iter().any(|name| made_anew.contains(name.as_str())) => {
-                standing(stage, manifest, &key)?
+    let mut rest = stages;
+    while let Some((batch, after)) = rest.split_at_checked(side_by_side(rest, args)) {
+        let (mut sum_min, mut longest_min) = (0.0, 0.0_f64);
+        for stage in batch {
+            let standing = match manifest.key(stage, assets) {
+                Ok(key) if !stage.needs.iter().any(|name| made_anew.contains(name.as_str())) => {
+                    standing(stage, manifest, &key)?
+                }
+                // What it needs will be another.
+                _ => Standing::Due,
+            };
+            let minutes = stage.core_s / if stage.is_parallel { cores as f64 } else { 1.0 } / 60.0;
+            let words = match standing {
+                Standing::Done => "done".to_owned(),
+                Standing::Begun => format!("begun, about {minutes:.0} min from the start"),
+                Standing::Due => format!("about {minutes:.0} min"),
+            };
+            if standing != Standing::Done {
+                (sum_min, longest_min) = (sum_min + minutes, longest_min.max(minutes));
+                made_anew.insert(&stage.name);
             }
-            // What it needs will be another.
-            _ => Standing::Due,
-        };
-        let minutes = stage.core_s / if stage.is_parallel { cores as f64 } else { 1.0 } / 60.0;
-        let words = match standing {
-            Standing::Done => "done".to_owned(),
-            Standing::Begun => format!("begun, about {minutes:.0} min from the start"),
-            Standing::Due => format!("about {minutes:.0} min"),
-        };
-        if standing != Standing::Done {
-            left_min += minutes;
-            made_anew.insert(&stage.name);
+            text.push_str(&format!("{:<28} {words:<28} {}\n", stage.name, shown(&stage.command)));
         }
-        text.push_str(&format!("{:<28} {words:<28} {}\n", stage.name, shown(&stage.command)));
+        left_min += longest_min.max(sum_min / cores.min(batch.len()) as f64);
+        rest = after;
     }
     text.push_str(&format!(
         "about {left_min:.0} min in all on {cores} cores, where policies learn by the preset small on a CPU\n"
@@ -316,11 +207,38 @@ mod tests {
     }
 
     #[test]
-    fn curves_of_a_stage_have_its_name() {
-        let point: Map<String, Value> =
-            serde_json::from_value(serde_json::json!({"step": 4, "train": 0.5})).expect("an object");
-        assert_eq!(step(&point), 4);
-        let named = serde_json::json!({"policy_0": {"train": 0.5}});
-        assert_eq!(Value::Object(prefixed("policy_0", &point)), named);
+    fn trainings_that_need_nothing_of_each_other_are_done_side_by_side() {
+        let stage = |name: &str, needs: &[&str], is_parallel: bool| Stage {
+            name: name.to_owned(),
+            command: Vec::new(),
+            needs: needs.iter().map(|need| (*need).to_owned()).collect(),
+            files: Vec::new(),
+            results: Vec::new(),
+            writes: Vec::new(),
+            core_s: 1.0,
+            is_parallel,
+        };
+        let stages = [
+            stage("trials", &[], true),
+            stage("one", &["trials"], false),
+            stage("two", &["trials"], false),
+            stage("again", &["trials", "two"], false),
+            stage("scores", &["one", "two", "again"], true),
+        ];
+        let args = |device: &str| PipelineArgs {
+            preset: "small".to_owned(),
+            config: None,
+            model: None,
+            out: None,
+            device: device.to_owned(),
+            threads: None,
+            plan: false,
+            print_config: false,
+        };
+        let batches = |device: &str| {
+            (0..stages.len()).map(|first| side_by_side(&stages[first..], &args(device))).collect::<Vec<_>>()
+        };
+        assert_eq!(batches("cpu"), [1, 2, 1, 1, 1]);
+        assert_eq!(batches("gpu"), [1; 5]);
     }
 }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | In which interval does the rate lie? | [`wilson`] to show, [`clopper_pearson`] to claim |
 //! | How often do k trials in a row succeed? | [`pass_hat_k`] |
+//! | In which interval does a mean of few numbers lie? | [`student`] |
 //! | Do two policies differ on the same starts? | [`mcnemar_exact`] |
 //! | Do two policies differ on starts of their own? | [`barnard_exact`] |
 //! | Do two people score alike? | [`cohens_kappa`] |
@@ -13,11 +14,13 @@
 
 mod agreement;
 mod comparison;
+mod mean;
 mod rate;
 mod sequential;
 
 pub use agreement::cohens_kappa;
 pub use comparison::{barnard_exact, mcnemar_exact};
+pub use mean::{Mean, student};
 pub use rate::{Interval, clopper_pearson, pass_hat_k, wilson};
 pub use sequential::{Decision, Operating, Pairs, SequentialTest};
 

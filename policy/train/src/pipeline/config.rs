@@ -12,8 +12,9 @@ use crate::files::{self, Sources};
 use crate::gather;
 
 /// Presets by name.
-const PRESETS: [(&str, &str); 2] = [
+const PRESETS: [(&str, &str); 3] = [
     ("small", include_str!("../../presets/pipeline_small.toml")),
+    ("tables", include_str!("../../presets/pipeline_tables.toml")),
     ("paper", include_str!("../../presets/pipeline_paper.toml")),
 ];
 
@@ -203,8 +204,8 @@ impl PipelineConfig {
     /// The text of a preset.
     pub(super) fn preset(name: &str) -> anyhow::Result<&'static str> {
         let found = PRESETS.iter().find(|(preset, _)| *preset == name);
-        let names = PRESETS.map(|(preset, _)| preset).join(" or ");
-        Ok(found.with_context(|| format!("--preset is {name:?}, expected {names}"))?.1)
+        let names = PRESETS.map(|(preset, _)| preset).join(", ");
+        Ok(found.with_context(|| format!("--preset is {name:?}, expected one of {names}"))?.1)
     }
 
     /// Reads `text`, which `file` names in errors, and whatever can be refused before anything starts.

@@ -13,10 +13,9 @@ use serde_json::{Value, json};
 use super::config::{EvaluationConfig, PipelineConfig};
 use super::manifest::Manifest;
 use super::stages::{EXPERT, Training, comparison, encoder_dir, pictures, trainings};
+use super::tables::{self, GROUPS, Line, Trials};
 use crate::files;
 
-/// Groups of objects, as comparisons name them.
-const GROUPS: [&str; 3] = ["seen", "unseen", "overall"];
 /// What the paper reports of its best policy in simulation, percent: seen, unseen and all objects.
 const PAPER_PERCENT: [f64; 3] = [60.4, 43.2, 51.8];
 /// Name of the protocol that the paper's trials are of.
@@ -73,6 +72,8 @@ struct Evaluation {
     settings: Value,
     /// The policy first, then what it was compared with.
     arms: Vec<Arm>,
+    /// What parts of policies are worth, where two policies of the paper differ in one.
+    parts: Vec<Line>,
     pictures: Vec<Picture>,
 }
 
@@ -118,8 +119,8 @@ impl<'a> Report<'a> {
         self.evaluations.iter().map(line).collect::<Vec<_>>().join("\n")
     }
 
-    /// As JSON: won and tried by evaluation, arm and group of objects, the first policy's file, seconds by stage, and the
-    /// encoder's held-out losses if there is one.
+    /// As JSON: won and tried by evaluation, arm and group of objects, what parts of policies are worth by evaluation,
+    /// the first policy's file, seconds by stage, and the encoder's held-out losses if there is one.
     pub(super) fn document(&self) -> Value {
         let of_arm = |arm: &Arm| {
             let groups = GROUPS.iter().filter_map(|group| {
@@ -132,10 +133,12 @@ impl<'a> Report<'a> {
             let arms: serde_json::Map<String, Value> = evaluation.arms.iter().map(of_arm).collect();
             (evaluation.name.clone(), arms.into())
         };
+        let parts_of = |evaluation: &Evaluation| (evaluation.name.clone(), json!(evaluation.parts));
         let seconds = self.manifest.stages.iter().map(|(name, record)| (name.clone(), json!(record.seconds)));
         json!({
             "policy": self.policy,
             "evaluations": self.evaluations.iter().map(of_evaluation).collect::<serde_json::Map<_, _>>(),
+            "parts": self.evaluations.iter().map(parts_of).collect::<serde_json::Map<_, _>>(),
             "stage_seconds": seconds.collect::<serde_json::Map<_, _>>(),
             "encoder": self.encoder.as_ref().map(Encoder::document),
         })
@@ -299,8 +302,30 @@ impl Evaluation {
         let (protocol, settings) =
             (document["protocol"].as_str().unwrap_or_default().to_owned(), document["settings"].clone());
         arms.insert(0, Arm { name: first, document });
+        let parts = Self::parts(evaluation, trainings, &arms)?;
         let pictures = Picture::all_in(&pictures(out, evaluation))?;
-        Ok(Self { name: evaluation.name(), protocol, settings, arms, pictures })
+        Ok(Self { name: evaluation.name(), protocol, settings, arms, parts, pictures })
+    }
+
+    /// What parts of the paper's policies among `trainings` are worth in `evaluation`, whose arms are `arms`.
+    fn parts(
+        evaluation: &EvaluationConfig,
+        trainings: &[Training<'_>],
+        arms: &[Arm],
+    ) -> anyhow::Result<Vec<Line>> {
+        let mut trials = Vec::new();
+        for training in trainings.iter().filter(|training| training.round == 0) {
+            let arm = arms.iter().find(|arm| arm.name == training.name());
+            if let (Some(policy), Some(arm)) = (training.policy.policy, arm) {
+                trials.push(Trials::of_arm(policy, training.seed, &arm.document)?);
+            }
+        }
+        let mut objects = Vec::new();
+        for name in files::objects(&evaluation.objects)? {
+            let object = files::object(&name, &files::Sources::default())?;
+            objects.push((object.id, object.group));
+        }
+        tables::lines(&trials, &objects)
     }
 
     fn section(&self) -> Markup {
@@ -341,9 +366,10 @@ impl Evaluation {
                     }
                 }
             } }
+            (tables::section(&self.parts))
             @if let Some(first) = first {
                 details {
-                    summary { "Object by object" }
+                    summary { "Object by object: won of tried, in brackets empty grasps, slips and emergency stops" }
                     div.wide { table {
                         thead { tr { th { "object" } @for arm in &self.arms { th { (arm.name) } } } }
                         tbody {
@@ -418,9 +444,7 @@ impl Arm {
     }
 
     fn failures(&self) -> String {
-        let overall = &self.document["overall"];
-        let number = |name: &str| overall[name].as_u64().unwrap_or_default();
-        format!("{}, {}, {}", number("empty_grasp"), number("slip"), number("emergency_stop"))
+        failures(&self.document["overall"])
     }
 
     /// Mean time to success.
@@ -444,9 +468,16 @@ impl Arm {
     }
 
     fn of_object(&self, object: &str) -> String {
-        let found = counts(&self.document["objects"][object]);
-        found.map_or_else(|| "-".to_owned(), |(won, of)| format!("{won} of {of}"))
+        let document = &self.document["objects"][object];
+        let found = counts(document);
+        found.map_or_else(|| "-".to_owned(), |(won, of)| format!("{won} of {of} ({})", failures(document)))
     }
+}
+
+/// Empty grasps, slips and emergency stops.
+fn failures(document: &Value) -> String {
+    let number = |name: &str| document[name].as_u64().unwrap_or_default();
+    format!("{}, {}, {}", number("empty_grasp"), number("slip"), number("emergency_stop"))
 }
 
 fn counts(document: &Value) -> Option<(u64, u64)> {

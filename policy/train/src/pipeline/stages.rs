@@ -86,7 +86,7 @@ pub(super) struct Training<'a> {
     pub(super) policy: &'a PolicyConfig,
     pub(super) seed: u64,
     /// Rounds of takeover that it learns from, beside the expert's own trials.
-    round: u64,
+    pub(super) round: u64,
     pub(super) folder: PathBuf,
 }
 

@@ -151,8 +151,8 @@ fn policies_may_see_the_features_of_an_encoder_that_is_a_stage() {
          [trials]\nobjects = \"cube\"\ncount = 4\nprotocol = \"wide\"\nseed = 101\n\
          [encoder]\nconfig = {encoder:?}\nseed = 0\n{}{}\
          [[evaluations]]\nprotocol = \"wide\"\nobjects = \"cube\"\ntrials = 1\n",
-        policy("plain", ""),
-        policy("feeling", "features = true\n"),
+        policy("plain", "policy = \"kinematic-dp\"\n"),
+        policy("feeling", "policy = \"pretrained-dp\"\n"),
     );
     std::fs::write(&file, text).expect("a file");
     let call = ["--config", &file, "--out", &out];
@@ -160,7 +160,7 @@ fn policies_may_see_the_features_of_an_encoder_that_is_a_stage() {
     let line = planned.lines().find(|line| line.starts_with("encoder ")).expect("its line");
     assert!(line.contains("palpate-train encode"), "{planned}");
     let line = planned.lines().find(|line| line.starts_with("feeling_0 ")).expect("its line");
-    assert!(line.contains("--features --encoder"), "{planned}");
+    assert!(line.contains("--policy pretrained-dp") && line.contains("--encoder"), "{planned}");
     let said = pipeline(&[&call[..], &["--events"]].concat()).expect("it runs");
     let mut events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
     let report = events.rfind(|event| event["event"] == "report").expect("a report");
@@ -169,6 +169,15 @@ fn policies_may_see_the_features_of_an_encoder_that_is_a_stage() {
     assert!(encoder["held_out"]["total"].is_f64(), "{report}");
     let page = std::fs::read_to_string(Path::new(&out).join("report.html")).expect("text");
     assert!(page.contains("<h2>Encoder</h2>") && page.contains("palpate-train encode"));
+    // Two policies of the paper that differ in one part, on one object and with one seed.
+    let parts = &report["report"]["parts"]["wide"];
+    assert_eq!(
+        (parts[0]["part"].as_str(), parts[0]["units"].as_u64()),
+        (Some("encoder, pretrained"), Some(1)),
+        "{report}"
+    );
+    assert_eq!(parts[0]["paper_percent"], serde_json::json!([60.4, 36.2]), "{report}");
+    assert!(page.contains("What each part is worth") && page.contains("one object and seed says nothing"));
     let said = pipeline(&call).expect("it runs");
     assert_eq!(said.matches("it is left as it is").count(), 6, "{said}");
 }
@@ -202,7 +211,7 @@ fn what_is_wrong_with_a_pipeline_is_named_before_anything_starts() {
         assert!(!Path::new(&out).exists(), "{to}: something was begun");
     }
     for (args, expected) in [
-        (&["--preset", "large", "--out", &out][..], "expected small or paper"),
+        (&["--preset", "large", "--out", &out][..], "expected one of small, tables, paper"),
         (&["--model", "none.toml", "--out", &out], "--model is \"none.toml\""),
         (&[], "--out"),
     ] {
@@ -210,7 +219,7 @@ fn what_is_wrong_with_a_pipeline_is_named_before_anything_starts() {
         assert!(said.contains(expected), "{args:?}: {said}");
     }
     // Presets are files that it takes.
-    for preset in ["small", "paper"] {
+    for preset in ["small", "tables", "paper"] {
         std::fs::write(&file, pipeline(&["--preset", preset, "--print-config"]).expect("a preset"))
             .expect("a file");
         pipeline(&["--config", &file, "--out", &out, "--plan"]).expect("a plan");

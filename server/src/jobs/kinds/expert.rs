@@ -21,7 +21,7 @@ fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: ExpertRequest = parse(EXPERT.name, request)?;
     check_counts(&[("total_steps", request.total_steps)])?;
     check_start(request.start_cm)?;
-    check_preset(request.preset.as_deref(), request.config.as_deref(), ["quick", "paper"])?;
+    check_preset(request.preset.as_deref(), request.config.as_deref(), &["quick", "paper"])?;
     if request.without_script && request.script.is_some() {
         return Err(Error::Argument(
             "without_script leaves no script to learn on top of; leave one out".to_owned(),

@@ -20,7 +20,7 @@ pub(crate) const IMITATION: JobKind =
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: ImitationRequest = parse(IMITATION.name, request)?;
     check_counts(&[("updates", request.updates)])?;
-    check_preset(request.preset.as_deref(), request.config.as_deref(), ["small", "paper"])?;
+    check_preset(request.preset.as_deref(), request.config.as_deref(), &["small", "paper"])?;
     let configured = configured(request.config.as_deref());
     request.check(configured).map_err(|problem| Error::Argument(problem.to_string()))?;
     let mut files = learned_from("trials", &request.trials, |id| trials(store, id))?;

@@ -20,7 +20,7 @@ const PIPELINE_DIR: &str = "pipeline";
 
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: PipelineRequest = parse(PIPELINE.name, request)?;
-    check_preset(request.preset.as_deref(), request.config.as_deref(), ["small", "paper"])?;
+    check_preset(request.preset.as_deref(), request.config.as_deref(), &["small", "tables", "paper"])?;
     Ok(model_file(store, request.model.as_deref())?.into_iter().collect())
 }
 

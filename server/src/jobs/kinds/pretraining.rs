@@ -21,7 +21,7 @@ pub(crate) const PRETRAINING: JobKind =
 fn check(store: &Store, request: &Value) -> Result<Vec<PathBuf>, Error> {
     let request: PretrainingRequest = parse(PRETRAINING.name, request)?;
     check_counts(&[("epochs", request.epochs)])?;
-    check_preset(request.preset.as_deref(), request.config.as_deref(), ["quick", "paper"])?;
+    check_preset(request.preset.as_deref(), request.config.as_deref(), &["quick", "paper"])?;
     if request.without_positions && request.silence_touch {
         return Err(Error::Argument(
             "an encoder that is told neither where taxels are nor what they feel has nothing to learn from; leave out \

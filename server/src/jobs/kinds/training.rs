@@ -554,18 +554,13 @@ pub(super) fn check_start(start_cm: Option<f64>) -> Result<(), Error> {
 }
 
 /// Refuses a way to learn that there is not.
-pub(super) fn check_preset(
-    preset: Option<&str>,
-    config: Option<&str>,
-    known: [&str; 2],
-) -> Result<(), Error> {
+pub(super) fn check_preset(preset: Option<&str>, config: Option<&str>, known: &[&str]) -> Result<(), Error> {
     match (preset, config) {
         (Some(_), Some(_)) => {
             Err(Error::Argument("preset and config are two ways to learn; give one of them".to_owned()))
         }
         (Some(preset), _) if !known.contains(&preset) => {
-            let [first, second] = known;
-            Err(Error::Argument(format!("no preset {preset:?}; expected {first:?} or {second:?}")))
+            Err(Error::Argument(format!("no preset {preset:?}; expected one of {}", known.join(", "))))
         }
         (_, Some(config)) => match config.parse::<toml::Table>() {
             Ok(_) => Ok(()),

@@ -145,7 +145,7 @@ pub struct GatheringRequest {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PipelineRequest {
-    /// What to do: `small` or `paper`; absent means `small`.
+    /// What to do: `small`, `tables` or `paper`; absent means `small`.
     pub preset: Option<String>,
     /// The text of a configuration (`palpate-train pipeline --print-config`) in place of a preset.
     pub config: Option<String>,

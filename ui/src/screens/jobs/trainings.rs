@@ -173,7 +173,7 @@ pub(super) const TRAININGS: &[Training] = &[
         explained: "Lets the expert gather trials, learns policies from them, scores them and writes a report: hours on every \
                     core. It goes on where it was when it is tried again.",
         fields: &[
-            Field::Choice { key: "preset", label: "Preset", choices: &["small", "paper"] },
+            Field::Choice { key: "preset", label: "Preset", choices: &["small", "tables", "paper"] },
             Field::Model,
         ],
         is_seeded: false,
