@@ -7,13 +7,18 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use palpate_robot_model::{ObjectModel, ObjectPath, ObjectShape, Station, TactileLayout};
+use palpate_robot_model::{ObjectModel, ObjectPath, ObjectShape, SensorKind, Station, TactileLayout};
 
 use crate::SensorModel;
 use crate::effects::{Frame, FrameChain, FrameMemory, FrameScene, Switching, TakeScene, moved};
 use crate::geometry::SignedDistance;
 use crate::replay::{self, ContactTrace, PatchTrace, Probe, ReplayError};
 use crate::tactile::{self, Propagation, Readings};
+
+/// A pressure channel is touched with strength 1 from this multiple of its threshold on.
+pub const FULL_PRESSURE: f64 = 10.0;
+/// A proximity channel is touched with strength 1 from this far below its threshold on, m.
+pub const FULL_DEPTH_M: f64 = 0.005;
 
 /// A robot, an object that may move, things that stand still, and how the robot's skin feels them.
 #[derive(Debug)]
@@ -30,6 +35,8 @@ pub struct LiveScene {
     fixed: Vec<(SignedDistance, Isometry3<f64>)>,
     /// Nodes and taxels with mounting errors.
     layout: TactileLayout,
+    /// Of each channel, in the unit of its raw reading.
+    thresholds: Vec<f64>,
     probes: Vec<Probe>,
     sensing: Sensing,
 }
@@ -37,8 +44,8 @@ pub struct LiveScene {
 /// How contact becomes readings.
 #[derive(Debug)]
 enum Sensing {
-    /// Theta alone decides, by these weights and thresholds.
-    Plain(Vec<Propagation>, Vec<f64>),
+    /// Theta alone decides, by these weights.
+    Plain(Vec<Propagation>),
     Chain(Box<FrameChain>),
 }
 
@@ -76,10 +83,10 @@ impl LiveScene {
             fixed.iter().map(|(pose, shape)| Ok((prepare(shape)?, *pose))).collect::<Result<_, _>>()?;
         let layout =
             moved(&station.layout, &kinematics.patch_offsets).unwrap_or_else(|| station.layout.clone());
+        let thetas = model.thetas();
+        let thresholds = tactile::thresholds(&layout, &thetas);
         let sensing = if model.is_plain() {
-            let thetas = model.thetas();
-            let propagation = tactile::propagation(&layout, &thetas.alphas_per_m(&layout));
-            Sensing::Plain(propagation, tactile::thresholds(&layout, &thetas))
+            Sensing::Plain(tactile::propagation(&layout, &thetas.alphas_per_m(&layout)))
         } else {
             Sensing::Chain(Box::new(FrameChain::new(&model.chain(), &station, object, &layout)))
         };
@@ -91,6 +98,7 @@ impl LiveScene {
             fixed,
             probes: replay::probes(&layout, model.chain().gaps_below_m(&layout)),
             layout,
+            thresholds,
             sensing,
             model: model.clone(),
             station,
@@ -121,7 +129,7 @@ impl LiveScene {
     /// Weights of every patch, with the decay that effects leave it.
     pub fn propagation(&self) -> &[Propagation] {
         match &self.sensing {
-            Sensing::Plain(propagation, _) => propagation,
+            Sensing::Plain(propagation) => propagation,
             Sensing::Chain(chain) => chain.propagation(),
         }
     }
@@ -129,9 +137,27 @@ impl LiveScene {
     /// How loads become events; `None` for a model that theta alone decides.
     pub fn switching(&self) -> Option<&Switching> {
         match &self.sensing {
-            Sensing::Plain(..) => None,
+            Sensing::Plain(_) => None,
             Sensing::Chain(chain) => Some(chain.switching()),
         }
+    }
+
+    /// How strongly each channel is touched, from 0 to 1, whose `raw` readings (m or Pa) are those of one frame: what a
+    /// policy sees that is not told events alone.
+    ///
+    /// Of a pressure channel p over [`FULL_PRESSURE`] times its threshold; of a proximity channel how far its distance
+    /// is below its threshold, over [`FULL_DEPTH_M`]; both cut off at 0 and 1.
+    pub fn strengths(&self, raw: &[f64]) -> Vec<f32> {
+        let channels = self.layout.channels.iter().zip(raw).zip(&self.thresholds);
+        let strength =
+            channels.map(|((channel, raw), threshold)| match self.layout.streams[channel.stream].kind {
+                SensorKind::Pressure => raw / (FULL_PRESSURE * threshold),
+                SensorKind::Proximity => (threshold - raw) / FULL_DEPTH_M,
+            });
+        // A pressure of zero at a threshold of zero is no number, and no touch.
+        strength
+            .map(|strength| if strength.is_nan() { 0.0 } else { strength.clamp(0.0, 1.0) as f32 })
+            .collect()
     }
 
     /// Where the object is that is said to be at `base_from_object`.
@@ -188,7 +214,7 @@ impl LiveTouch {
     /// An episode in which nothing has happened yet.
     pub fn new(scene: Arc<LiveScene>) -> Self {
         let memory = match &scene.sensing {
-            Sensing::Plain(..) => None,
+            Sensing::Plain(_) => None,
             Sensing::Chain(chain) => Some(chain.memory()),
         };
         Self { scene, span_s: None, positions_before: Vec::new(), memory }
@@ -284,8 +310,8 @@ impl LiveTouch {
                 chain.sense(&frame_scene, &trace, &true_positions, memory, raw, active);
                 scene.model.loads_as_readings(&scene.layout, raw);
             }
-            (Sensing::Plain(propagation, thresholds), _) => {
-                scene.plain_readings(&trace, propagation, thresholds, raw, active);
+            (Sensing::Plain(propagation), _) => {
+                scene.plain_readings(&trace, propagation, raw, active);
             }
             (Sensing::Chain(_), None) => unreachable!("a chain has a memory"),
         }
@@ -299,7 +325,6 @@ impl LiveScene {
         &self,
         trace: &ContactTrace,
         propagation: &[Propagation],
-        thresholds: &[f64],
         raw: &mut [f64],
         active: &mut [bool],
     ) {
@@ -313,7 +338,7 @@ impl LiveScene {
                 }
             }
         }
-        let channels = self.layout.channels.iter().zip(raw).zip(thresholds);
+        let channels = self.layout.channels.iter().zip(raw).zip(&self.thresholds);
         for (active, ((channel, raw), &threshold)) in active.iter_mut().zip(channels) {
             *active = tactile::is_active(self.layout.streams[channel.stream].kind, *raw, threshold);
         }

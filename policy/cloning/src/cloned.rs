@@ -10,7 +10,7 @@ use crate::network::Network;
 use crate::pass::values;
 use crate::scaling::Scaling;
 use crate::schedule::Schedule;
-use crate::{CloneConfig, CloneError, Head, History, Moment, Shape};
+use crate::{CloneConfig, CloneError, Head, History, JointValues, Moment, Shape};
 
 /// What noise is for: chunks that are drawn.
 const DRAWN: u64 = 6;
@@ -157,9 +157,9 @@ impl Cloned {
         Ok(History::new(self.config.observation.clone(), self.shape(), half_width_m))
     }
 
-    /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last. Diffusion draws
-    /// it: `draw` are two numbers, such as a trial and a step, that say which draw; the same numbers give the same
-    /// chunk.
+    /// The whole chunk (`predicted` steps) from what was seen, with the robot sent to `commands` last (rad or m).
+    /// Diffusion draws it: `draw` are two numbers, such as a trial and a step, that say which draw; the same numbers
+    /// give the same chunk.
     ///
     /// # Errors
     /// Predictions that are no numbers.
@@ -194,8 +194,15 @@ impl Cloned {
         if let Some(value) = chunk.iter().find(|value| !value.is_finite()) {
             return Err(CloneError::Shape(format!("the policy predicts {value}, expected finite numbers")));
         }
+        let from: Vec<f64> = match self.config.relative_to {
+            JointValues::Commands => commands.to_vec(),
+            JointValues::Positions => {
+                let tracking = seen.tracking().iter().map(|&tracking| f64::from(tracking));
+                commands.iter().zip(tracking).map(|(command, tracking)| command - tracking).collect()
+            }
+        };
         let step = |action: &[f64]| Plan {
-            targets: action.iter().zip(commands).map(|(off, command)| command + off).collect(),
+            targets: action.iter().zip(&from).map(|(off, from)| from + off).collect(),
             claims_held: action.last().is_some_and(|&claim| claim > CLAIM),
         };
         Ok(chunk.chunks_exact(self.robot.shape().action_len()).map(step).collect())

@@ -37,6 +37,17 @@ pub enum Memory {
     Recurrent,
 }
 
+/// Which numbers stand for the joints.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointValues {
+    /// Where each joint was sent last.
+    #[default]
+    Commands,
+    /// Where each joint is as it is read.
+    Positions,
+}
+
 /// How to learn. Fields that a file leaves out have the values of the preset `small`, which are given here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -66,6 +77,9 @@ pub struct CloneConfig {
     pub predicted: usize,
     /// N_a: steps of a chunk that are carried out before the policy looks again, 1 to `predicted`; 3.
     pub executed: usize,
+    /// What the steps of a chunk are differences to; commands. Left out of files where it is commands.
+    #[serde(skip_serializing_if = "is_default")]
+    pub relative_to: JointValues,
     /// What is seen.
     pub observation: ObservationConfig,
     /// How the frames of a window are joined; side by side.
@@ -94,23 +108,31 @@ pub struct ObservationConfig {
     pub stride: usize,
     /// Which channels are on; yes.
     pub touch: bool,
+    /// How strongly each channel is touched, in place of whether it is on; no. Only simulated touch tells it, so a
+    /// policy that sees it moves no hand. Left out of files where it is not seen.
+    #[serde(skip_serializing_if = "is_default")]
+    pub strengths: bool,
     /// How far each joint is from where it was sent; yes.
     pub tracking: bool,
+    /// What is seen of each joint; where it was sent, and with `tracking` how far it is from there. Where positions are
+    /// seen, commands are not, nor how far joints are from them. Left out of files where it is commands.
+    #[serde(skip_serializing_if = "is_default")]
+    pub joints: JointValues,
     /// The features that a pretrained encoder makes of each frame; no. They are made of what `touch` and `tracking` let the
     /// policy see, and the episodes have to come with them.
     pub features: bool,
     /// Of each frame where every channel's taxel is in the hand's frame and whether it is on; no. The episodes have to come with
     /// that, as they do with features, and it goes without these. Left out of files where it is not seen.
-    #[serde(skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "is_default")]
     pub points: bool,
     /// Half the edge length of the square that the object begins in, which whoever starts a trial knows; no. The episodes have
     /// to say it. Left out of files where it is not seen, so that policies of before keep their bytes.
-    #[serde(skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "is_default")]
     pub region: bool,
 }
 
-fn is_false(value: &bool) -> bool {
-    !value
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// A gated recurrent unit (Cho et al. 2014).
@@ -187,6 +209,7 @@ impl Default for CloneConfig {
             held_out_share: 0.05,
             predicted: 8,
             executed: 3,
+            relative_to: JointValues::Commands,
             observation: ObservationConfig::default(),
             memory: Memory::Window,
             recurrent: RecurrentConfig::default(),
@@ -204,7 +227,9 @@ impl Default for ObservationConfig {
             frames: 16,
             stride: 8,
             touch: true,
+            strengths: false,
             tracking: true,
+            joints: JointValues::Commands,
             features: false,
             points: false,
             region: false,
@@ -299,6 +324,13 @@ impl CloneConfig {
             holds: (1..=most).contains(&value),
             expected,
         };
+        // Positions say how far joints are from their commands.
+        let positions = |path, values: JointValues| Expectation {
+            path,
+            value: format!("{values:?}").to_lowercase(),
+            holds: values == JointValues::Commands || self.observation.tracking,
+            expected: "commands where observation.tracking is false",
+        };
         let (diffusion, act) = (&self.diffusion, self.act());
         vec![
             count(&["updates"], self.updates),
@@ -317,6 +349,7 @@ impl CloneConfig {
                 expected: "an even number for diffusion",
             },
             within(&["executed"], self.executed, self.predicted, "1 to predicted"),
+            positions(&["relative_to"], self.relative_to),
             count(&["observation", "frames"], self.observation.frames as u64),
             count(&["observation", "stride"], self.observation.stride as u64),
             Expectation {
@@ -324,6 +357,13 @@ impl CloneConfig {
                 value: self.observation.points.to_string(),
                 holds: !(self.observation.points && self.observation.features),
                 expected: "false where observation.features is true: an encoder is told the points",
+            },
+            positions(&["observation", "joints"], self.observation.joints),
+            Expectation {
+                path: &["observation", "strengths"],
+                value: self.observation.strengths.to_string(),
+                holds: !self.observation.strengths || (self.observation.touch && !self.observation.features),
+                expected: "false where observation.touch is false or observation.features is true: encoders are told events",
             },
             count(&["recurrent", "width"], self.recurrent.width as u64),
             Expectation {
@@ -413,6 +453,26 @@ mod tests {
         let again = CloneConfig::from_toml("again", &config.to_toml()).expect("its own file");
         assert_eq!(again.act, Some(ActConfig::default()), "all of it, should a default ever change");
         assert_eq!(again.spelled_out(), config.spelled_out());
+    }
+
+    #[test]
+    fn positions_are_refused_where_tracking_is_hidden() {
+        let config =
+            CloneConfig::from_toml("run.toml", "relative_to = \"positions\"").expect("it makes sense");
+        assert!(config.to_toml().contains("relative_to = \"positions\""), "{}", config.to_toml());
+        assert!(
+            !CloneConfig::default().to_toml().contains("relative_to"),
+            "files of before keep their bytes"
+        );
+        let hidden = "[observation]\ntracking = false\n";
+        assert_eq!(
+            refusal(&format!("relative_to = \"positions\"\n{hidden}")),
+            "run.toml:1: relative_to is positions, expected commands where observation.tracking is false"
+        );
+        assert_eq!(
+            refusal(&format!("{hidden}joints = \"positions\"\n")),
+            "run.toml:3: observation.joints is positions, expected commands where observation.tracking is false"
+        );
     }
 
     #[test]

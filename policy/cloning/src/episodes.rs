@@ -24,8 +24,8 @@ pub struct Step<'a> {
 /// One trial of an expert, step by step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Episode {
-    /// `[steps, 2 * dofs + channels + features]`: commands, how far joints are from them (rad or m), channels (0 or 1),
-    /// features of an encoder.
+    /// `[steps, 2 * dofs + channels + features]`: commands, how far joints are from them (rad or m), channels (0 or 1,
+    /// or from 0 to 1 with [`Self::with_strengths`]), features of an encoder.
     pub frames: Vec<f32>,
     /// `[steps, dofs + 1]`: where each joint was sent (rad or m), and whether the expert claimed to hold the object (0
     /// or 1).
@@ -70,6 +70,21 @@ impl Episode {
             frames.extend_from_slice(&features[step * num_features..][..num_features]);
         }
         Self { frames, ..self.clone() }
+    }
+
+    /// This episode of a robot of this `shape` with how strongly each channel was touched, `[steps, channels]` from 0
+    /// to 1, in place of whether it was on.
+    ///
+    /// # Panics
+    /// If they are not as many: a caller's bug.
+    #[must_use]
+    pub fn with_strengths(mut self, shape: Shape, strengths: &[f32]) -> Self {
+        assert_eq!(strengths.len(), self.len() * shape.channels, "one strength per channel and step");
+        let frames = self.frames.chunks_exact_mut(shape.frame_len());
+        for (frame, strengths) in frames.zip(strengths.chunks_exact(shape.channels)) {
+            frame[2 * shape.dofs..][..shape.channels].copy_from_slice(strengths);
+        }
+        self
     }
 
     /// Steps.
@@ -209,12 +224,12 @@ impl Episodes {
         let frame = |back: usize| &episode.frames[step.saturating_sub(back) * frame_len..][..frame_len];
         let time_s = f64::from(episode.times_s[step]);
         let input = observation(&config.observation, self.shape, (time_s, episode.half_width_m), frame);
-        let commands = &frame(0)[..self.shape.dofs];
+        let from: Vec<f32> = self.shape.joints(config.relative_to, frame(0)).collect();
         let mut chunk = Vec::with_capacity(config.predicted * action_len);
         for ahead in 0..config.predicted {
             let at = (step + ahead).min(episode.len() - 1);
             let (targets, claim) = episode.targets[at * action_len..][..action_len].split_at(self.shape.dofs);
-            chunk.extend(targets.iter().zip(commands).map(|(target, command)| target - command));
+            chunk.extend(targets.iter().zip(&from).map(|(target, from)| target - from));
             chunk.extend_from_slice(claim);
         }
         Sample { input, chunk }
@@ -224,7 +239,7 @@ impl Episodes {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::{History, ObservationConfig};
+    use crate::{History, JointValues, ObservationConfig, Touch};
 
     /// Episodes of a robot of one joint and one channel that goes to 1 in steps of `pace`, and feels something at the
     /// end.
@@ -239,7 +254,7 @@ pub(crate) mod tests {
                     time_s: 0.05 * step as f64,
                     positions: &[command - 0.1 * pace],
                     commands: &[command],
-                    active: &[command >= 1.0],
+                    touch: Touch::Events(&[command >= 1.0]),
                     features: &[],
                 };
                 episode.push(shape, &Step { moment, targets: &[target], claims_held: command >= 1.0 });
@@ -301,6 +316,18 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_chunk_may_be_where_the_expert_went_from_where_joints_were_read() {
+        let episodes = reaching(&[0.25], 6);
+        let config =
+            CloneConfig { predicted: 2, relative_to: JointValues::Positions, ..CloneConfig::default() };
+        // Joints are read a tenth of a step behind their commands.
+        let chunk = episodes.sample(&config, (0, 1)).chunk;
+        for (found, expected) in chunk.iter().zip([0.275, 0.0, 0.525, 0.0]) {
+            assert!((found - expected).abs() < 1e-6, "{chunk:?}");
+        }
+    }
+
+    #[test]
     fn only_the_experts_part_of_an_episode_teaches_and_what_came_before_is_seen() {
         let mut episodes = reaching(&[0.25, 0.1], 6);
         let all = episodes.moments();
@@ -329,7 +356,7 @@ pub(crate) mod tests {
                     time_s: f64::from(0.05_f32 * step as f32),
                     positions: &[command - 0.1 * 0.07],
                     commands: &[command],
-                    active: &[command >= 1.0],
+                    touch: Touch::Events(&[command >= 1.0]),
                     features: &[],
                 });
                 let [seen, learned] = [history.observation(), episodes.sample(&config, (0, step)).input];
@@ -339,6 +366,27 @@ pub(crate) mod tests {
                 command = f64::min(command + 0.07, 1.0);
             }
         }
+    }
+
+    #[test]
+    fn strengths_stand_where_events_were() {
+        let shape = Shape { dofs: 1, channels: 1, features: 0 };
+        let episode = reaching(&[0.5], 3).episodes.remove(0);
+        let strengths = [0.0, 0.25, 1.0];
+        let strong = episode.clone().with_strengths(shape, &strengths);
+        for ((plain, strong), strength) in
+            episode.frames.chunks(3).zip(strong.frames.chunks(3)).zip(strengths)
+        {
+            assert_eq!((&plain[..2], strength), (&strong[..2], strong[2]));
+        }
+        let seen = Moment {
+            time_s: 0.0,
+            positions: &[-0.05],
+            commands: &[0.0],
+            touch: Touch::Strengths(&[0.25]),
+            features: &[],
+        };
+        assert_eq!(shape.frame(&seen)[2..], [0.25]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::ObservationConfig;
+use crate::{JointValues, ObservationConfig};
 
 /// Time that counts as 1, s.
 const TIME_UNIT_S: f64 = 10.0;
@@ -39,23 +39,38 @@ impl Shape {
         2 * self.dofs + self.channels + self.features
     }
 
-    /// What is kept of a moment: commands, how far joints are from them (rad or m), touch (0 or 1), features.
+    /// What is kept of a moment: commands, how far joints are from them (rad or m), touch (0 or 1, or from 0 to 1),
+    /// features.
     ///
     /// # Panics
     /// If its numbers are not as many as the shape says: a caller's bug.
     pub fn frame(self, now: &Moment<'_>) -> Vec<f32> {
         assert_eq!(
-            [now.positions.len(), now.commands.len(), now.active.len(), now.features.len()],
+            [now.positions.len(), now.commands.len(), now.touch.len(), now.features.len()],
             [self.dofs, self.dofs, self.channels, self.features],
             "one number per joint, channel and feature"
         );
         let tracking = now.commands.iter().zip(now.positions).map(|(command, read)| command - read);
-        let touch = now.active.iter().map(|&on| f64::from(u8::from(on)));
-        let frame = now.commands.iter().copied().chain(tracking).chain(touch);
-        frame.map(|value| value as f32).chain(now.features.iter().copied()).collect()
+        let joints = now.commands.iter().copied().chain(tracking).map(|value| value as f32);
+        let mut frame: Vec<f32> = joints.collect();
+        match now.touch {
+            Touch::Events(events) => frame.extend(events.iter().map(|&on| f32::from(u8::from(on)))),
+            Touch::Strengths(strengths) => frame.extend_from_slice(strengths),
+        }
+        frame.extend_from_slice(now.features);
+        frame
     }
 
-    /// Numbers of one step of a chunk: differences to the last command, and the claim that the object is held.
+    /// These `values` of the joints in a `frame`, rad or m.
+    pub(crate) fn joints(self, values: JointValues, frame: &[f32]) -> impl Iterator<Item = f32> {
+        let commands = frame.iter().take(self.dofs);
+        commands.zip(frame.iter().skip(self.dofs)).map(move |(command, tracking)| match values {
+            JointValues::Commands => *command,
+            JointValues::Positions => command - tracking,
+        })
+    }
+
+    /// Numbers of one step of a chunk: differences to a value of each joint, and the claim that the object is held.
     pub(crate) fn action_len(self) -> usize {
         self.dofs + 1
     }
@@ -63,6 +78,30 @@ impl Shape {
     /// Numbers of an observation: the frames, the newest first, then the time, then the region if it is seen.
     pub(crate) fn input_len(self, config: &ObservationConfig) -> usize {
         config.frames * self.frame_len() + 1 + usize::from(config.region)
+    }
+}
+
+/// What channels feel, one value each.
+#[derive(Clone, Copy, Debug)]
+pub enum Touch<'a> {
+    /// Whether each is on.
+    Events(&'a [bool]),
+    /// How strongly each is touched, from 0 to 1.
+    Strengths(&'a [f32]),
+}
+
+impl Touch<'_> {
+    /// Channels.
+    pub fn len(self) -> usize {
+        match self {
+            Self::Events(events) => events.len(),
+            Self::Strengths(strengths) => strengths.len(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
     }
 }
 
@@ -75,8 +114,8 @@ pub struct Moment<'a> {
     pub positions: &'a [f64],
     /// Where each joint was sent last, rad or m.
     pub commands: &'a [f64],
-    /// Whether each channel is on.
-    pub active: &'a [bool],
+    /// What each channel feels.
+    pub touch: Touch<'a>,
     /// What an encoder makes of this moment and those before it, or its points; none where the policy sees neither.
     pub features: &'a [f32],
 }
@@ -110,6 +149,15 @@ impl History {
         self.time_s = now.time_s;
     }
 
+    /// How far each joint is from where it was sent, rad or m.
+    ///
+    /// # Panics
+    /// If nothing has been seen: a caller's bug.
+    pub(crate) fn tracking(&self) -> &[f32] {
+        let newest = self.frames.front().expect("something has been seen");
+        &newest[self.shape.dofs..][..self.shape.dofs]
+    }
+
     /// The observation now; before a window is full, its oldest frames are the first that was seen.
     ///
     /// # Panics
@@ -130,14 +178,14 @@ pub(crate) fn observation<'a>(
 ) -> Vec<f32> {
     let mut observation = Vec::with_capacity(shape.input_len(config));
     for back in (0..config.frames).map(|frame| frame * config.stride) {
-        let (commands, rest) = frame(back).split_at(shape.dofs);
-        let (tracking, rest) = rest.split_at(shape.dofs);
+        let frame = frame(back);
+        let (tracking, rest) = frame[shape.dofs..].split_at(shape.dofs);
         let (touch, features) = rest.split_at(shape.channels);
-        observation.extend_from_slice(commands);
+        observation.extend(shape.joints(config.joints, frame));
         let mut sense = |values: &[f32], is_told: bool| {
             observation.extend(values.iter().map(|&value| if is_told { value } else { 0.0 }));
         };
-        sense(tracking, config.tracking);
+        sense(tracking, config.tracking && config.joints == JointValues::Commands);
         sense(touch, config.touch);
         // Their encoder was not shown what is hidden.
         observation.extend_from_slice(features);
@@ -161,7 +209,7 @@ mod tests {
             time_s: value,
             positions: &[value - 0.5],
             commands: &[value],
-            active: &active,
+            touch: Touch::Events(&active),
             features: &[],
         });
     }
@@ -193,6 +241,16 @@ mod tests {
     }
 
     #[test]
+    fn where_positions_are_seen_commands_are_not() {
+        let joints = JointValues::Positions;
+        let config = ObservationConfig { frames: 1, stride: 1, joints, ..ObservationConfig::default() };
+        let mut history = History::new(config, SHAPE, None);
+        see(&mut history, 2);
+        assert_eq!(history.observation(), [1.5, 0.0, 1.0, 0.0, 0.2]);
+        assert_eq!(history.tracking(), [0.5]);
+    }
+
+    #[test]
     fn the_region_is_the_last_number_where_it_is_seen() {
         let seen = |region: bool| {
             let config = ObservationConfig { frames: 1, stride: 1, region, ..ObservationConfig::default() };
@@ -216,7 +274,7 @@ mod tests {
                 time_s: step,
                 positions: &[step],
                 commands: &[step],
-                active: &[true, false],
+                touch: Touch::Events(&[true, false]),
                 features: &features,
             });
         }

@@ -7,7 +7,8 @@
 //! is the policy that comes out.
 //!
 //! Actions are differences to the last *command* and not to the measured position: gravity and contact would otherwise
-//! take a part of every action away. Commands are part of what is seen. So may be features that a pretrained encoder makes of
+//! take a part of every action away. Commands are part of what is seen. A configuration may say otherwise of both
+//! ([`JointValues`]). So may be features that a pretrained encoder makes of
 //! each moment: here they are numbers, and the encoder is a file ([`EncoderFile`]) that goes where the policy goes.
 //!
 //! The same seed gives the same bits for any number of threads on one kind of processor: batches are cut into chunks of
@@ -33,13 +34,14 @@ mod trainer;
 
 pub use cloned::{Cloned, Plan, Robot, Run};
 pub use config::{
-    ActConfig, ActLoss, CloneConfig, DiffusionConfig, Head, Memory, ObservationConfig, RecurrentConfig,
+    ActConfig, ActLoss, CloneConfig, DiffusionConfig, Head, JointValues, Memory, ObservationConfig,
+    RecurrentConfig,
 };
 pub use device::TrainingDevice;
 pub use episodes::{EncoderFile, Episode, Episodes, Step};
 pub use error::CloneError;
 pub use file::POLICY_FILE;
-pub use history::{History, Moment, Shape};
+pub use history::{History, Moment, Shape, Touch};
 pub use palpate_training::{CHECKPOINT_FILE, Finish, METRICS_FILE, Progress, Start};
 pub use policies::PaperPolicy;
 pub use run::{CONFIG_FILE, Data, train};

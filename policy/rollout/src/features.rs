@@ -18,7 +18,7 @@ use palpate_robot_model::{Robot, Station};
 
 use crate::task::sha256;
 
-/// Numbers of a point: x, y, z, and whether its channel is on.
+/// Numbers of a point: x, y, z, and what its channel feels.
 const POINT: usize = 4;
 
 /// Where the taxel of each channel is, as encoders are told it.
@@ -46,22 +46,22 @@ impl Taxels {
         self.places.len()
     }
 
-    /// Adds to `input` the frame in which joints were read at `positions` (rad or m) and channels were `active`: of each
-    /// channel x, y, z in the hand's frame, m, and 0 or 1.
+    /// Adds to `input` the frame in which joints were read at `positions` (rad or m) and channels felt `touch`: of each
+    /// channel x, y, z in the hand's frame, m, and what it felt.
     pub fn push_frame(
         &self,
         robot: &Robot,
         positions: &[f32],
-        active: impl IntoIterator<Item = bool>,
+        touch: impl IntoIterator<Item = f32>,
         input: &mut Vec<f32>,
     ) {
         let positions: Vec<f64> = positions.iter().map(|&position| f64::from(position)).collect();
         let mut base_from_link = Vec::new();
         robot.forward_kinematics(&positions, &mut base_from_link);
         let hand_from_base = base_from_link[self.hand_root].inverse();
-        for ((link, place), active) in self.places.iter().zip(active) {
+        for ((link, place), touch) in self.places.iter().zip(touch) {
             let place = hand_from_base * (base_from_link[*link] * place);
-            input.extend([place.x as f32, place.y as f32, place.z as f32, f32::from(u8::from(active))]);
+            input.extend([place.x as f32, place.y as f32, place.z as f32, touch]);
         }
     }
 }
@@ -206,12 +206,12 @@ impl FeatureRun {
     fn points(&self, frame: &[f32]) -> Vec<f32> {
         let Features { station, taxels, shape, touch, tracking, .. } = &*self.features;
         let (commands, rest) = frame.split_at(shape.dofs);
-        let (errors, active) = rest.split_at(shape.dofs);
+        let (errors, felt) = rest.split_at(shape.dofs);
         let read = commands.iter().zip(errors).map(|(command, error)| command - error);
         let positions: Vec<f32> = if *tracking { read.collect() } else { commands.to_vec() };
-        let active = active.iter().map(|&active| *touch && active > 0.0);
+        let felt = felt.iter().map(|&felt| if *touch { felt } else { 0.0 });
         let mut newest = Vec::with_capacity(POINT * shape.channels);
-        taxels.push_frame(&station.robot, &positions, active, &mut newest);
+        taxels.push_frame(&station.robot, &positions, felt, &mut newest);
         newest
     }
 

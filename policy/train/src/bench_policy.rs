@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Memory, Moment, Robot, Shape, Step};
+use palpate_cloning::{CloneConfig, Episode, Episodes, Head, Memory, Moment, Robot, Shape, Step, Touch};
 use palpate_encoder::{Dataset, EncoderConfig, Sample};
 use serde::{Deserialize, Serialize};
 
@@ -138,7 +138,7 @@ pub(crate) fn run(args: &BenchPolicyArgs) -> anyhow::Result<()> {
                 time_s: 1.0,
                 positions: &positions,
                 commands: &commands,
-                active: &active,
+                touch: Touch::Events(&active),
                 features: &[],
             });
             encoder.encode(&window)?;
@@ -226,8 +226,13 @@ fn made_up(shape: Shape) -> anyhow::Result<Episodes> {
                 (0..shape.channels).map(|channel| (step / 5 + channel) % 7 == 0).collect();
             let (positions, commands, targets) = (at(0), at(1), at(2));
             let time_s = 0.05 * step as f64;
-            let moment =
-                Moment { time_s, positions: &positions, commands: &commands, active: &active, features: &[] };
+            let moment = Moment {
+                time_s,
+                positions: &positions,
+                commands: &commands,
+                touch: Touch::Events(&active),
+                features: &[],
+            };
             episode.push(shape, &Step { moment, targets: &targets, claims_held: false });
         }
         episodes.push(episode);

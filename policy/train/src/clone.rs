@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use self::encoding::Encoding;
 use crate::files;
-use crate::gather::{self, Gathered};
+use crate::gather::{self, Gathered, Trial};
 use crate::learning;
 
 /// The source that an encoder is.
@@ -154,7 +154,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
         None if config.observation.points => Some(Encoding::points(&config, &gathered)?),
         None => None,
     };
-    let (robot, episodes, mut sources) = learned_from(args, gathered)?;
+    let (robot, episodes, mut sources) = learned_from(args, &config, gathered)?;
     let (bar, cancel) = (Bar::new(), cancel_on_ctrl_c());
     let episodes = match &encoding {
         None => Episodes::new(robot.shape(), episodes)?,
@@ -227,6 +227,7 @@ fn encoder<'a>(args: &'a CloneArgs, config: &CloneConfig) -> anyhow::Result<Opti
 /// The robot, the trials and what they were made from.
 fn learned_from(
     args: &CloneArgs,
+    config: &CloneConfig,
     gathered: Vec<(String, Gathered)>,
 ) -> anyhow::Result<(Robot, Vec<Episode>, BTreeMap<String, String>)> {
     let mut robot: Option<Robot> = None;
@@ -245,7 +246,21 @@ fn learned_from(
             outcome == Outcome::Success || !(args.only_won || outcome == Outcome::EmergencyStop)
         };
         let kept = gathered.trials.into_iter().filter(|trial| is_kept(trial.outcome));
-        episodes.extend(kept.map(|trial| trial.episode));
+        if !config.observation.strengths {
+            episodes.extend(kept.map(|trial| trial.episode));
+            continue;
+        }
+        let shape = gathered.record.robot().shape();
+        for Trial { episode, strengths, .. } in kept {
+            if strengths.is_empty() && !episode.is_empty() {
+                bail!(
+                    "{path} does not say how strongly channels were touched, which earlier versions did not keep and a truth file \
+                     does not tell, and observation.strengths is true; gather the trials again with a sensor model, into another \
+                     folder"
+                );
+            }
+            episodes.push(episode.with_strengths(shape, &strengths));
+        }
     }
     let robot = robot.context("--data names no folder")?;
     if episodes.len() < 2 {

@@ -29,6 +29,8 @@ use crate::search::{CLOSINGS, Expert, SEARCH};
 
 /// The tensor that says where objects were.
 const OBJECT_POSES: &str = "object_poses";
+/// The tensor that says how strongly each channel was touched; only sensor models tell it.
+const STRENGTHS: &str = "strengths";
 /// The tensor that says from which step on each trial is learned from; without it all of it is.
 const TAUGHT_FROM: &str = "taught_from";
 /// What may stand before the path of a policy that imitates an expert.
@@ -176,6 +178,8 @@ pub(crate) struct Trial {
     pub(crate) episode: Episode,
     /// base_from_object, `[steps, 7]`: x, y, z, then the quaternion, w first; nothing in files of earlier versions.
     pub(crate) object_poses: Vec<f32>,
+    /// `[steps, channels]`, from 0 to 1; nothing where it could not be told, and in files of earlier versions.
+    pub(crate) strengths: Vec<f32>,
 }
 
 pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
@@ -265,7 +269,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
                 taken_over_at: None,
             };
             let episode = Episode { half_width_m: Some(protocol.half_width_m as f32), ..Episode::default() };
-            let mut recorder = Recorder { controller, robot: &robot, episode };
+            let mut recorder = Recorder { controller, robot: &robot, episode, strengths: Vec::new() };
             let mut object_poses: Vec<f32> = Vec::new();
             let mut start_m = None;
             let mut see = |env: &GraspEnv| {
@@ -275,7 +279,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
                 object_poses.extend(pose(&base_from_object));
             };
             let ending = conduct_seen(&scene, &mut recorder, Known::ROBOT, args.seed, trial, &mut see)?;
-            let Recorder { controller, mut episode, .. } = recorder;
+            let Recorder { controller, mut episode, strengths, .. } = recorder;
             if let Some(student) = controller.student {
                 student.problem.map_or(Ok(()), Err)?;
                 // A trial that was over before teaches nothing.
@@ -285,7 +289,7 @@ pub(crate) fn run(args: &GatherArgs) -> anyhow::Result<()> {
             object_poses.truncate(POSE * episode.len());
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             bar.report(done as f64 / all as f64, "trials");
-            Ok(Some(Trial { outcome: ending.outcome, episode, object_poses }))
+            Ok(Some(Trial { outcome: ending.outcome, episode, object_poses, strengths }))
         };
         let trials: Option<Vec<_>> =
             (0..args.count).into_par_iter().map(trial).collect::<anyhow::Result<_>>()?;
@@ -422,6 +426,7 @@ struct Recorder<'a, C> {
     controller: C,
     robot: &'a Robot,
     episode: Episode,
+    strengths: Vec<f32>,
 }
 
 impl<C: Controller> Controller for Recorder<'_, C> {
@@ -433,22 +438,26 @@ impl<C: Controller> Controller for Recorder<'_, C> {
             claims_held: command.claims_held,
         };
         self.episode.push(self.robot.shape(), &step);
+        self.strengths.extend_from_slice(now.strengths.unwrap_or_default());
         command
     }
 }
 
-/// A safetensors file, compressed as a whole: `frames`, `targets`, `times_s` and `object_poses` of all steps one after the
-/// other, `first_steps` where each trial begins, and how it ended.
+/// A safetensors file, compressed as a whole: `frames`, `targets`, `times_s`, `object_poses` and, where they could be
+/// told, `strengths` of all steps one after the other, `first_steps` where each trial begins, and how it ended.
 fn to_bytes(record: &Record, trials: &[Trial]) -> anyhow::Result<Vec<u8>> {
     let column = |of: &dyn Fn(&Trial) -> &[f32]| -> Vec<u8> {
         trials.iter().flat_map(of).flat_map(|value| value.to_le_bytes()).collect()
     };
-    let columns = [
+    let mut columns = vec![
         ("frames", column(&|trial| &trial.episode.frames)),
         ("targets", column(&|trial| &trial.episode.targets)),
         ("times_s", column(&|trial| &trial.episode.times_s)),
         (OBJECT_POSES, column(&|trial| &trial.object_poses)),
     ];
+    if trials.iter().any(|trial| !trial.strengths.is_empty()) {
+        columns.push((STRENGTHS, column(&|trial| &trial.strengths)));
+    }
     let mut first = 0;
     let mut first_steps: Vec<u8> = 0_u64.to_le_bytes().to_vec();
     for trial in trials {
@@ -523,6 +532,9 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
     let object_poses = if has_poses { floats(OBJECT_POSES)? } else { Vec::new() };
     let pose_len = if has_poses { POSE } else { 0 };
     let robot = record.robot();
+    let has_strengths = file.tensor(STRENGTHS).is_ok();
+    let strengths = if has_strengths { floats(STRENGTHS)? } else { Vec::new() };
+    let num_strengths = if has_strengths { robot.channels.len() } else { 0 };
     let (frame_len, action_len) = (2 * robot.joints.len() + robot.channels.len(), robot.joints.len() + 1);
     let steps = times_s.len();
     let is_whole = first_steps.len() == outcomes.len() + 1
@@ -532,6 +544,7 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
         && first_steps.windows(2).all(|pair| pair[0] <= pair[1])
         && frames.len() == steps * frame_len
         && object_poses.len() == steps * pose_len
+        && strengths.len() == steps * num_strengths
         && targets.len() == steps * action_len;
     if !is_whole {
         bail!("its tensors do not have the sizes that its joints, channels and trials say");
@@ -547,7 +560,8 @@ fn from_bytes(compressed: &[u8]) -> anyhow::Result<Gathered> {
             taught_from,
         };
         let object_poses = object_poses[pair[0] * pose_len..pair[1] * pose_len].to_vec();
-        trials.push(Trial { outcome: *outcome, episode, object_poses });
+        let strengths = strengths[pair[0] * num_strengths..pair[1] * num_strengths].to_vec();
+        trials.push(Trial { outcome: *outcome, episode, object_poses, strengths });
     }
     Ok(Gathered { record, trials, has_poses, sha256 })
 }

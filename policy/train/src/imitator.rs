@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use palpate_cloning::{Cloned, Moment, Plan, Run};
+use palpate_cloning::{Cloned, Moment, Plan, Run, Touch};
 use palpate_grasp::GraspConfig;
 use palpate_grasp::controller::{Command, Controller, Observation};
 use palpate_robot_model::Station;
@@ -35,15 +35,16 @@ pub(crate) fn open(
     Ok((Imitation { policy: Arc::new(policy), features }, source))
 }
 
-/// What is observed, as a policy that imitates and episodes to learn from have it, without features of touch.
+/// What is observed, as a policy that imitates and episodes to learn from have it: with events, without features.
 pub(crate) fn moment<'a>(now: &Observation<'a>) -> Moment<'a> {
-    let &Observation { time_s, positions, commands, active, told_place_m: _ } = now;
-    Moment { time_s, positions, commands, active, features: &[] }
+    let &Observation { time_s, positions, commands, active, strengths: _, told_place_m: _ } = now;
+    Moment { time_s, positions, commands, touch: Touch::Events(active), features: &[] }
 }
 
 /// A policy as what moves the robot in a trial.
 pub(crate) struct Imitator {
     run: Run,
+    sees_strengths: bool,
     features: Option<FeatureRun>,
     station: Arc<Station>,
     /// Why it stopped, if it did: a controller cannot fail.
@@ -59,11 +60,24 @@ impl Imitator {
         half_width_m: f64,
     ) -> anyhow::Result<Self> {
         let run = Run::new(Arc::clone(&imitation.policy), trial, Some(half_width_m))?;
-        Ok(Self { run, features: imitation.features.clone().map(FeatureRun::new), station, problem: None })
+        let sees_strengths = imitation.policy.config().observation.strengths;
+        Ok(Self {
+            run,
+            sees_strengths,
+            features: imitation.features.clone().map(FeatureRun::new),
+            station,
+            problem: None,
+        })
     }
 
     fn plan(&mut self, now: &Observation<'_>) -> anyhow::Result<Plan> {
-        let moment = moment(now);
+        let mut moment = moment(now);
+        if self.sees_strengths {
+            moment.touch = Touch::Strengths(now.strengths.context(
+                "the policy sees how strongly channels are touched (observation.strengths), which a sensor model tells and a \
+                 truth file does not",
+            )?);
+        }
         let features = match &mut self.features {
             Some(features) => features.see(&moment)?,
             None => Vec::new(),

@@ -17,6 +17,8 @@ pub struct Observation<'a> {
     pub commands: &'a [f64],
     /// Whether each channel feels something.
     pub active: &'a [bool],
+    /// How strongly each channel is touched, from 0 to 1; nothing where that cannot be told.
+    pub strengths: Option<&'a [f32]>,
     /// Where the object is, m along x and y of the base from the middle of the region: what no robot knows and an oracle is told.
     pub told_place_m: Option<[f64; 2]>,
 }

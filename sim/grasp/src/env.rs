@@ -353,6 +353,11 @@ impl GraspEnv {
         &self.readings
     }
 
+    /// How strongly each channel is touched, from 0 to 1; nothing where that cannot be told.
+    pub fn strengths(&self) -> Option<Vec<f32>> {
+        self.scene.touch.strengths(&self.readings.raw)
+    }
+
     /// Targets of the last step; the start positions before the first.
     pub fn targets(&self) -> &[f64] {
         &self.targets

@@ -37,6 +37,12 @@ pub trait TouchScene: Debug + Send + Sync {
     fn reads_raw_units(&self) -> bool {
         false
     }
+
+    /// How strongly each channel is touched, from 0 to 1, in a frame with these `raw` readings; nothing where that
+    /// cannot be told.
+    fn strengths(&self, _raw: &[f64]) -> Option<Vec<f32>> {
+        None
+    }
 }
 
 /// The touch of one environment.
@@ -78,6 +84,10 @@ struct Modelled(Arc<LiveScene>);
 impl TouchScene for Modelled {
     fn touch(self: Arc<Self>) -> Result<Box<dyn Touch>, GraspError> {
         Ok(Box::new(LiveTouch::new(Arc::clone(&self.0))))
+    }
+
+    fn strengths(&self, raw: &[f64]) -> Option<Vec<f32>> {
+        Some(self.0.strengths(raw))
     }
 }
 
@@ -121,6 +131,10 @@ impl Sense for NoTouch {
 impl TouchScene for Nothing {
     fn touch(self: Arc<Self>) -> Result<Box<dyn Touch>, GraspError> {
         Ok(Box::new(Self::clone(&self)))
+    }
+
+    fn strengths(&self, raw: &[f64]) -> Option<Vec<f32>> {
+        Some(vec![0.0; raw.len()])
     }
 }
 

@@ -280,11 +280,13 @@ pub fn conduct_seen(
     let nothing = vec![false; scene.station().layout.num_channels()];
     loop {
         let at = env.world().base_from_object().translation;
+        let strengths = env.strengths().map(|felt| if known.touch { felt } else { vec![0.0; felt.len()] });
         let command = controller.control(&Observation {
             time_s: env.time_s(),
             positions: if known.tracking { env.positions() } else { env.targets() },
             commands: env.targets(),
             active: if known.touch { &env.readings().active } else { &nothing },
+            strengths: strengths.as_deref(),
             told_place_m: known.place.then_some([at.x - task.center_m[0], at.y - task.center_m[1]]),
         });
         let claimed = task.one_claim && command.claims_held;

@@ -205,6 +205,38 @@ fn a_stream_with_its_own_theta_reads_what_it_reads_where_all_share_it() {
 }
 
 #[test]
+fn strengths_rise_with_touch_and_every_event_has_one() {
+    let station = station("xarm6_leap.toml");
+    let model = SensorModel::plain("plain", THETA);
+    for plan in [&INDEX, &PALM] {
+        let take = take(&station, plan, 1, 7);
+        let scene = LiveScene::new(Arc::new(station.clone()), &take.object, &model, &[]).expect("a scene");
+        let mut strongest = vec![0.0_f32; station.layout.num_channels()];
+        let mut pairs: Vec<(f64, f32)> = Vec::new();
+        for readings in live_readings(&station, &take, &model) {
+            let strengths = scene.strengths(&readings.raw);
+            for (channel, (&strength, &on)) in strengths.iter().zip(&readings.active).enumerate() {
+                assert!(
+                    (0.0..=1.0).contains(&strength) && (!on || strength > 0.0),
+                    "{strength} of {channel}"
+                );
+                strongest[channel] = strongest[channel].max(strength);
+                let is_pressure = station.layout.streams[station.layout.channels[channel].stream].kind
+                    == SensorKind::Pressure;
+                // More pressure, or less distance.
+                let touch = if is_pressure { readings.raw[channel] } else { -readings.raw[channel] };
+                if channel == station.layout.patches[0].channels.start {
+                    pairs.push((touch, strength));
+                }
+            }
+        }
+        pairs.sort_by(|one, other| one.0.total_cmp(&other.0));
+        assert!(pairs.windows(2).all(|pair| pair[0].1 <= pair[1].1), "{pairs:?}");
+        assert!(strongest.iter().any(|&strength| strength > 0.1), "{} is touched", plan.patch);
+    }
+}
+
+#[test]
 fn a_moving_object_is_felt_where_it_is() {
     let station = station("xarm6_leap.toml");
     let model = SensorModel::plain("plain", THETA);

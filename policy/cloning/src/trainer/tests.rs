@@ -6,7 +6,7 @@ use super::*;
 use crate::episodes::tests::{encoded, encoder, features_of, reaching};
 use crate::{
     ActConfig, ActLoss, Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig,
-    Run, Shape, Start, Step, TrainingDevice, train,
+    Run, Shape, Start, Step, Touch, TrainingDevice, train,
 };
 
 fn robot() -> Robot {
@@ -70,8 +70,13 @@ fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
     for step in 0..steps {
         let time_s = 0.05 * step as f64;
         let (positions, active) = ([command - 0.1 * pace], [command >= 0.99]);
-        let now =
-            Moment { time_s, positions: &positions, commands: &[command], active: &active, features: &[] };
+        let now = Moment {
+            time_s,
+            positions: &positions,
+            commands: &[command],
+            touch: Touch::Events(&active),
+            features: &[],
+        };
         let next = run.next(&now).expect("a step");
         (command, claims) = (next.targets[0], next.claims_held);
     }
@@ -343,7 +348,7 @@ fn a_policy_learns_from_features_with_either_memory_and_head() {
                 time_s: 1.0,
                 positions: &[1.0],
                 commands: &[1.0],
-                active: &[active],
+                touch: Touch::Events(&[active]),
                 features: &features,
             });
             policy.plan(&seen, &[1.0], [0, 0]).expect("a plan")
@@ -440,8 +445,13 @@ fn told_the_region() -> Episodes {
         let mut episode = Episode { half_width_m, ..Episode::default() };
         for step in 0..5 {
             let time_s = 0.05 * step as f64;
-            let moment =
-                Moment { time_s, positions: &[0.0], commands: &[0.0], active: &[false], features: &[] };
+            let moment = Moment {
+                time_s,
+                positions: &[0.0],
+                commands: &[0.0],
+                touch: Touch::Events(&[false]),
+                features: &[],
+            };
             let target = if is_wide { 0.3 } else { -0.3 };
             episode.push(shape, &Step { moment, targets: &[target], claims_held: false });
         }
@@ -470,7 +480,7 @@ fn a_policy_that_is_told_its_region_does_what_is_right_there() {
                 time_s: 0.0,
                 positions: &positions,
                 commands: &positions,
-                active: &active,
+                touch: Touch::Events(&active),
                 features: &[],
             });
             policy.plan(&seen, &[0.0], [0, 0]).expect("a plan")[0].targets[0]
@@ -509,7 +519,7 @@ fn told_at_the_beginning() -> Episodes {
                 time_s: 0.05 * step as f64,
                 positions: &[0.0],
                 commands: &[0.0],
-                active: &[is_up && step == 0],
+                touch: Touch::Events(&[is_up && step == 0]),
                 features: &[],
             };
             let target = if step < 4 {
@@ -545,7 +555,7 @@ fn a_recurrent_policy_does_what_it_was_told_some_frames_ago() {
                     time_s: 0.05 * step as f64,
                     positions: &[0.0],
                     commands: &[0.0],
-                    active: &active,
+                    touch: Touch::Events(&active),
                     features: &[],
                 });
             }
@@ -576,7 +586,7 @@ fn what_a_policy_may_not_feel_changes_nothing() {
             time_s: 0.1,
             positions: &[position],
             commands: &[0.3],
-            active: &[active],
+            touch: Touch::Events(&[active]),
             features: &[],
         });
         policy.plan(&history, &[0.3], [0, 0]).expect("a plan")

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use palpate_cloning::{CloneConfig, Episode, Episodes, Step, Trainer};
+use palpate_cloning::{CloneConfig, Episode, Episodes, Step, Touch, Trainer};
 use palpate_encoder::{Dataset, EncoderConfig, NetworkConfig, Sample, history_steps};
 
 use super::*;
@@ -112,7 +112,8 @@ fn at_work(features: &Arc<Features>, spoil: impl Fn(&mut (Vec<f64>, Vec<f64>, Ve
         spoil(&mut seen);
         let (positions, commands, active) = &seen;
         let time_s = 0.05 * step as f64;
-        run.see(&Moment { time_s, positions, commands, active, features: &[] }).expect("features")
+        run.see(&Moment { time_s, positions, commands, touch: Touch::Events(active), features: &[] })
+            .expect("features")
     };
     (0..STEPS).map(&mut see).collect()
 }
@@ -131,7 +132,7 @@ fn kept(station: &Station, world: &GraspConfig) -> Episode {
             time_s: 0.05 * step as f64,
             positions: &positions,
             commands: &commands,
-            active: &active,
+            touch: Touch::Events(&active),
             features: &[],
         };
         episode.push(shape, &Step { moment, targets: &commands, claims_held: false });
@@ -168,7 +169,8 @@ fn the_encoder_is_told_what_its_pretraining_was_told() {
         let (positions, _, active) = moment(&station, &world, step);
         let positions: Vec<f32> = positions.iter().map(|&position| position as f32).collect();
         let mut frame = Vec::new();
-        features.taxels.push_frame(&station.robot, &positions, active, &mut frame);
+        let touch = active.into_iter().map(|on| f32::from(u8::from(on)));
+        features.taxels.push_frame(&station.robot, &positions, touch, &mut frame);
         frames.push(frame);
     }
     let mut run = FeatureRun::new(Arc::clone(&features));
@@ -286,7 +288,7 @@ fn a_rollout_plans_with_the_features_of_the_policys_own_encoder() {
                 time_s: 0.05 * step as f64,
                 positions: &positions,
                 commands: &command,
-                active: &active,
+                touch: Touch::Events(&active),
                 features: &[],
             };
             let made = run.see(&now).expect("features");

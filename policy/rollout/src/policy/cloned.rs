@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use palpate_cloning::{Cloned, History, Moment};
+use anyhow::bail;
+use palpate_cloning::{Cloned, History, Moment, Touch};
 use palpate_grasp::GraspConfig;
 use palpate_robot_model::Station;
 
@@ -30,13 +31,20 @@ impl ClonedPolicy {
     /// axes, as far as somebody knows.
     ///
     /// # Errors
-    /// A policy whose encoder is for another hand, by the name of what differs, or that sees a region which nobody knows.
+    /// A policy whose encoder is for another hand, by the name of what differs, that sees a region which nobody knows,
+    /// or how strongly channels are touched, which no station tells.
     pub fn new(
         policy: Arc<Cloned>,
         station: Arc<Station>,
         world: &GraspConfig,
         half_width_m: Option<f64>,
     ) -> anyhow::Result<Self> {
+        if policy.config().observation.strengths {
+            bail!(
+                "the policy sees how strongly channels are touched (observation.strengths), which only simulated touch tells; \
+                 take a policy that sees events"
+            );
+        }
         let features = Features::of_policy(&policy, &station, world)?.map(FeatureRun::new);
         let history = policy.history(half_width_m)?;
         let commands = VecDeque::new();
@@ -80,7 +88,7 @@ impl Policy for ClonedPolicy {
                 time_s: now.time_s,
                 positions: &now.positions,
                 commands: &commands,
-                active: &now.active,
+                touch: Touch::Events(&now.active),
                 features: &[],
             };
             let features = match &mut self.features {

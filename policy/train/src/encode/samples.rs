@@ -77,9 +77,9 @@ impl World {
                 continue;
             }
             last = Some(step);
-            let active = one.touch[step * channels..][..channels].iter().copied();
+            let touch = one.touch[step * channels..][..channels].iter().map(|&on| f32::from(u8::from(on)));
             let read_joints = &one.read_joints[step * joints..][..joints];
-            self.taxels.push_frame(robot, read_joints, active, &mut input);
+            self.taxels.push_frame(robot, read_joints, touch, &mut input);
         }
         let exact = &one.exact_joints[step * joints..][..joints];
         let mut frames = Vec::new();

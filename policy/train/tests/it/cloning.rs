@@ -99,12 +99,12 @@ const ENCODER: &str = "epochs = 1\nbatch_size = 8\ncheckpoint_updates = 50\nhist
     held_out_share = 0.4\nhand_points = 8\nobject_points = 8\n\
     [network]\nwidth = 6\nheads = 2\nlayers = 1\nfeed_forward = 8\npoints_per_query = 8\n";
 
-/// The file of gathered trials at `path` without what earlier versions did not keep.
-fn without_poses(path: &Path) -> Vec<u8> {
+/// The file of gathered trials at `path` without this tensor, which earlier versions did not keep.
+fn without(path: &Path, tensor: &str) -> Vec<u8> {
     let bytes = zstd::decode_all(&*std::fs::read(path).expect("a file")).expect("compressed");
     let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
     let file = safetensors::SafeTensors::deserialize(&bytes).expect("tensors");
-    let kept = file.tensors().into_iter().filter(|(name, _)| name != "object_poses");
+    let kept = file.tensors().into_iter().filter(|(name, _)| name != tensor);
     let bytes = safetensors::serialize(kept, header.metadata().clone()).expect("a file");
     zstd::encode_all(&*bytes, 3).expect("compressed")
 }
@@ -164,7 +164,7 @@ fn a_policy_takes_the_features_of_an_encoder_that_learned_from_the_same_trials()
     let old = path("old");
     std::fs::create_dir(&old).expect("a folder");
     let name = "cube.safetensors.zst";
-    std::fs::write(old.join(name), without_poses(&gathered.join(name))).expect("a file");
+    std::fs::write(old.join(name), without(&gathered.join(name), "object_poses")).expect("a file");
     let said = refused(&["encode", "--demos", text(&old), "--out", text(&path("four"))]);
     assert!(said.contains("does not say where the object was") && said.contains("gather"), "{said}");
     let mut args = clone("five", &encoder, "1", &[]);
@@ -282,6 +282,31 @@ fn points_of_the_hand_are_seen_by_the_papers_policy_that_has_no_encoder() {
     assert!(said.contains("there is no encoder to make features"), "{said}");
     printed(&[&clone[..], &["--policy", "kinematic-dp"]].concat());
     assert_eq!(on_the_cube(&policy_of(&out), "1", &[])["overall"]["trials"], 1);
+}
+
+#[test]
+fn a_policy_may_see_how_strongly_channels_are_touched_where_that_can_be_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (gathered, out) = (folder.path().join("gathered"), folder.path().join("run"));
+    printed(&["gather", "--objects", "cube", "--count", "3", "--out", text(&gathered)]);
+    // Places of taxels and how strongly they are touched: the paper's continuous input.
+    let config = small_training_where(folder.path(), "stride = 4\npoints = true\nstrengths = true");
+    let clone = ["clone", "--data", text(&gathered), "--config", text(&config), "--out"];
+    printed(&[&clone[..], &[text(&out)]].concat());
+    let policy = policy_of(&out);
+    assert_eq!(
+        on_the_cube(&policy, "2", &["--threads", "1"]),
+        on_the_cube(&policy, "2", &["--threads", "2"])
+    );
+    let fixed = ["evaluate", "--protocol", "wide", "--object", "cube", "--trials", "1", "--policy", &policy];
+    let problem = refused(&[&fixed[..], &["--truth", "assets/truth/demo.toml"]].concat());
+    assert!(problem.contains("a sensor model tells and a truth file does not"), "{problem}");
+
+    let cube = gathered.join("cube.safetensors.zst");
+    std::fs::write(&cube, without(&cube, "strengths")).expect("a file");
+    let other = folder.path().join("other");
+    let problem = refused(&[&clone[..], &[text(&other)]].concat());
+    assert!(problem.contains("does not say how strongly channels were touched"), "{problem}");
 }
 
 #[test]

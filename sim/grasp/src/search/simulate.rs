@@ -81,6 +81,7 @@ fn one(
             positions: env.positions(),
             commands: env.targets(),
             active: &env.readings().active,
+            strengths: None,
             told_place_m: None,
         };
         let (stage, targets) = one.go_on(skill, &now);
