@@ -242,7 +242,7 @@ impl Session<'_> {
                 None => Placing::Person(told(campaign, trial, arm)),
             };
             if self.options.is_placed_at_page && !is_running {
-                tell_progress(campaign, trial, "waits: place its object and begin it at the page");
+                tell_progress(campaign, trial, "prepares: the robot moves out of the way, stay clear of it");
             }
             num_tries += 1;
             match begin(hand, arm, placing) {
@@ -456,7 +456,8 @@ fn next(campaign: &Campaign, repeats_void: bool) -> Option<&Trial> {
     next.or_else(|| campaign.trials.iter().find(is_void).filter(|_| repeats_void))
 }
 
-/// Looks whether somebody has begun trial `number` at the studio's page.
+/// Looks whether somebody has begun trial `number` at the studio's page. Who looks first says that it waits: before,
+/// the robot moves, and nobody may place anything.
 fn placed_at_page<'a>(
     studio: &'a Studio,
     id: &'a str,
@@ -470,8 +471,9 @@ fn placed_at_page<'a>(
         }
         let trial = campaign.trials.iter().find(|trial| trial.number == number);
         let is_running = trial.is_some_and(|trial| trial.state == TrialState::Running);
-        if !is_running && !is_told {
+        if let Some(trial) = trial.filter(|_| !is_running && !is_told) {
             is_told = true;
+            tell_progress(&campaign, trial, "waits: place its object and begin it at the page");
             eprintln!(
                 "rollout: trial {number} waits; begin it at the studio's page once its object is placed"
             );
