@@ -91,7 +91,7 @@ pub struct CalibrationOutcome {
     pub report: CalibrationReport,
     /// The fitted model.
     pub model: SensorModel,
-    /// Trigger events of every take, for [`crate::report::html`].
+    /// Trigger events of every take, for [`crate::report::html()`].
     pub timelines: Vec<TakeTimeline>,
 }
 

@@ -1,20 +1,19 @@
 //! The self-contained HTML report.
 //!
-//! [`html`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
+//! [`html()`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
 //! reader's own setting. The JSON report is [`palpate_reports::CalibrationReport`] itself.
 
 mod events;
 mod objective;
 mod tables;
 
-use std::fmt::{self, Display, Write as _};
-
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use palpate_reports::{CalibrationReport, Metrics};
 
 use crate::CalibrationOutcome;
 
 /// Styles that all reports share.
-pub const STYLE: &str = include_str!("report/style.css");
+const STYLE: &str = include_str!("report/style.css");
 
 /// Where a report comes from.
 #[derive(Clone, Copy, Debug)]
@@ -29,10 +28,56 @@ pub struct ReportSource<'a> {
 
 /// The report as one HTML page.
 pub fn html(source: ReportSource<'_>, outcome: &CalibrationOutcome) -> String {
-    let mut page = String::new();
-    // Writing to a string cannot fail.
-    let _ = write_page(&mut page, source, outcome);
-    page
+    let report = &outcome.report;
+    let of_streams =
+        report.by_modality.iter().map(|(id, pair)| (id.clone(), &pair.nominal, &pair.calibrated));
+    let of_takes = report.by_take.iter().map(|(id, take)| {
+        let label = if take.held_out { format!("{id} (held out)") } else { id.clone() };
+        (label, &take.nominal, &take.calibrated)
+    });
+    let of_channels =
+        report.by_channel.iter().map(|(id, pair)| (id.clone(), &pair.nominal, &pair.calibrated));
+    let header = html! {
+        p.kicker { "Touch calibration · session " (source.session) " · station " (source.station) }
+        h1 { (headline(report)) }
+        @for note in &report.notes { p.note { "Note: " (note) "." } }
+    };
+    let sections = html! {
+        (section("Trigger events", &events::pictures(&outcome.timelines)))
+        (section("How well events match", &html! { (tables::summary(report)) (definitions()) }))
+        (section("Parameters", &tables::parameters(report)))
+        (section("The objective", &objective::pictures(report)))
+        (section("By kind of sensor", &tables::pairs("Stream", of_streams)))
+        (section("By take", &tables::pairs("Take", of_takes)))
+        (section("By channel", &html! {
+            details { summary { "All channels" } (tables::pairs("Channel", of_channels)) }
+        }))
+        (section("Provenance", &provenance(source, outcome)))
+    };
+    page(&format!("Touch calibration of {}", source.session), "", &header, &sections)
+}
+
+/// A report as a page of its own: what stands above its sections and these, with `style` behind the styles that all
+/// reports share.
+pub fn page(title: &str, style: &str, header: &Markup, sections: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (title) }
+                style { (PreEscaped(STYLE)) (PreEscaped(style)) }
+            }
+            body { main { header { (header) } (sections) } }
+        }
+    };
+    page.into_string()
+}
+
+/// A section of a report.
+pub fn section(title: &str, body: &Markup) -> Markup {
+    html! { section { h2 { (title) } (body) } }
 }
 
 /// The result in one sentence, e.g. for a log line or the top of a page.
@@ -53,127 +98,56 @@ pub fn headline(report: &CalibrationReport) -> String {
     )
 }
 
-fn write_page(page: &mut String, source: ReportSource<'_>, outcome: &CalibrationOutcome) -> fmt::Result {
-    let report = &outcome.report;
-    write!(
-        page,
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>Touch calibration of {session}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n\
-         <header><p class=\"kicker\">Touch calibration · session {session} · station {station}</p>\n<h1>{headline}</h1>\n",
-        session = Escaped(source.session),
-        station = Escaped(source.station),
-        headline = Escaped(&headline(report)),
-    )?;
-    for note in &report.notes {
-        writeln!(page, "<p class=\"note\">Note: {}.</p>", Escaped(note))?;
-    }
-    page.push_str("</header>\n");
-    section(page, "Trigger events", |page| events::write(page, &outcome.timelines))?;
-    section(page, "How well events match", |page| {
-        tables::write_summary(page, report)?;
-        write_definitions(page)
-    })?;
-    section(page, "Parameters", |page| tables::write_parameters(page, report))?;
-    section(page, "The objective", |page| objective::write(page, report))?;
-    section(page, "By kind of sensor", |page| {
-        let rows = report.by_modality.iter().map(|(id, pair)| (id.as_str(), &pair.nominal, &pair.calibrated));
-        tables::write_pairs(page, "Stream", rows)
-    })?;
-    section(page, "By take", |page| {
-        let labels: Vec<String> = report
-            .by_take
-            .iter()
-            .map(|(id, take)| if take.held_out { format!("{id} (held out)") } else { id.clone() })
-            .collect();
-        let takes = report.by_take.values().zip(&labels);
-        tables::write_pairs(
-            page,
-            "Take",
-            takes.map(|(take, label)| (label.as_str(), &take.nominal, &take.calibrated)),
-        )
-    })?;
-    section(page, "By channel", |page| {
-        page.push_str("<details><summary>All channels</summary>\n");
-        let rows = report.by_channel.iter().map(|(id, pair)| (id.as_str(), &pair.nominal, &pair.calibrated));
-        tables::write_pairs(page, "Channel", rows)?;
-        page.push_str("</details>\n");
-        Ok(())
-    })?;
-    section(page, "Provenance", |page| write_provenance(page, source, outcome))?;
-    page.push_str("</main>\n</body>\n</html>\n");
-    Ok(())
-}
-
-fn section(page: &mut String, title: &str, body: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
-    writeln!(page, "<section>\n<h2>{}</h2>", Escaped(title))?;
-    body(page)?;
-    page.push_str("</section>\n");
-    Ok(())
-}
-
-fn write_definitions(page: &mut String) -> fmt::Result {
+/// What the figures mean, to be unfolded.
+fn definitions() -> Markup {
     let window_ms = crate::metrics::PAIRING_WINDOW_S * 1e3;
     let chatter_ms = crate::metrics::CHATTER_GAP_S * 1e3;
-    write!(
-        page,
-        "<details><summary>What these figures mean</summary>\n<dl>\n\
-         <dt>L1</dt><dd>Channel-frames in which simulation and reality differ; this is what is minimised.</dd>\n\
-         <dt>Activation F1</dt><dd>2 TP / (2 TP + FP + FN) over channel-frames.</dd>\n\
-         <dt>False positive rate</dt><dd>FP / (FP + TN) over channel-frames: simulated touch where there is none.</dd>\n\
-         <dt>Contact</dt><dd>A run of active frames of one channel; gaps up to {chatter_ms} ms do not part it.</dd>\n\
-         <dt>Onset and offset error</dt><dd>Mean absolute time between the starts (ends) of paired contacts. A real and a \
-         simulated contact of a channel may pair if they overlap or start within {window_ms} ms of each other. Pairs keep \
-         the order of time; there are as many as possible, and then as near as possible. A contact that a take's first or \
-         last frame cuts has no onset or offset.</dd>\n\
-         <dt>Coverage</dt><dd>Real contacts with a partner, of all. A contact without a partner enters no error, so errors \
-         compare only at like coverage; it does count in F1 and L1.</dd>\n\
-         <dt>95 % interval</dt><dd>From resampling whole takes with replacement, both models on the same draw. With few \
-         takes it is coarse.</dd>\n</dl>\n</details>\n"
-    )
-}
-
-fn write_provenance(
-    page: &mut String,
-    source: ReportSource<'_>,
-    outcome: &CalibrationOutcome,
-) -> fmt::Result {
-    let report = &outcome.report;
-    page.push_str("<ul>\n");
-    let mut item = |text: &str| writeln!(page, "<li>{}</li>", Escaped(text));
-    item(&format!("session {}, station {}", source.session, source.station))?;
-    if !source.created.is_empty() {
-        item(&format!("calibrated at {}", source.created))?;
-    }
-    for line in &outcome.model.provenance {
-        item(line)?;
-    }
-    item(&format!("{} frames, {} channels", report.frames, report.channels))?;
-    item(&format!("{} evaluations of the objective in {:.3} s", report.evaluations, report.seconds))?;
-    if let Some(intervals) = &report.intervals_95 {
-        item(&format!("intervals from {} resamples of takes, seed {}", intervals.resamples, intervals.seed))?;
-    }
-    page.push_str("</ul>\n");
-    Ok(())
-}
-
-/// Text with the characters that mean something in HTML replaced.
-#[derive(Clone, Copy, Debug)]
-pub struct Escaped<'a>(pub &'a str);
-
-impl Display for Escaped<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for c in self.0.chars() {
-            match c {
-                '&' => f.write_str("&amp;")?,
-                '<' => f.write_str("&lt;")?,
-                '>' => f.write_str("&gt;")?,
-                '"' => f.write_str("&quot;")?,
-                '\'' => f.write_str("&#39;")?,
-                _ => f.write_char(c)?,
+    html! {
+        details {
+            summary { "What these figures mean" }
+            dl {
+                dt { "L1" }
+                dd { "Channel-frames in which simulation and reality differ; this is what is minimised." }
+                dt { "Activation F1" }
+                dd { "2 TP / (2 TP + FP + FN) over channel-frames." }
+                dt { "False positive rate" }
+                dd { "FP / (FP + TN) over channel-frames: simulated touch where there is none." }
+                dt { "Contact" }
+                dd { "A run of active frames of one channel; gaps up to " (chatter_ms) " ms do not part it." }
+                dt { "Onset and offset error" }
+                dd {
+                    "Mean absolute time between the starts (ends) of paired contacts. A real and a simulated contact of a channel may "
+                    "pair if they overlap or start within " (window_ms) " ms of each other. Pairs keep the order of time; there are as "
+                    "many as possible, and then as near as possible. A contact that a take's first or last frame cuts has no onset or "
+                    "offset."
+                }
+                dt { "Coverage" }
+                dd {
+                    "Real contacts with a partner, of all. A contact without a partner enters no error, so errors compare only at like "
+                    "coverage; it does count in F1 and L1."
+                }
+                dt { "95 % interval" }
+                dd {
+                    "From resampling whole takes with replacement, both models on the same draw. With few takes it is coarse."
+                }
             }
         }
-        Ok(())
+    }
+}
+
+fn provenance(source: ReportSource<'_>, outcome: &CalibrationOutcome) -> Markup {
+    let report = &outcome.report;
+    html! {
+        ul {
+            li { "session " (source.session) ", station " (source.station) }
+            @if !source.created.is_empty() { li { "calibrated at " (source.created) } }
+            @for line in &outcome.model.provenance { li { (line) } }
+            li { (report.frames) " frames, " (report.channels) " channels" }
+            li { (report.evaluations) " evaluations of the objective in " (format!("{:.3} s", report.seconds)) }
+            @if let Some(intervals) = &report.intervals_95 {
+                li { "intervals from " (intervals.resamples) " resamples of takes, seed " (intervals.seed) }
+            }
+        }
     }
 }
 

@@ -1,32 +1,18 @@
 //! The self-contained HTML report: find, name, add, show.
 //!
-//! [`html`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
+//! [`html()`] gives one file without any reference outside itself: styles inline, pictures as SVG, light and dark by the
 //! reader's own setting. The JSON report is [`palpate_reports::DiagnosisReport`] itself.
 
 mod pictures;
 mod tables;
 
-use std::fmt::{self, Write as _};
-
-use palpate_calibration::report::{Escaped, ReportSource, STYLE};
+use maud::{Markup, html};
+use palpate_calibration::report::{ReportSource, page, section};
 use palpate_reports::{DiagnosisReport, NamedEffect, Verdict, wording};
 use palpate_sim::SensorModel;
 
 /// The report as one HTML page. `model` is the one with the named effects.
 pub fn html(source: ReportSource<'_>, report: &DiagnosisReport, model: &SensorModel) -> String {
-    let mut page = String::new();
-    // Writing to a string cannot fail.
-    let _ = write_page(&mut page, source, report, model);
-    page
-}
-
-fn write_page(
-    page: &mut String,
-    source: ReportSource<'_>,
-    report: &DiagnosisReport,
-    model: &SensorModel,
-) -> fmt::Result {
-    let style = include_str!("report/style.css");
     let (verdict, class) = match report.verdict {
         Verdict::Explained => ("explained", "good"),
         Verdict::PartlyExplained => ("partly explained", "so-so"),
@@ -34,148 +20,123 @@ fn write_page(
         Verdict::NoDiscrepancy => ("no discrepancy", "plain"),
         Verdict::CannotBeJudged => ("cannot be judged", "so-so"),
     };
-    write!(
-        page,
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>Touch diagnosis of {session}</title>\n<style>\n{STYLE}{style}</style>\n</head>\n<body>\n<main>\n\
-         <header><p class=\"kicker\">Touch diagnosis · session {session} · station {station} · \
-         <span class=\"{class}\">{verdict}</span></p>\n<h1>{sentence}</h1>\n",
-        session = Escaped(source.session),
-        station = Escaped(source.station),
-        sentence = Escaped(&report.sentence),
-    )?;
-    for effect in &report.in_doubt {
-        writeln!(page, "<p class=\"note\">{}.</p>", Escaped(&wording::in_doubt_sentence(effect)))?;
-    }
-    for note in &report.notes {
-        writeln!(page, "<p class=\"note\">Note: {}.</p>", Escaped(note.trim_end_matches('.')))?;
-    }
-    page.push_str("</header>\n");
-    section(page, "Find: where simulation and hand disagree", |page| write_find(page, report))?;
-    section(page, "Name: what is missing", |page| write_names(page, report))?;
-    section(page, "Add: the model with the effects", |page| write_add(page, report, model))?;
-    section(page, "Show: the gap shrinks", |page| write_show(page, report))?;
-    section(page, "Provenance", |page| write_provenance(page, source, report, model))?;
-    page.push_str("</main>\n</body>\n</html>\n");
-    Ok(())
-}
-
-fn section(page: &mut String, title: &str, body: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
-    writeln!(page, "<section>\n<h2>{}</h2>", Escaped(title))?;
-    body(page)?;
-    page.push_str("</section>\n");
-    Ok(())
-}
-
-fn write_find(page: &mut String, report: &DiagnosisReport) -> fmt::Result {
-    if report.cells.is_empty() {
-        page.push_str("<p>No part of the data stands out over the noise.</p>\n");
-    } else {
-        page.push_str("<p>Most of the calibrated model's excess over the noise lies here.</p>\n");
-        tables::write_cells(page, &report.cells)?;
-    }
-    pictures::write_residual_maps(page, report)
-}
-
-fn write_names(page: &mut String, report: &DiagnosisReport) -> fmt::Result {
-    if report.effects.is_empty() {
-        page.push_str("<p>Nothing was named.</p>\n");
-    }
-    for effect in &report.effects {
-        write_effect(page, report, effect)?;
-    }
-    pictures::write_evidence(page, report)?;
-    if let Some(next) = &report.next_experiment {
-        writeln!(
-            page,
-            "<p class=\"next\"><strong>Next experiment.</strong> {} It tells {} apart by {} standard deviations of the \
-             noise.</p>",
-            Escaped(&next.sentence),
-            Escaped(&next.separates.iter().map(|id| wording::words(id)).collect::<Vec<_>>().join(" and ")),
-            wording::number(next.expected_gain)
-        )?;
-    }
-    Ok(())
-}
-
-fn write_effect(page: &mut String, report: &DiagnosisReport, effect: &NamedEffect) -> fmt::Result {
-    writeln!(
-        page,
-        "<article>\n<p class=\"said\">{}</p>",
-        Escaped(&wording::effect_sentences(effect, report))
-    )?;
-    if let Some(rivals) = wording::rivals_sentence(effect) {
-        writeln!(page, "<p class=\"note\">{}</p>", Escaped(&rivals))?;
-    }
-    writeln!(
-        page,
-        "<details><summary>Evidence: {} against a bar of {} ({})</summary>",
-        wording::number(effect.evidence),
-        wording::number(report.bar.evidence),
-        Escaped(&wording::chance(effect.p_value))
-    )?;
-    tables::write_effect(page, effect)?;
-    page.push_str("</details>\n</article>\n");
-    Ok(())
-}
-
-fn write_add(page: &mut String, report: &DiagnosisReport, model: &SensorModel) -> fmt::Result {
-    let text = if report.effects.is_empty() {
-        "The calibrated model, as nothing was named."
-    } else {
-        "The calibrated model with every named effect: replay, live twin and training load this file."
+    let header = html! {
+        p.kicker {
+            "Touch diagnosis · session " (source.session) " · station " (source.station) " · "
+            span class=(class) { (verdict) }
+        }
+        h1 { (report.sentence) }
+        @for effect in &report.in_doubt { p.note { (wording::in_doubt_sentence(effect)) "." } }
+        @for note in &report.notes { p.note { "Note: " (note.trim_end_matches('.')) "." } }
     };
-    writeln!(
-        page,
-        "<p>{text}</p>\n<details><summary>The model file</summary>\n<pre>{}</pre>\n</details>",
-        Escaped(&model.to_toml())
+    let sections = html! {
+        (section("Find: where simulation and hand disagree", &find(report)))
+        (section("Name: what is missing", &names(report)))
+        (section("Add: the model with the effects", &add(report, model)))
+        (section("Show: the gap shrinks", &show(report)))
+        (section("Provenance", &provenance(source, report, model)))
+    };
+    page(
+        &format!("Touch diagnosis of {}", source.session),
+        include_str!("report/style.css"),
+        &header,
+        &sections,
     )
 }
 
-fn write_show(page: &mut String, report: &DiagnosisReport) -> fmt::Result {
-    pictures::write_waterfall(page, report)?;
-    tables::write_metrics(page, report)?;
-    let left = &report.unexplained;
-    let repeats = if left.significant {
-        "It repeats between repetitions of one motion more than chance would: something is missing that the library \
-         does not hold, or that these takes do not show."
-    } else {
-        "It does not repeat, as noise does not."
-    };
-    writeln!(
-        page,
-        "<h3>What stays unexplained</h3>\n<p>{} of the calibrated model's excess is left. {repeats}</p>",
-        wording::percent(left.fraction)
-    )?;
-    if left.cells.is_empty() { Ok(()) } else { tables::write_cells(page, &left.cells) }
+fn find(report: &DiagnosisReport) -> Markup {
+    html! {
+        @if report.cells.is_empty() {
+            p { "No part of the data stands out over the noise." }
+        } @else {
+            p { "Most of the calibrated model's excess over the noise lies here." }
+            (tables::cells(&report.cells))
+        }
+        (pictures::residual_maps(report))
+    }
 }
 
-fn write_provenance(
-    page: &mut String,
-    source: ReportSource<'_>,
-    report: &DiagnosisReport,
-    model: &SensorModel,
-) -> fmt::Result {
-    page.push_str("<ul>\n");
-    let mut item = |text: &str| writeln!(page, "<li>{}</li>", Escaped(text));
-    item(&format!("session {}, station {}", source.session, source.station))?;
-    if !source.created.is_empty() {
-        item(&format!("diagnosed at {}", source.created))?;
+fn names(report: &DiagnosisReport) -> Markup {
+    let words = |ids: &[String]| ids.iter().map(|id| wording::words(id)).collect::<Vec<_>>().join(" and ");
+    html! {
+        @if report.effects.is_empty() { p { "Nothing was named." } }
+        @for effect in &report.effects { (named(report, effect)) }
+        (pictures::evidence(report))
+        @if let Some(next) = &report.next_experiment {
+            p.next {
+                strong { "Next experiment." } " " (next.sentence) " It tells " (words(&next.separates)) " apart by "
+                (wording::number(next.expected_gain)) " standard deviations of the noise."
+            }
+        }
     }
-    for (part, takes) in &report.takes {
-        item(&format!("{part}: {}", if takes.is_empty() { "none".to_owned() } else { takes.join(", ") }))?;
+}
+
+fn named(report: &DiagnosisReport, effect: &NamedEffect) -> Markup {
+    html! {
+        article {
+            p.said { (wording::effect_sentences(effect, report)) }
+            @if let Some(rivals) = wording::rivals_sentence(effect) { p.note { (rivals) } }
+            details {
+                summary {
+                    "Evidence: " (wording::number(effect.evidence)) " against a bar of " (wording::number(report.bar.evidence))
+                    " (" (wording::chance(effect.p_value)) ")"
+                }
+                (tables::effect(effect))
+            }
+        }
     }
-    for line in &model.provenance {
-        item(line)?;
+}
+
+fn add(report: &DiagnosisReport, model: &SensorModel) -> Markup {
+    html! {
+        p {
+            @if report.effects.is_empty() {
+                "The calibrated model, as nothing was named."
+            } @else {
+                "The calibrated model with every named effect: replay, live twin and training load this file."
+            }
+        }
+        details { summary { "The model file" } pre { (model.to_toml()) } }
     }
-    item(&match report.bar.null_sessions {
-        0 => "the bar is the shipped default, not set for this station".to_owned(),
-        sessions => format!("the bar comes from {sessions} simulated sessions with nothing missing"),
-    })?;
-    item(&format!("{:.1} s", report.seconds))?;
-    page.push_str("</ul>\n");
-    Ok(())
+}
+
+fn show(report: &DiagnosisReport) -> Markup {
+    let left = &report.unexplained;
+    html! {
+        (pictures::waterfall(report))
+        (tables::metrics(report))
+        h3 { "What stays unexplained" }
+        p {
+            (wording::percent(left.fraction)) " of the calibrated model's excess is left. "
+            @if left.significant {
+                "It repeats between repetitions of one motion more than chance would: something is missing that the library does "
+                "not hold, or that these takes do not show."
+            } @else {
+                "It does not repeat, as noise does not."
+            }
+        }
+        @if !left.cells.is_empty() { (tables::cells(&left.cells)) }
+    }
+}
+
+fn provenance(source: ReportSource<'_>, report: &DiagnosisReport, model: &SensorModel) -> Markup {
+    html! {
+        ul {
+            li { "session " (source.session) ", station " (source.station) }
+            @if !source.created.is_empty() { li { "diagnosed at " (source.created) } }
+            @for (part, takes) in &report.takes {
+                li { (part) ": " @if takes.is_empty() { "none" } @else { (takes.join(", ")) } }
+            }
+            @for line in &model.provenance { li { (line) } }
+            li {
+                @match report.bar.null_sessions {
+                    0 => "the bar is the shipped default, not set for this station",
+                    sessions => { "the bar comes from " (sessions) " simulated sessions with nothing missing" }
+                }
+            }
+            li { (format!("{:.1} s", report.seconds)) }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! The paper's figure: frames in which any channel is active, real over nominal over calibrated.
 
-use std::fmt::{self, Write as _};
+use std::fmt::Write as _;
 
-use super::Escaped;
+use maud::{Markup, html};
+
 use crate::TakeTimeline;
 
 /// Width of the time axis, in columns of one unit; more detail than that is merged.
@@ -13,60 +14,50 @@ const STREAM_GAP: usize = 8;
 /// More takes than this are left to the studio's timelines, so that the page stays small.
 const MAX_TAKES: usize = 60;
 
-pub(super) fn write(page: &mut String, timelines: &[TakeTimeline]) -> fmt::Result {
-    page.push_str(
-        "<p class=\"caption\">Each mark is a frame in which at least one channel of the stream is active.</p>\n\
-         <p class=\"legend caption\"><span style=\"--swatch: var(--real)\">real</span>\
-         <span style=\"--swatch: var(--nominal)\">nominal simulation</span>\
-         <span style=\"--swatch: var(--calibrated)\">calibrated simulation</span></p>\n",
-    );
-    for timeline in timelines.iter().take(MAX_TAKES) {
-        write_take(page, timeline)?;
+pub(super) fn pictures(timelines: &[TakeTimeline]) -> Markup {
+    html! {
+        p.caption { "Each mark is a frame in which at least one channel of the stream is active." }
+        p.legend.caption {
+            span style="--swatch: var(--real)" { "real" }
+            span style="--swatch: var(--nominal)" { "nominal simulation" }
+            span style="--swatch: var(--calibrated)" { "calibrated simulation" }
+        }
+        @for timeline in timelines.iter().take(MAX_TAKES) { (of_take(timeline)) }
+        @if timelines.len() > MAX_TAKES {
+            p.caption { (timelines.len() - MAX_TAKES) " more takes are not shown here." }
+        }
     }
-    if timelines.len() > MAX_TAKES {
-        let hidden = timelines.len() - MAX_TAKES;
-        writeln!(page, "<p class=\"caption\">{hidden} more takes are not shown here.</p>")?;
-    }
-    Ok(())
 }
 
-fn write_take(page: &mut String, timeline: &TakeTimeline) -> fmt::Result {
+fn of_take(timeline: &TakeTimeline) -> Markup {
     let held_out = if timeline.held_out { ", held out" } else { "" };
-    let (take, object) = (Escaped(&timeline.take), Escaped(&timeline.object));
-    writeln!(page, "<h3>{take} <span class=\"caption\">{object}{held_out}</span></h3>")?;
+    let heading = html! { h3 { (timeline.take) " " span.caption { (timeline.object) (held_out) } } };
     let (Some(&first_s), Some(&last_s)) = (timeline.frame_times_s.first(), timeline.frame_times_s.last())
     else {
-        return writeln!(page, "<p class=\"caption\">no frames</p>");
+        return html! { (heading) p.caption { "no frames" } };
     };
     let stream_height = 3 * ROW_HEIGHT + STREAM_GAP;
     let rows_height = timeline.streams.len() * stream_height;
-    writeln!(
-        page,
-        "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"Trigger events of {take}\">",
-        width = LABEL_WIDTH + COLUMNS,
-        height = rows_height + 16,
-    )?;
-    for (stream_idx, stream) in timeline.streams.iter().enumerate() {
-        let top = stream_idx * stream_height;
-        let middle = top + 3 * ROW_HEIGHT / 2 + 4;
-        writeln!(page, "<text x=\"0\" y=\"{middle}\">{}</text>", Escaped(&stream.label))?;
-        let rows = [("real", &stream.real), ("nominal", &stream.nominal), ("calibrated", &stream.calibrated)];
-        for (row_idx, (class, active)) in rows.into_iter().enumerate() {
-            let y = top + row_idx * ROW_HEIGHT + ROW_HEIGHT / 2;
-            let path = event_path(&timeline.frame_times_s, active, y);
-            if !path.is_empty() {
-                writeln!(page, "<path class=\"{class}\" stroke-width=\"{}\" d=\"{path}\"/>", ROW_HEIGHT - 1)?;
+    let (right, ends_y) = (LABEL_WIDTH + COLUMNS, rows_height + 13);
+    html! {
+        (heading)
+        svg viewBox=(format!("0 0 {right} {}", rows_height + 16)) role="img"
+            aria-label={ "Trigger events of " (timeline.take) } {
+            @for (idx, stream) in timeline.streams.iter().enumerate() {
+                @let top = idx * stream_height;
+                text x="0" y=(top + 3 * ROW_HEIGHT / 2 + 4) { (stream.label) }
+                @let rows = [("real", &stream.real), ("nominal", &stream.nominal), ("calibrated", &stream.calibrated)];
+                @for (row_idx, (class, active)) in rows.into_iter().enumerate() {
+                    @let y = top + row_idx * ROW_HEIGHT + ROW_HEIGHT / 2;
+                    @let path = event_path(&timeline.frame_times_s, active, y);
+                    @if !path.is_empty() { path class=(class) stroke-width=(ROW_HEIGHT - 1) d=(path) {} }
+                }
             }
+            path.axis d=(format!("M{LABEL_WIDTH} {rows_height}H{right}")) {}
+            text x=(LABEL_WIDTH) y=(ends_y) { (format!("{first_s:.1} s")) }
+            text x=(right) y=(ends_y) text-anchor="end" { (format!("{last_s:.1} s")) }
         }
     }
-    let right = LABEL_WIDTH + COLUMNS;
-    writeln!(
-        page,
-        "<path class=\"axis\" d=\"M{LABEL_WIDTH} {rows_height}H{right}\"/>\n\
-         <text x=\"{LABEL_WIDTH}\" y=\"{y}\">{first_s:.1} s</text>\n\
-         <text x=\"{right}\" y=\"{y}\" text-anchor=\"end\">{last_s:.1} s</text>\n</svg>",
-        y = rows_height + 13,
-    )
 }
 
 /// Runs of active columns as horizontal strokes at `y`. A column is active if a frame in it is.

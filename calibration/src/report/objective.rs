@@ -1,10 +1,9 @@
 //! The objective as pictures: a heat map over (alpha, lambda_pre) and a curve over lambda_con.
 
-use std::fmt::{self, Write as _};
-
+use maud::{Markup, html};
 use palpate_reports::{CalibrationReport, Objective, StreamFit, StreamThetaReport, ThetaReport};
 
-use super::{Escaped, tables::significant};
+use super::tables::significant;
 
 const LEFT: f64 = 64.0;
 const TOP: f64 = 8.0;
@@ -13,19 +12,16 @@ const HEIGHT: f64 = 260.0;
 /// Steps between the colours of a heat map.
 const COLOURS: usize = 64;
 
-pub(super) fn write(page: &mut String, report: &CalibrationReport) -> fmt::Result {
-    page.push_str("<div class=\"pictures\">\n");
-    for picture in pictures(report) {
-        let objective = picture.objective;
-        if !objective.pressure_l1.is_empty() && !objective.lambda_pres_pa.is_empty() {
-            write_heat_map(page, &picture)?;
-        }
-        if !objective.lambda_cons_m.is_empty() {
-            write_curve(page, &picture)?;
+pub(super) fn pictures(report: &CalibrationReport) -> Markup {
+    html! {
+        div.pictures {
+            @for picture in searches(report) {
+                @let objective = picture.objective;
+                @if !objective.pressure_l1.is_empty() && !objective.lambda_pres_pa.is_empty() { (heat_map(&picture)) }
+                @if !objective.lambda_cons_m.is_empty() { (curve(&picture)) }
+            }
         }
     }
-    page.push_str("</div>\n");
-    Ok(())
 }
 
 /// One search, to be drawn.
@@ -37,7 +33,7 @@ struct Picture<'a> {
     marks: [(&'static str, StreamThetaReport); 2],
 }
 
-fn pictures(report: &CalibrationReport) -> Vec<Picture<'_>> {
+fn searches(report: &CalibrationReport) -> Vec<Picture<'_>> {
     if report.streams.is_empty() {
         let whole = |theta: &ThetaReport| StreamThetaReport {
             lambda_con_m: Some(theta.lambda_con_m),
@@ -55,7 +51,7 @@ fn pictures(report: &CalibrationReport) -> Vec<Picture<'_>> {
     report.streams.iter().map(of_stream).collect()
 }
 
-fn write_heat_map(page: &mut String, picture: &Picture<'_>) -> fmt::Result {
+fn heat_map(picture: &Picture<'_>) -> Markup {
     let Objective { alphas_per_m, lambda_pres_pa, pressure_l1, .. } = picture.objective;
     let values = || pressure_l1.iter().flatten().copied();
     let (least, most) = (values().min().unwrap_or(0), values().max().unwrap_or(0));
@@ -66,112 +62,113 @@ fn write_heat_map(page: &mut String, picture: &Picture<'_>) -> fmt::Result {
     };
     let cell_width = WIDTH / lambda_pres_pa.len() as f64;
     let cell_height = HEIGHT / alphas_per_m.len() as f64;
-    let of = Escaped(&picture.of);
-    open_picture(page, &format!("L1 of the pressure channels{of} over alpha and lambda_pre"))?;
-    for (row_idx, row) in pressure_l1.iter().enumerate() {
+    let rows = pressure_l1.iter().enumerate().map(|(idx, row)| {
         // Small alphas at the bottom. Cells of one colour are one rectangle.
-        let y = TOP + HEIGHT - (row_idx + 1) as f64 * cell_height;
+        let y = TOP + HEIGHT - (idx + 1) as f64 * cell_height;
         let colours: Vec<String> = row.iter().map(|&l1| colour(shade(l1))).collect();
         let mut column = 0;
-        for run in colours.chunk_by(|a, b| a == b) {
+        let runs = colours.chunk_by(|a, b| a == b).map(|run| {
             let x = LEFT + column as f64 * cell_width;
-            let width = run.len() as f64 * cell_width + 0.3;
-            let height = cell_height + 0.3;
-            writeln!(
-                page,
-                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"/>",
-                run[0]
-            )?;
             column += run.len();
+            (tenths(x), tenths(run.len() as f64 * cell_width + 0.3), run[0].clone())
+        });
+        html! {
+            @for (x, width, colour) in runs {
+                rect x=(x) y=(tenths(y)) width=(width) height=(tenths(cell_height + 0.3)) fill=(colour) {}
+            }
+        }
+    });
+    let ring = |theta: &StreamThetaReport| {
+        let column = position_on(lambda_pres_pa, theta.lambda_pre_pa?)?;
+        let row = position_on(alphas_per_m, theta.alpha_per_m?)?;
+        let (x, y) = (LEFT + (column + 0.5) * cell_width, TOP + HEIGHT - (row + 0.5) * cell_height);
+        Some((tenths(x), tenths(y)))
+    };
+    html! {
+        figure {
+            svg viewBox=(view_box()) role="img"
+                aria-label={ "L1 of the pressure channels" (picture.of) " over alpha and lambda_pre" } {
+                @for row in rows { (row) }
+                @for (class, theta) in &picture.marks {
+                    @if let Some((x, y)) = ring(theta) {
+                        circle cx=(x) cy=(y) r="7" fill="none" stroke="#fff" stroke-width="5" {}
+                        circle class=(class) cx=(x) cy=(y) r="7" stroke-width="2.5" {}
+                    }
+                }
+                (ends(lambda_pres_pa, "λ_pre, Pa", alphas_per_m, "α, 1/m"))
+            }
+            figcaption {
+                "L1 of the pressure channels" (picture.of) " on the fitted takes: " (least) " (dark) to " (most) " (bright). Rings: "
+                "nominal (orange, if in view) and calibrated (blue)."
+            }
         }
     }
-    for (class, theta) in &picture.marks {
-        let column = theta.lambda_pre_pa.and_then(|lambda_pre_pa| position_on(lambda_pres_pa, lambda_pre_pa));
-        let row = theta.alpha_per_m.and_then(|alpha_per_m| position_on(alphas_per_m, alpha_per_m));
-        if let (Some(column), Some(row)) = (column, row) {
-            let x = LEFT + (column + 0.5) * cell_width;
-            let y = TOP + HEIGHT - (row + 0.5) * cell_height;
-            writeln!(
-                page,
-                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"7\" fill=\"none\" stroke=\"#fff\" stroke-width=\"5\"/>\
-                 <circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"7\" stroke-width=\"2.5\"/>"
-            )?;
-        }
-    }
-    write_ends(page, lambda_pres_pa, "λ_pre, Pa", alphas_per_m, "α, 1/m")?;
-    writeln!(
-        page,
-        "<figcaption>L1 of the pressure channels{of} on the fitted takes: {least} (dark) to {most} (bright). Rings: nominal \
-         (orange, if in view) and calibrated (blue).</figcaption>\n</figure>"
-    )
 }
 
-fn write_curve(page: &mut String, picture: &Picture<'_>) -> fmt::Result {
+fn curve(picture: &Picture<'_>) -> Markup {
     let Objective { lambda_cons_m, proximity_l1, .. } = picture.objective;
     let (low_m, high_m) = (lambda_cons_m[0], lambda_cons_m[lambda_cons_m.len() - 1]);
     let (least, most) =
         (proximity_l1.iter().min().copied().unwrap_or(0), proximity_l1.iter().max().copied().unwrap_or(0));
     let x_of = |lambda_m: f64| LEFT + WIDTH * (lambda_m - low_m) / (high_m - low_m).max(f64::MIN_POSITIVE);
     let y_of = |l1: u64| TOP + HEIGHT * (1.0 - l1 as f64 / most.max(1) as f64);
-    let of = Escaped(&picture.of);
-    open_picture(page, &format!("L1 of the proximity channels{of} over lambda_con"))?;
     let (bottom, right) = (TOP + HEIGHT, LEFT + WIDTH);
-    writeln!(page, "<path class=\"axis\" d=\"M{LEFT} {TOP}V{bottom}H{right}\"/>")?;
-    for (class, theta) in &picture.marks {
-        if let Some(lambda_con_m) = theta.lambda_con_m.filter(|at_m| (low_m..=high_m).contains(at_m)) {
-            let x = x_of(lambda_con_m);
-            writeln!(
-                page,
-                "<path class=\"{class}\" stroke-width=\"2\" stroke-dasharray=\"4 3\" d=\"M{x:.1} {TOP}V{bottom}\"/>"
-            )?;
-        }
-    }
     let points: Vec<String> = lambda_cons_m
         .iter()
         .zip(proximity_l1)
         .map(|(&m, &l1)| format!("{:.1} {:.1}", x_of(m), y_of(l1)))
         .collect();
-    writeln!(page, "<path class=\"real\" stroke-width=\"1.5\" d=\"M{}\"/>", points.join("L"))?;
-    let (low_mm, high_mm) = (1e3 * low_m, 1e3 * high_m);
-    write_ends(page, &[low_mm, high_mm], "λ_con, mm", &[0.0, most as f64], "L1")?;
-    writeln!(
-        page,
-        "<figcaption>L1 of the proximity channels{of} on the fitted takes; the lowest point shown is {least}. Dashed: nominal \
-         (orange) and calibrated (blue).</figcaption>\n</figure>"
-    )
+    let mark = |theta: &StreamThetaReport| {
+        let at_m = theta.lambda_con_m.filter(|at_m| (low_m..=high_m).contains(at_m))?;
+        Some(format!("M{:.1} {TOP}V{bottom}", x_of(at_m)))
+    };
+    html! {
+        figure {
+            svg viewBox=(view_box()) role="img"
+                aria-label={ "L1 of the proximity channels" (picture.of) " over lambda_con" } {
+                path.axis d=(format!("M{LEFT} {TOP}V{bottom}H{right}")) {}
+                @for (class, theta) in &picture.marks {
+                    @if let Some(path) = mark(theta) {
+                        path class=(class) stroke-width="2" stroke-dasharray="4 3" d=(path) {}
+                    }
+                }
+                path.real stroke-width="1.5" d={ "M" (points.join("L")) } {}
+                (ends(&[1e3 * low_m, 1e3 * high_m], "λ_con, mm", &[0.0, most as f64], "L1"))
+            }
+            figcaption {
+                "L1 of the proximity channels" (picture.of) " on the fitted takes; the lowest point shown is " (least) ". Dashed: "
+                "nominal (orange) and calibrated (blue)."
+            }
+        }
+    }
 }
 
-fn open_picture(page: &mut String, label: &str) -> fmt::Result {
-    let (width, height) = (LEFT + WIDTH + 12.0, TOP + HEIGHT + 34.0);
-    writeln!(page, "<figure>\n<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{label}\">")
+fn view_box() -> String {
+    format!("0 0 {} {}", LEFT + WIDTH + 12.0, TOP + HEIGHT + 34.0)
 }
 
-/// Names of the axes and their first and last values; closes the picture.
-fn write_ends(
-    page: &mut String,
-    columns: &[f64],
-    columns_name: &str,
-    rows: &[f64],
-    rows_name: &str,
-) -> fmt::Result {
+/// A length in the picture.
+fn tenths(length: f64) -> String {
+    format!("{length:.1}")
+}
+
+/// Names of the axes and their first and last values.
+fn ends(columns: &[f64], columns_name: &str, rows: &[f64], rows_name: &str) -> Markup {
     let ends = |values: &[f64]| {
         let end = |value: Option<&f64>| value.map(|&value| significant(value)).unwrap_or_default();
         (end(values.first()), end(values.last()))
     };
     let ((left, right), (bottom, top)) = (ends(columns), ends(rows));
     let (bottom_y, right_x) = (TOP + HEIGHT, LEFT + WIDTH);
-    let (label_x, label_y, middle_x, middle_y) =
-        (LEFT - 6.0, bottom_y + 14.0, LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
-    writeln!(
-        page,
-        "<text x=\"{LEFT}\" y=\"{label_y}\">{left}</text>\
-         <text x=\"{right_x}\" y=\"{label_y}\" text-anchor=\"end\">{right}</text>\
-         <text x=\"{middle_x}\" y=\"{label_y}\" text-anchor=\"middle\">{columns_name}</text>\
-         <text x=\"{label_x}\" y=\"{bottom_y}\" text-anchor=\"end\">{bottom}</text>\
-         <text x=\"{label_x}\" y=\"{y}\" text-anchor=\"end\">{top}</text>\
-         <text x=\"{label_x}\" y=\"{middle_y}\" text-anchor=\"end\">{rows_name}</text>\n</svg>",
-        y = TOP + 10.0,
-    )
+    let (label_x, label_y) = (LEFT - 6.0, bottom_y + 14.0);
+    html! {
+        text x=(LEFT) y=(label_y) { (left) }
+        text x=(right_x) y=(label_y) text-anchor="end" { (right) }
+        text x=(LEFT + WIDTH / 2.0) y=(label_y) text-anchor="middle" { (columns_name) }
+        text x=(label_x) y=(bottom_y) text-anchor="end" { (bottom) }
+        text x=(label_x) y=(TOP + 10.0) text-anchor="end" { (top) }
+        text x=(label_x) y=(TOP + HEIGHT / 2.0) text-anchor="end" { (rows_name) }
+    }
 }
 
 /// Where `value` lies on an ascending axis, in cells from its first; `None` outside of it.

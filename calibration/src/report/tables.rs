@@ -1,10 +1,9 @@
 //! Tables of figures.
 
-use std::fmt::{self, Write as _};
+use maud::{Markup, html};
+use palpate_reports::{CalibrationReport, MetricIntervals, Metrics, StreamFit};
 
-use palpate_reports::{CalibrationReport, Metrics, StreamFit};
-
-use super::{Escaped, metric_texts};
+use super::metric_texts;
 
 const HEADS: [&str; 6] =
     ["Onset error, ms", "Offset error, ms", "Activation F1", "False positive rate, %", "L1", "Coverage, %"];
@@ -24,91 +23,98 @@ pub(super) fn percent(value: Option<f64>) -> String {
 }
 
 /// Both models on held-out takes and on all takes, with intervals.
-pub(super) fn write_summary(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+pub(super) fn summary(report: &CalibrationReport) -> Markup {
     let has_held_out = !report.held_out_takes.is_empty();
-    page.push_str("<div class=\"scroll\"><table>\n<thead><tr><th></th>");
-    for head in HEADS {
-        write!(page, "<th>{head}</th>")?;
-    }
-    page.push_str("<th>Contacts, real / simulated</th></tr></thead>\n<tbody>\n");
-    if has_held_out {
-        write_row(page, "held-out takes, nominal", "was", &report.held_out.nominal)?;
-        write_row(page, "held-out takes, calibrated", "now", &report.held_out.calibrated)?;
-    }
-    write_row(page, "all takes, nominal", "was", &report.nominal)?;
-    write_row(page, "all takes, calibrated", "now", &report.calibrated)?;
-    if let Some(intervals) = &report.intervals_95 {
-        let rows = [
-            ("95 % interval, nominal", &intervals.nominal),
-            ("95 % interval, calibrated", &intervals.calibrated),
-            ("95 % interval, change", &intervals.change),
-        ];
-        for (label, interval) in rows {
-            write!(page, "<tr class=\"interval\"><td>{label}</td>")?;
-            let scaled = [
-                (interval.onset_error_ms, 1.0, 0),
-                (interval.offset_error_ms, 1.0, 0),
-                (interval.f1, 1.0, 3),
-                (interval.fpr, 100.0, 2),
-            ];
-            for (interval, scale, digits) in scaled {
-                match interval {
-                    Some([low, high]) => {
-                        write!(page, "<td>{:.digits$} to {:.digits$}</td>", scale * low, scale * high)?;
-                    }
-                    None => write!(page, "<td>{NOTHING}</td>")?,
+    let of = if report.held_out_takes.len() >= 2 { "the held-out takes" } else { "all takes" };
+    html! {
+        div.scroll { table {
+            thead { tr {
+                th {}
+                @for head in HEADS { th { (head) } }
+                th { "Contacts, real / simulated" }
+            } }
+            tbody {
+                @if has_held_out {
+                    (row("held-out takes, nominal", "was", &report.held_out.nominal))
+                    (row("held-out takes, calibrated", "now", &report.held_out.calibrated))
+                }
+                (row("all takes, nominal", "was", &report.nominal))
+                (row("all takes, calibrated", "now", &report.calibrated))
+                @if let Some(intervals) = &report.intervals_95 {
+                    (interval_row("95 % interval, nominal", &intervals.nominal))
+                    (interval_row("95 % interval, calibrated", &intervals.calibrated))
+                    (interval_row("95 % interval, change", &intervals.change))
                 }
             }
-            page.push_str("<td></td><td></td><td></td></tr>\n");
-        }
+        } }
+        @if report.intervals_95.is_some() { p.caption { "Intervals are over " (of) "." } }
     }
-    page.push_str("</tbody>\n</table></div>\n");
-    let of = if report.held_out_takes.len() >= 2 { "the held-out takes" } else { "all takes" };
-    if report.intervals_95.is_some() {
-        writeln!(page, "<p class=\"caption\">Intervals are over {of}.</p>")?;
-    }
-    Ok(())
 }
 
-fn write_row(page: &mut String, label: &str, class: &str, metrics: &Metrics) -> fmt::Result {
-    write!(page, "<tr><td class=\"{class}\">{}</td>", Escaped(label))?;
-    for text in metric_texts(metrics) {
-        write!(page, "<td>{text}</td>")?;
+fn row(label: &str, class: &str, metrics: &Metrics) -> Markup {
+    html! {
+        tr {
+            td class=(class) { (label) }
+            @for text in metric_texts(metrics) { td { (text) } }
+            td { (metrics.real_contacts) " / " (metrics.simulated_contacts) }
+        }
     }
-    writeln!(page, "<td>{} / {}</td></tr>", metrics.real_contacts, metrics.simulated_contacts)
+}
+
+fn interval_row(label: &str, interval: &MetricIntervals) -> Markup {
+    let scaled = [
+        (interval.onset_error_ms, 1.0, 0),
+        (interval.offset_error_ms, 1.0, 0),
+        (interval.f1, 1.0, 3),
+        (interval.fpr, 100.0, 2),
+    ];
+    let text = |(interval, scale, digits): (Option<[f64; 2]>, f64, usize)| match interval {
+        Some([low, high]) => format!("{:.digits$} to {:.digits$}", scale * low, scale * high),
+        None => NOTHING.to_owned(),
+    };
+    html! {
+        tr.interval {
+            td { (label) }
+            @for one in scaled { td { (text(one)) } }
+            td {} td {} td {}
+        }
+    }
 }
 
 /// One row for each label: nominal and calibrated.
-pub(super) fn write_pairs<'a>(
-    page: &mut String,
+pub(super) fn pairs<'a>(
     kind: &str,
-    rows: impl Iterator<Item = (&'a str, &'a Metrics, &'a Metrics)>,
-) -> fmt::Result {
-    write!(page, "<div class=\"scroll\"><table>\n<thead><tr><th>{kind}</th>")?;
-    for head in HEADS {
-        write!(page, "<th>{head}</th>")?;
+    rows: impl Iterator<Item = (String, &'a Metrics, &'a Metrics)>,
+) -> Markup {
+    html! {
+        div.scroll { table {
+            thead { tr {
+                th { (kind) }
+                @for head in HEADS { th { (head) } }
+            } }
+            tbody {
+                @for (label, nominal, calibrated) in rows {
+                    tr {
+                        td { (label) }
+                        @for (before, after) in metric_texts(nominal).iter().zip(metric_texts(calibrated)) {
+                            (change(before, &after))
+                        }
+                    }
+                }
+            }
+        } }
     }
-    page.push_str("</tr></thead>\n<tbody>\n");
-    for (label, nominal, calibrated) in rows {
-        write!(page, "<tr><td>{}</td>", Escaped(label))?;
-        for (before, after) in metric_texts(nominal).iter().zip(metric_texts(calibrated)) {
-            write_change(page, before, &after)?;
-        }
-        page.push_str("</tr>\n");
-    }
-    page.push_str("</tbody>\n</table></div>\n");
-    Ok(())
 }
 
 /// A cell: a number, nominal and calibrated.
-fn write_change(page: &mut String, before: &str, after: &str) -> fmt::Result {
-    write!(page, "<td><span class=\"was\">{before}</span> → <span class=\"now\">{after}</span></td>")
+fn change(before: &str, after: &str) -> Markup {
+    html! { td { span.was { (before) } " → " span.now { (after) } } }
 }
 
 /// theta before and after; of every stream where each has its own.
-pub(super) fn write_parameters(page: &mut String, report: &CalibrationReport) -> fmt::Result {
+pub(super) fn parameters(report: &CalibrationReport) -> Markup {
     if !report.streams.is_empty() {
-        return write_streams(page, report);
+        return streams(report);
     }
     let (before, after) = (&report.nominal_theta, &report.theta);
     let rows = [
@@ -126,43 +132,50 @@ pub(super) fn write_parameters(page: &mut String, report: &CalibrationReport) ->
             after.lambda_pre_pa,
         ),
     ];
-    page.push_str(
-        "<div class=\"scroll\"><table>\n<thead><tr><th>Parameter</th><th class=\"text\">Meaning</th><th>Nominal</th><th>Calibrated</th></tr></thead>\n<tbody>\n",
-    );
-    for (name, meaning, before, after) in rows {
-        writeln!(
-            page,
-            "<tr><td>{name}</td><td class=\"text\">{meaning}</td><td class=\"was\">{}</td><td class=\"now\">{}</td></tr>",
-            significant(before),
-            significant(after)
-        )?;
+    html! {
+        div.scroll { table {
+            thead { tr { th { "Parameter" } th.text { "Meaning" } th { "Nominal" } th { "Calibrated" } } }
+            tbody {
+                @for (name, meaning, before, after) in rows {
+                    tr {
+                        td { (name) }
+                        td.text { (meaning) }
+                        td.was { (significant(before)) }
+                        td.now { (significant(after)) }
+                    }
+                }
+            }
+        } }
     }
-    page.push_str("</tbody>\n</table></div>\n");
-    Ok(())
 }
 
-fn write_streams(page: &mut String, report: &CalibrationReport) -> fmt::Result {
-    page.push_str(
-        "<div class=\"scroll\"><table>\n<thead><tr><th>Stream</th><th>λ_con, mm</th><th>α, 1/m</th><th>λ_pre, Pa</th></tr></thead>\n<tbody>\n",
-    );
-    for (id, StreamFit { theta, nominal_theta, .. }) in &report.streams {
-        write!(page, "<tr><td>{}</td>", Escaped(id))?;
-        let pairs = [
+fn streams(report: &CalibrationReport) -> Markup {
+    let pairs_of = |StreamFit { theta, nominal_theta, .. }: &StreamFit| {
+        [
             (nominal_theta.lambda_con_m.map(|m| 1e3 * m), theta.lambda_con_m.map(|m| 1e3 * m)),
             (nominal_theta.alpha_per_m, theta.alpha_per_m),
             (nominal_theta.lambda_pre_pa, theta.lambda_pre_pa),
-        ];
-        for pair in pairs {
-            let (Some(before), Some(after)) = pair else {
-                write!(page, "<td>{NOTHING}</td>")?;
-                continue;
-            };
-            write_change(page, &significant(before), &significant(after))?;
-        }
-        page.push_str("</tr>\n");
+        ]
+    };
+    html! {
+        div.scroll { table {
+            thead { tr { th { "Stream" } th { "λ_con, mm" } th { "α, 1/m" } th { "λ_pre, Pa" } } }
+            tbody {
+                @for (id, fit) in &report.streams {
+                    tr {
+                        td { (id) }
+                        @for pair in pairs_of(fit) {
+                            @if let (Some(before), Some(after)) = pair {
+                                (change(&significant(before), &significant(after)))
+                            } @else {
+                                td { (NOTHING) }
+                            }
+                        }
+                    }
+                }
+            }
+        } }
     }
-    page.push_str("</tbody>\n</table></div>\n");
-    Ok(())
 }
 
 /// Four significant digits.
