@@ -8,6 +8,7 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::{Html, IntoResponse as _, Redirect, Response},
 };
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use palpate_wire::api::Login;
 
 use super::{
@@ -90,45 +91,48 @@ pub(super) async fn ask_to_log_out(
         Ok(principal) if state.access().login => principal,
         _ => return Redirect::to("/").into_response(),
     };
-    let main = format!(
-        "<p>You are {} ({}).</p>\n<form method=\"post\" action=\"/logout\">\n\
-         <button type=\"submit\" autofocus>Log out</button>\n</form>\n<p><a href=\"/\">Back to the studio</a></p>",
-        escape(principal.name()),
-        principal.role()
-    );
+    let main = html! {
+        p { "You are " (principal.name()) " (" (principal.role()) ")." }
+        form method="post" action="/logout" { button type="submit" autofocus { "Log out" } }
+        p { a href="/" { "Back to the studio" } }
+    };
     document(StatusCode::OK, "Log out", &main)
 }
 
 fn page(status: StatusCode, name: &str, problem: &str) -> Response {
-    let alert = match problem {
-        "" => String::new(),
-        problem => format!("<p id=\"problem\" role=\"alert\">{}.</p>\n", escape(problem)),
-    };
+    let has_problem = !problem.is_empty();
     // The first field that is empty gets the keyboard.
-    let (name_focus, password_focus) = if name.is_empty() { (" autofocus", "") } else { ("", " autofocus") };
-    let described = if problem.is_empty() { "" } else { " aria-describedby=\"problem\"" };
-    let main = format!(
-        "{alert}<form method=\"post\" action=\"/login\">\n\
-         <label for=\"name\">Name</label>\n\
-         <input id=\"name\" name=\"name\" value=\"{}\" autocomplete=\"username\" autocapitalize=\"none\" spellcheck=\"false\" \
-         required{name_focus}>\n\
-         <label for=\"password\">Password</label>\n\
-         <input id=\"password\" name=\"password\" type=\"password\" autocomplete=\"current-password\" \
-         required{described}{password_focus}>\n\
-         <button type=\"submit\">Log in</button>\n</form>\n\
-         <p><small>An admin of this studio gives names and passwords (<code>palpate people add</code>).</small></p>",
-        escape(name)
-    );
+    let is_named = !name.is_empty();
+    let main = html! {
+        @if has_problem { p #problem role="alert" { (problem) "." } }
+        form method="post" action="/login" {
+            label for="name" { "Name" }
+            input #name name="name" value=(name) autocomplete="username" autocapitalize="none" spellcheck="false" required
+                autofocus[!is_named];
+            label for="password" { "Password" }
+            input #password name="password" type="password" autocomplete="current-password" required
+                aria-describedby=[has_problem.then_some("problem")] autofocus[is_named];
+            button type="submit" { "Log in" }
+        }
+        p { small { "An admin of this studio gives names and passwords (" code { "palpate people add" } ")." } }
+    };
     document(status, "Log in", &main)
 }
 
-fn document(status: StatusCode, title: &str, main: &str) -> Response {
-    let html = format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title} - Palpate</title>\n\
-         <style>{STYLE}</style>\n</head>\n<body>\n<main>\n<h1>Palpate</h1>\n{main}\n</main>\n</body>\n</html>\n"
-    );
-    let mut response = (status, Html(html)).into_response();
+fn document(status: StatusCode, title: &str, main: &Markup) -> Response {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (title) " - Palpate" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body { main { h1 { "Palpate" } (main) } }
+        }
+    };
+    let mut response = (status, Html(page.into_string())).into_response();
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, POLICY),
         // Without a referrer browsers would not say that the form comes from here.
@@ -138,18 +142,4 @@ fn document(status: StatusCode, title: &str, main: &str) -> Response {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
-}
-
-fn escape(text: &str) -> String {
-    text.chars().fold(String::new(), |mut escaped, character| {
-        match character {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            other => escaped.push(other),
-        }
-        escaped
-    })
 }
