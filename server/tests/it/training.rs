@@ -169,6 +169,7 @@ async fn what_makes_no_sense_is_refused_before_it_waits() {
         ("imitation", json!({ "trials": [] }), 400, "nothing to learn from"),
         ("imitation", json!({ "trials": ["gathering-1"] }), 400, "no job \"gathering-1\""),
         ("imitation", json!({ "trials": ["gathering-1"], "preset": "quick" }), 400, "\"small\" or \"paper\""),
+        ("pipeline", json!({ "preset": "quick" }), 400, "\"small\" or \"tables\" or \"paper\""),
         ("imitation", json!({ "trials": ["gathering-1"], "head": "guess" }), 400, "diffusion"),
         ("imitation", json!({ "trials": ["gathering-1"], "updates": 0 }), 400, "updates = 0"),
         (

@@ -17,6 +17,17 @@ const FLAGS = [
   "--ignore-gpu-blocklist",
 ];
 
+const ENVIRONMENT = {
+  LIBGL_ALWAYS_SOFTWARE: "1",
+  // llvmpipe draws in the thread that asks for it: with threads of its own, one may still write into a fence that another has freed,
+  // and Chromium's process for graphics ends (Mesa 22.3: "FreelistCorruptionDetected").
+  LP_NUM_THREADS: "0",
+  // Chromium sets these when it starts, while another of its threads looks for a variable to resolve names by, and crashes where that
+  // moves the environment. Nothing moves if they are there.
+  FC_FONTATIONS: "1",
+  DBUS_SESSION_BUS_ADDRESS: "disabled:",
+};
+
 const executablePath = process.env.PALPATE_CHROMIUM ?? "/usr/bin/chromium";
 
 export async function openBrowser({ width = 1280, height = 800, colorScheme = "light" } = {}) {
@@ -42,7 +53,7 @@ export async function launchBrowser() {
 async function inOwnFolder(launch) {
   const folder = mkdtempSync(join(tmpdir(), "chromium-"));
   try {
-    const env = { ...process.env, LIBGL_ALWAYS_SOFTWARE: "1", TMPDIR: folder };
+    const env = { ...process.env, ...ENVIRONMENT, TMPDIR: folder };
     return await launch(folder, { executablePath, args: FLAGS, env });
   } finally {
     // After the launch: Playwright kills the browser when this process ends, and has to come first.

@@ -560,7 +560,8 @@ pub(super) fn check_preset(preset: Option<&str>, config: Option<&str>, known: &[
             Err(Error::Argument("preset and config are two ways to learn; give one of them".to_owned()))
         }
         (Some(preset), _) if !known.contains(&preset) => {
-            Err(Error::Argument(format!("no preset {preset:?}; expected one of {}", known.join(", "))))
+            let known: Vec<String> = known.iter().map(|name| format!("{name:?}")).collect();
+            Err(Error::Argument(format!("no preset {preset:?}; expected {}", known.join(" or "))))
         }
         (_, Some(config)) => match config.parse::<toml::Table>() {
             Ok(_) => Ok(()),
