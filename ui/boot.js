@@ -1,4 +1,16 @@
 // Loads the studio, and says on the skeleton why it did not start.
+
+/** A page that loses its graphics sooner than this would lose them again. */
+const RELOADED_AFTER_MS = 10_000;
+
+// After a driver was started again or a computer slept, WebGL paints nothing more until it is set up anew. The address has all that
+// is looked at, and control over a hand ends as when the page is closed.
+document.getElementById("palpate").addEventListener("webglcontextlost", () => {
+  if (performance.now() > RELOADED_AFTER_MS) return location.reload();
+  const lost = Object.assign(document.createElement("p"), { id: "lost", role: "alert" });
+  lost.textContent = "The browser's graphics stopped working. Reload the page; where that does not help, start the browser again.";
+  document.body.append(lost);
+});
 // F1 opens the studio's help, not the browser's.
 addEventListener("keydown", (event) => {
   if (event.key === "F1") event.preventDefault();

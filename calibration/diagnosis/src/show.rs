@@ -108,7 +108,9 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         notes.push("no take is held out: the figures are from the takes that were fitted".to_owned());
     }
     if evidence.bar.is_none() {
-        notes.push("no null bar of this station: the shipped one applies".to_owned());
+        notes.push(
+            "the bar is the shipped one: no sessions were simulated to set it for this station".to_owned(),
+        );
     }
     if let Some(count) = evidence.reference.sessions() {
         notes.push(format!(

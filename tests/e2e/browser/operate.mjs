@@ -86,5 +86,17 @@ await step("reset ends the stop, disarmed; the station can be armed again and co
   await watching.page.getByText("Nobody has control").waitFor();
 });
 
+await step("a page that loses its graphics loads itself again, where it was", async () => {
+  const address = page.url();
+  await page.waitForFunction(() => performance.now() > 10_000);
+  const loaded = page.waitForEvent("load");
+  await page.evaluate(() => {
+    document.getElementById("palpate").getContext("webgl2").getExtension("WEBGL_lose_context").loseContext();
+  });
+  await loaded;
+  await page.getByText("Nobody has control").waitFor();
+  assert.equal(page.url(), address);
+});
+
 assert.deepEqual(faults([...errors, ...watching.errors]), [], "the pages logged errors");
 await context.close();
