@@ -56,6 +56,9 @@ pub(crate) struct CloneArgs {
     /// The policy does not see how far joints are from where they were sent
     #[arg(long)]
     hide_tracking: bool,
+    /// The policy sees how strongly each channel is touched, and not only whether it is; no station tells that
+    #[arg(long)]
+    strengths: bool,
     /// The policy sees the features that --encoder makes; those of the paper that do so by themselves need no such flag
     #[arg(long)]
     features: bool,
@@ -127,6 +130,7 @@ pub(crate) fn run(args: &CloneArgs) -> anyhow::Result<()> {
     config.updates = args.updates.unwrap_or(config.updates);
     config.observation.touch &= !args.silence_touch;
     config.observation.tracking &= !args.hide_tracking;
+    config.observation.strengths |= args.strengths;
     config.observation.features |= args.features;
     config.observation.region |= args.region;
     config.validate()?;

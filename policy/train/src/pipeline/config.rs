@@ -115,6 +115,9 @@ pub(super) struct PolicyConfig {
     pub(super) silence_touch: bool,
     #[serde(default)]
     pub(super) hide_tracking: bool,
+    /// Whether it sees how strongly channels are touched, and not only whether they are.
+    #[serde(default)]
+    pub(super) strengths: bool,
     /// Whether it sees the features of `encoder`.
     #[serde(default)]
     pub(super) features: bool,
@@ -179,6 +182,7 @@ impl PolicyConfig {
         config.head = self.head.unwrap_or(config.head);
         config.memory = self.memory.unwrap_or(config.memory);
         config.updates = self.updates.unwrap_or(config.updates);
+        config.observation.strengths |= self.strengths;
         config.observation.features |= self.features;
         config.observation.region |= self.region;
         config.validate()?;

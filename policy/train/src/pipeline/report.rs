@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::config::{EvaluationConfig, PipelineConfig};
 use super::manifest::Manifest;
 use super::stages::{EXPERT, Training, comparison, encoder_dir, pictures, trainings};
-use super::tables::{self, GROUPS, Line, Trials};
+use super::tables::{self, GROUPS, Kind, Line, Trials};
 use crate::files;
 
 /// What the paper reports of its best policy in simulation, percent: seen, unseen and all objects.
@@ -317,7 +317,9 @@ impl Evaluation {
         for training in trainings.iter().filter(|training| training.round == 0) {
             let arm = arms.iter().find(|arm| arm.name == training.name());
             if let (Some(policy), Some(arm)) = (training.policy.policy, arm) {
-                trials.push(Trials::of_arm(policy, training.seed, &arm.document)?);
+                let kind =
+                    Kind { policy, sees_strengths: training.policy.clone_config()?.observation.strengths };
+                trials.push(Trials::of_arm(kind, training.seed, &arm.document)?);
             }
         }
         let mut objects = Vec::new();

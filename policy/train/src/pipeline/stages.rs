@@ -292,6 +292,7 @@ pub(super) fn stages(config: &PipelineConfig, args: &PipelineArgs, out: &Path) -
                 .with("seed", training.seed.to_string())
                 .flag("silence-touch", training.policy.silence_touch)
                 .flag("hide-tracking", training.policy.hide_tracking)
+                .flag("strengths", training.policy.strengths)
                 .flag("region", training.policy.region)
                 .flag("features", features && policy.is_none())
                 .maybe("encoder", features.then_some(&encoder_dir))

@@ -14,55 +14,81 @@ use serde_json::Value;
 /// Confidence of all intervals.
 const CONFIDENCE: f64 = 0.95;
 
+/// A policy of the paper, and how touch is told to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Kind {
+    pub(super) policy: PaperPolicy,
+    /// Whether it sees how strongly channels are touched, and not only whether they are.
+    pub(super) sees_strengths: bool,
+}
+
 /// A part of policies.
 struct Part {
     name: &'static str,
     /// The policies that have it and that lack it.
-    policies: [PaperPolicy; 2],
+    kinds: [Kind; 2],
+    /// What the paper reports of both in its own simulator under its own protocol, percent: seen, unseen and all objects,
+    /// where it does.
+    paper_percent: [[Option<f64>; 2]; 3],
+}
+
+const fn events(policy: PaperPolicy) -> Kind {
+    Kind { policy, sees_strengths: false }
 }
 
 /// The parts that the paper's appendix looks at.
-const PARTS: [Part; 4] = [
-    Part { name: "encoder, pretrained", policies: [PaperPolicy::PretrainedDp, PaperPolicy::KinematicDp] },
+const PARTS: [Part; 5] = [
+    Part {
+        name: "encoder, pretrained",
+        kinds: [events(PaperPolicy::PretrainedDp), events(PaperPolicy::KinematicDp)],
+        paper_percent: [[Some(60.4), Some(36.2)], [Some(43.2), Some(20.0)], [Some(51.8), Some(28.1)]],
+    },
     Part {
         name: "places of taxels (FK grounding)",
-        policies: [PaperPolicy::KinematicDp, PaperPolicy::RawDp],
+        kinds: [events(PaperPolicy::KinematicDp), events(PaperPolicy::RawDp)],
+        paper_percent: [[Some(36.2), Some(33.8)], [Some(20.0), Some(19.8)], [Some(28.1), Some(26.8)]],
     },
-    Part { name: "diffusion, not BC", policies: [PaperPolicy::PretrainedDp, PaperPolicy::PretrainedBc] },
-    Part { name: "diffusion, not ACT", policies: [PaperPolicy::PretrainedDp, PaperPolicy::PretrainedAct] },
+    Part {
+        name: "diffusion, not BC",
+        kinds: [events(PaperPolicy::PretrainedDp), events(PaperPolicy::PretrainedBc)],
+        paper_percent: [[Some(60.4), Some(59.4)], [Some(43.2), Some(30.2)], [Some(51.8), Some(45.8)]],
+    },
+    Part {
+        name: "diffusion, not ACT",
+        kinds: [events(PaperPolicy::PretrainedDp), events(PaperPolicy::PretrainedAct)],
+        paper_percent: [[Some(60.4), Some(45.0)], [Some(43.2), Some(24.8)], [Some(51.8), Some(34.9)]],
+    },
+    // The paper's two have an encoder each, pretrained on what they see, and tried on seen objects alone.
+    Part {
+        name: "events, not strengths of touch",
+        kinds: [
+            events(PaperPolicy::KinematicDp),
+            Kind { policy: PaperPolicy::KinematicDp, sees_strengths: true },
+        ],
+        paper_percent: [[Some(60.4), Some(59.2)], [None, None], [None, None]],
+    },
 ];
-
-/// What the paper reports of a policy in simulation under its own protocol, percent: seen, unseen and all objects.
-fn paper_percent(policy: PaperPolicy) -> [f64; 3] {
-    match policy {
-        PaperPolicy::RawDp => [33.8, 19.8, 26.8],
-        PaperPolicy::KinematicDp => [36.2, 20.0, 28.1],
-        PaperPolicy::PretrainedDp => [60.4, 43.2, 51.8],
-        PaperPolicy::PretrainedAct => [45.0, 24.8, 34.9],
-        PaperPolicy::PretrainedBc => [59.4, 30.2, 45.8],
-    }
-}
 
 /// Groups of objects, as comparisons name them.
 pub(super) const GROUPS: [&str; 3] = ["seen", "unseen", "overall"];
 
 /// The trials of one training in an evaluation.
 pub(super) struct Trials {
-    policy: PaperPolicy,
+    kind: Kind,
     seed: u64,
     /// By the object's id, in the order of the starts.
     by_object: BTreeMap<String, Vec<Ending>>,
 }
 
 impl Trials {
-    /// Those of the arm that `document` is of, which was learned as `policy` with `seed`.
+    /// Those of the arm that `document` is of, which was learned as `kind` says with `seed`.
     ///
     /// # Errors
     /// A document that does not hold single trials.
-    pub(super) fn of_arm(policy: PaperPolicy, seed: u64, document: &Value) -> anyhow::Result<Self> {
+    pub(super) fn of_arm(kind: Kind, seed: u64, document: &Value) -> anyhow::Result<Self> {
         let by_object = serde_json::from_value(document["trials"].clone())
             .context("a comparison does not hold the single trials of a policy")?;
-        Ok(Self { policy, seed, by_object })
+        Ok(Self { kind, seed, by_object })
     }
 }
 
@@ -83,8 +109,8 @@ pub(super) struct Line {
     only: [u64; 2],
     /// Of McNemar's exact test on these, two-sided.
     p_value: f64,
-    /// What the paper reports of both policies in its own simulator under its own protocol, percent.
-    paper_percent: [f64; 2],
+    /// What the paper reports of both policies in its own simulator under its own protocol, percent, where it does.
+    paper_percent: [Option<f64>; 2],
 }
 
 /// Every part that two of `trials` differ in, by group of `objects` (id and group). A seed counts where both were
@@ -95,9 +121,9 @@ pub(super) fn lines(
 ) -> anyhow::Result<Vec<Line>> {
     let mut lines = Vec::new();
     for part in &PARTS {
-        let of = |policy: PaperPolicy| trials.iter().filter(move |one| one.policy == policy);
-        let pairs: Vec<[&Trials; 2]> = of(part.policies[0])
-            .filter_map(|with| Some([with, of(part.policies[1]).find(|without| without.seed == with.seed)?]))
+        let of = |kind: Kind| trials.iter().filter(move |one| one.kind == kind);
+        let pairs: Vec<[&Trials; 2]> = of(part.kinds[0])
+            .filter_map(|with| Some([with, of(part.kinds[1]).find(|without| without.seed == with.seed)?]))
             .collect();
         for (idx, group) in GROUPS.into_iter().enumerate() {
             let is_in = |of_object: Option<ObjectGroup>| match group {
@@ -113,8 +139,7 @@ pub(super) fn lines(
                     }
                 }
             }
-            let paper_percent = part.policies.map(|policy| paper_percent(policy)[idx]);
-            lines.extend(counted.line(part.name, group, paper_percent)?);
+            lines.extend(counted.line(part.name, group, part.paper_percent[idx])?);
         }
     }
     Ok(lines)
@@ -154,7 +179,7 @@ impl Counted {
         &self,
         part: &'static str,
         group: &'static str,
-        paper_percent: [f64; 2],
+        paper_percent: [Option<f64>; 2],
     ) -> anyhow::Result<Option<Line>> {
         let Some(mean) = student(&self.points, CONFIDENCE)? else { return Ok(None) };
         Ok(Some(Line {
@@ -192,7 +217,8 @@ pub(super) fn section(lines: &[Line]) -> Markup {
             p { "Two policies that differ in one part, on the same starts: won with it and without it, percent; the difference in points "
                 "of a hundred, in brackets the 95 % interval (Student's, of the differences of single objects and seeds); starts that "
                 "only one of them won, McNemar's exact p. Starts are the same for all seeds, so the interval says more than p. The last "
-                "column is what the paper reports (its own simulator, objects and protocol)." }
+                "column is what the paper reports (its own simulator, objects and protocol; of strengths it compares policies with "
+                "encoders)." }
             div.wide { table {
                 thead { tr {
                     th { "part" } th { "objects" } th { "with, without" } th { "difference" } th { "objects × seeds" }
@@ -211,7 +237,9 @@ pub(super) fn section(lines: &[Line]) -> Markup {
                             td.number { (line.units) }
                             td { (line.only[0]) " and " (line.only[1]) (format!(", p {:.2e}", line.p_value)) }
                             td { (line.verdict()) }
-                            td { (percents(line.paper_percent)) }
+                            td {
+                                @if let [Some(with), Some(without)] = line.paper_percent { (percents([with, without])) }
+                            }
                         }
                     }
                 }
@@ -232,7 +260,7 @@ mod tests {
             claimed: false,
         };
         let by_object = won.iter().map(|(id, won)| ((*id).to_owned(), won.iter().map(ending).collect()));
-        Trials { policy, seed, by_object: by_object.collect() }
+        Trials { kind: events(policy), seed, by_object: by_object.collect() }
     }
 
     fn objects() -> Vec<(String, Option<ObjectGroup>)> {
@@ -264,11 +292,27 @@ mod tests {
             ]
         );
         let overall = lines.last().expect("a line");
-        assert_eq!((overall.only, overall.paper_percent), ([4, 1], [28.1, 26.8]));
+        assert_eq!((overall.only, overall.paper_percent), ([4, 1], [Some(28.1), Some(26.8)]));
         assert!((overall.p_value - 0.375).abs() < 1e-9, "{}", overall.p_value);
         // Both units of seen objects differ by as much.
         assert_eq!(lines[0].interval_95, Some([25.0, 25.0]));
         assert_eq!((lines[0].verdict(), overall.verdict()), ("wins more with it", "too few trials to tell"));
+    }
+
+    #[test]
+    fn events_are_compared_with_strengths_of_the_same_policy() {
+        let events =
+            trials(PaperPolicy::KinematicDp, 0, &[("cube", &[true, true]), ("ring", &[false, true])]);
+        let mut strengths =
+            trials(PaperPolicy::KinematicDp, 0, &[("cube", &[true, false]), ("ring", &[true, true])]);
+        strengths.kind.sees_strengths = true;
+        let lines = lines(&[events, strengths], &objects()).expect("lines");
+        let found: Vec<_> = lines.iter().map(|line| (line.part, line.points, line.paper_percent)).collect();
+        let part = "events, not strengths of touch";
+        assert_eq!(
+            found,
+            [(part, 50.0, [Some(60.4), Some(59.2)]), (part, -50.0, [None, None]), (part, 0.0, [None, None])]
+        );
     }
 
     #[test]
