@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use burn_tensor::{Device, Tensor, TensorData};
-use palpate_training::{Adam, clip_norm, fill_normal, generator, permutation};
+use palpate_training::{Adam, add_gradients, clip_norm, fill_normal, generator, permutation};
 use rayon::prelude::*;
 
 use crate::act::divergence;
@@ -165,9 +165,7 @@ impl Trainer {
         let (mut total, mut loss) = parts.next().expect("a batch has samples");
         for (part, part_loss) in parts {
             loss += part_loss;
-            for (total, part) in total.iter_mut().flatten().zip(part.iter().flatten()) {
-                *total += part;
-            }
+            add_gradients(&mut total, &part);
         }
         let norm = clip_norm(&mut total, self.config.max_gradient_norm);
         if !norm.is_finite() {

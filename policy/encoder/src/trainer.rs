@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use burn_tensor::{Device, Tensor, TensorData};
-use palpate_training::{Adam, clip_norm, generator, permutation};
+use palpate_training::{Adam, add_gradients, clip_norm, generator, permutation};
 use rayon::prelude::*;
 
 use crate::loss::{LossTerms, diverged, sample_loss};
@@ -118,9 +118,7 @@ impl Trainer {
         let (mut total, mut terms) = parts.next().expect("a batch has samples");
         for (part, part_terms) in parts {
             terms.add(&part_terms);
-            for (total, part) in total.iter_mut().flatten().zip(part.iter().flatten()) {
-                *total += part;
-            }
+            add_gradients(&mut total, &part);
         }
         let norm = clip_norm(&mut total, self.config.max_gradient_norm);
         if !norm.is_finite() {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use palpate_training::{Adam, clip_norm, permutation};
+use palpate_training::{Adam, add_gradients, clip_norm, permutation};
 use rayon::prelude::*;
 
 use crate::{
@@ -204,9 +204,7 @@ impl Trainer {
                 sums.add(&part_sums);
                 for (part, part_sums) in parts {
                     sums.add(&part_sums);
-                    for (total, part) in total.iter_mut().flatten().zip(part.iter().flatten()) {
-                        *total += part;
-                    }
+                    add_gradients(&mut total, &part);
                 }
                 let norm = clip_norm(&mut total, config.max_gradient_norm);
                 if !norm.is_finite() {

@@ -76,12 +76,22 @@ impl Adam {
     }
 }
 
+/// Adds the gradients of one `part` of a batch to `total`; both have arrays of the same lengths.
+pub fn add_gradients(total: &mut [Vec<f32>], part: &[Vec<f32>]) {
+    // Array by array, because the compiler makes no vector instructions of a loop over all of them in one.
+    for (total, part) in total.iter_mut().zip(part) {
+        total.iter_mut().zip(part).for_each(|(total, part)| *total += part);
+    }
+}
+
 /// Scales `gradients` down to a norm of at most `max_norm`, over all arrays; gives the norm before.
 pub fn clip_norm(gradients: &mut [Vec<f32>], max_norm: f64) -> f64 {
     let norm = gradients.iter().flatten().map(|&slope| f64::from(slope).powi(2)).sum::<f64>().sqrt();
     if norm > max_norm {
         let scale = (max_norm / norm) as f32;
-        gradients.iter_mut().flatten().for_each(|slope| *slope *= scale);
+        for array in gradients {
+            array.iter_mut().for_each(|slope| *slope *= scale);
+        }
     }
     norm
 }
@@ -109,6 +119,13 @@ mod tests {
         let mut parameters = [vec![1.0_f32, -3.0]];
         adam.step(parameters.iter_mut(), &[vec![0.0, 0.0]], 0.1, 0.5);
         assert_eq!(parameters, [vec![0.95, -2.85]]);
+    }
+
+    #[test]
+    fn gradients_of_parts_are_added_array_by_array() {
+        let mut total = [vec![1.0], vec![2.0, 3.0]];
+        add_gradients(&mut total, &[vec![0.5], vec![-2.0, 1.0]]);
+        assert_eq!(total, [vec![1.5], vec![0.0, 4.0]]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ mod folder;
 mod run;
 mod seed;
 
-pub use adam::{Adam, AdamRates, clip_norm};
+pub use adam::{Adam, AdamRates, add_gradients, clip_norm};
 pub use array::{Array, ArrayBuilder};
 pub use config::{Expectation, check, difference, parse};
 pub use error::TrainingError;
