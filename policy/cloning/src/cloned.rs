@@ -181,11 +181,13 @@ impl Cloned {
             Head::Diffusion => {
                 let mut chunk = vec![0.0; self.network.chunk_len()];
                 fill_normal(&mut generator(self.config.seed, DRAWN, draw[0], draw[1]), &mut chunk);
-                let steps = self.schedule.sampled(self.config.diffusion.sampled_steps);
+                let predicts = self.config.diffusion.predicts();
+                let steps = self.schedule.sampled(self.config.diffusion.sampled_steps, predicts);
                 for (idx, &step) in steps.iter().enumerate() {
                     let noisy = row(chunk.clone());
-                    let noise = self.network.noise(&self.tensors, features.clone(), noisy, &[step]);
-                    self.schedule.denoise(&mut chunk, &values(noise), step, steps.get(idx + 1).copied());
+                    let predicted = self.network.of_noisy(&self.tensors, features.clone(), noisy, &[step]);
+                    let next = steps.get(idx + 1).copied();
+                    self.schedule.denoise(&mut chunk, &values(predicted), predicts, step, next);
                 }
                 chunk
             }

@@ -17,6 +17,18 @@ pub enum Head {
     Act,
 }
 
+/// What a diffusion predicts of a chunk that noise was added to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Predicts {
+    /// The chunk itself.
+    #[default]
+    Chunk,
+    /// The noise (Ho et al. 2020). What is wrong about it counts in the chunk over the share of the signal that is left, so
+    /// it takes more updates until a policy can act.
+    Noise,
+}
+
 /// What is made small between a chunk and what is predicted of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -155,6 +167,10 @@ pub struct DiffusionConfig {
     pub steps: usize,
     /// Steps in which it is taken away (DDIM, Song et al. 2021), 1 to `steps`; 10.
     pub sampled_steps: usize,
+    /// What is predicted; absent for the chunk, and in the files of policies with another head. Files of diffusion policies
+    /// that do not say it are from before it could be chosen, and predict the noise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub predicts: Option<Predicts>,
 }
 
 /// Action chunking with Transformers (Zhao et al. 2023).
@@ -245,7 +261,14 @@ impl Default for RecurrentConfig {
 
 impl Default for DiffusionConfig {
     fn default() -> Self {
-        Self { channels: [64, 128], kernel: 3, steps: 50, sampled_steps: 10 }
+        Self { channels: [64, 128], kernel: 3, steps: 50, sampled_steps: 10, predicts: None }
+    }
+}
+
+impl DiffusionConfig {
+    /// What is predicted of a chunk that noise was added to.
+    pub fn predicts(&self) -> Predicts {
+        self.predicts.unwrap_or_default()
     }
 }
 
@@ -286,10 +309,12 @@ impl CloneConfig {
         toml::to_string(&self.spelled_out()).expect("numbers, tables and names are TOML")
     }
 
-    /// This configuration as its file has it: with all of `act` where that is the head, and without it elsewhere.
+    /// This configuration as its file has it: what only one head needs is said in full where that is the head, and left out
+    /// elsewhere.
     pub(crate) fn spelled_out(&self) -> Self {
         let act = (self.head == Head::Act).then(|| self.act());
-        Self { act, ..self.clone() }
+        let predicts = (self.head == Head::Diffusion).then(|| self.diffusion.predicts());
+        Self { act, diffusion: DiffusionConfig { predicts, ..self.diffusion.clone() }, ..self.clone() }
     }
 
     /// What action chunking with Transformers needs.
@@ -426,6 +451,7 @@ mod tests {
         assert_eq!((paper.observation.frames, paper.predicted, paper.executed), (5, 8, 3));
         assert_eq!((paper.learning_rate, paper.weight_decay, paper.warmup_updates), (1e-4, 1e-6, 2000));
         assert_eq!((paper.batch_size, paper.diffusion.channels), (512, [256, 512]));
+        assert_eq!(paper.diffusion.predicts(), Predicts::Noise);
         assert_eq!((paper.head, paper.observation.stride), (Head::Diffusion, 1));
         let act = paper.act();
         assert_eq!((act.layers, act.width, act.heads, act.feed_forward), (4, 512, 8, 2048));
@@ -453,6 +479,14 @@ mod tests {
         let again = CloneConfig::from_toml("again", &config.to_toml()).expect("its own file");
         assert_eq!(again.act, Some(ActConfig::default()), "all of it, should a default ever change");
         assert_eq!(again.spelled_out(), config.spelled_out());
+    }
+
+    #[test]
+    fn what_a_diffusion_predicts_is_part_of_a_file_only_where_that_is_the_head() {
+        assert!(!CloneConfig::default().to_toml().contains("predicts"), "files of before keep their bytes");
+        let config = CloneConfig { head: Head::Diffusion, ..CloneConfig::default() };
+        let again = CloneConfig::from_toml("again", &config.to_toml()).expect("its own file");
+        assert_eq!(again.diffusion.predicts, Some(Predicts::Chunk), "said, should the default ever change");
     }
 
     #[test]
@@ -506,6 +540,7 @@ mod tests {
                 "[diffusion]\nsampled_steps = 51",
                 "diffusion.sampled_steps is 51, expected 1 to diffusion.steps",
             ),
+            ("[diffusion]\npredicts = \"slope\"", "unknown variant `slope`"),
             (
                 "[observation]\nfeatures = true\npoints = true",
                 "run.toml:3: observation.points is true, expected false",

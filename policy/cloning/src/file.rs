@@ -19,7 +19,7 @@ use crate::episodes::{EncoderFile, Episodes};
 use crate::network::Network;
 use crate::scaling::Scaling;
 use crate::trainer::Trainer;
-use crate::{CloneConfig, CloneError};
+use crate::{CloneConfig, CloneError, Head, Predicts};
 
 /// The policy that came out of a training, in its folder.
 pub const POLICY_FILE: &str = "policy.safetensors";
@@ -275,5 +275,31 @@ fn scaling(file: &File<'_>, name: &str, len: usize) -> Result<Scaling, CloneErro
 
 fn read_config(file: &File<'_>) -> Result<CloneConfig, CloneError> {
     let config = CloneConfig::from_toml("config", &file.state.config);
-    config.map_err(|err| file.error(err.to_string()).into())
+    let mut config = config.map_err(|err| file.error(err.to_string()))?;
+    if config.head == Head::Diffusion {
+        // Diffusions predicted nothing else before files said what they predict.
+        config.diffusion.predicts.get_or_insert(Predicts::Noise);
+    }
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_diffusion_of_before_it_was_said_predicts_the_noise() {
+        let robot = Robot { joints: Vec::new(), channels: Vec::new(), control_rate_hz: 20.0 };
+        let chunk = CloneConfig { head: Head::Diffusion, ..CloneConfig::default() };
+        let state = State::new(&robot, &chunk, 1, &BTreeMap::new(), None);
+        let old = State { config: state.config.replace("predicts = \"chunk\"\n", ""), ..state };
+        assert!(!old.config.contains("predicts"), "{}", old.config);
+        let bytes = encode(Vec::new(), |_| old);
+        let path = Path::new("policy.safetensors");
+        let read = read_config(&File::open(path, &bytes, FORMAT).expect("a file")).expect("it makes sense");
+        assert_eq!(read.diffusion.predicts, Some(Predicts::Noise));
+        let differs = palpate_training::difference(&read.spelled_out(), &chunk.spelled_out());
+        let (field, found, expected) = differs.expect("a training does not go on as another");
+        assert_eq!((&*field, &*found, &*expected), ("diffusion.predicts", "\"noise\"", "\"chunk\""));
+    }
 }

@@ -34,7 +34,7 @@ mod trainer;
 
 pub use cloned::{Cloned, Plan, Robot, Run};
 pub use config::{
-    ActConfig, ActLoss, CloneConfig, DiffusionConfig, Head, JointValues, Memory, ObservationConfig,
+    ActConfig, ActLoss, CloneConfig, DiffusionConfig, Head, JointValues, Memory, ObservationConfig, Predicts,
     RecurrentConfig,
 };
 pub use device::TrainingDevice;

@@ -112,9 +112,9 @@ impl Network {
         Pass::new(&tensors[self.num_trunk_arrays..]).linear(features)
     }
 
-    /// The noise in `noisy` chunks `[samples, predicted * action_len]`, which are after these `steps`, one for each
-    /// sample.
-    pub(crate) fn noise(
+    /// What the U-Net predicts ([`crate::Predicts`]) of `noisy` chunks `[samples, predicted * action_len]`, which are after
+    /// these `steps`, one for each sample.
+    pub(crate) fn of_noisy(
         &self,
         tensors: &[Tensor<2>],
         features: Tensor<2>,

@@ -1,12 +1,14 @@
 //! How much noise there is at each step of a diffusion, and how it is taken away again.
 
+use crate::Predicts;
+
 /// How far the cosine schedule begins from no noise at all (Nichol and Dhariwal 2021, equation 17).
 const OFFSET: f64 = 0.008;
 /// Most of what is left of the signal that one step may take away (there, section 3.2).
 const MAX_BETA: f64 = 0.999;
-/// Sampling begins where at least so much of the signal is left. What a network gets wrong about the noise counts in the
-/// chunk over this share: at the last step of a schedule, where a thousandth is left, chunks are thrown to the limit of
-/// [`CLIP`], and no later step brings them back.
+/// Where noise is predicted, sampling begins where at least so much of the signal is left. What a network gets wrong about
+/// the noise counts in the chunk over this share: at the last step of a schedule, where a thousandth is left, chunks are
+/// thrown to the limit of [`CLIP`], and no later step brings them back.
 const MIN_SIGNAL: f64 = 0.1;
 /// Denoised chunks stay within this many standard deviations of what the expert did.
 const CLIP: f64 = 6.0;
@@ -40,23 +42,35 @@ impl Schedule {
         [self.kept[step].sqrt(), (1.0 - self.kept[step]).sqrt()]
     }
 
-    /// The steps of a sampling in `count` steps, evenly spread from the noisiest step that has enough signal to the first;
-    /// fewer where there are not as many.
-    pub(crate) fn sampled(&self, count: usize) -> Vec<usize> {
-        let noisiest = (0..self.len()).rev().find(|&step| self.shares(step)[0] >= MIN_SIGNAL).unwrap_or(0);
+    /// The steps of a sampling in `count` steps, evenly spread to the first; fewer where there are not as many. It begins at
+    /// the last step where the chunk is predicted, and where the noise is, at the noisiest step that has enough signal.
+    pub(crate) fn sampled(&self, count: usize, predicts: Predicts) -> Vec<usize> {
+        let has_enough = |&step: &usize| predicts == Predicts::Chunk || self.shares(step)[0] >= MIN_SIGNAL;
+        let noisiest = (0..self.len()).rev().find(has_enough).unwrap_or(0);
         match count.min(noisiest + 1) {
             0 | 1 => vec![noisiest],
             count => (0..count).rev().map(|idx| idx * noisiest / (count - 1)).collect(),
         }
     }
 
-    /// DDIM without noise (Song et al. 2021, equation 12 with sigma = 0): `noisy` as it is after `step`, with the noise
-    /// that was predicted in it, becomes what it was after `next`, or the chunk itself.
-    pub(crate) fn denoise(&self, noisy: &mut [f32], predicted: &[f32], step: usize, next: Option<usize>) {
+    /// DDIM without noise (Song et al. 2021, equation 12 with sigma = 0): `noisy` as it is after `step`, with what was
+    /// `predicted` of it, becomes what it was after `next`, or the chunk itself.
+    pub(crate) fn denoise(
+        &self,
+        noisy: &mut [f32],
+        predicted: &[f32],
+        predicts: Predicts,
+        step: usize,
+        next: Option<usize>,
+    ) {
         let [signal, noise] = self.shares(step);
         let [next_signal, next_noise] = next.map_or([1.0, 0.0], |next| self.shares(next));
-        for (value, &epsilon) in noisy.iter_mut().zip(predicted) {
-            let clean = ((f64::from(*value) - noise * f64::from(epsilon)) / signal).clamp(-CLIP, CLIP);
+        for (value, &predicted) in noisy.iter_mut().zip(predicted) {
+            let clean = match predicts {
+                Predicts::Noise => (f64::from(*value) - noise * f64::from(predicted)) / signal,
+                Predicts::Chunk => f64::from(predicted),
+            };
+            let clean = clean.clamp(-CLIP, CLIP);
             // The noise that belongs to the clipped value.
             let epsilon = (f64::from(*value) - signal * clean) / noise;
             *value = (next_signal * clean + next_noise * epsilon) as f32;
@@ -83,11 +97,13 @@ mod tests {
     #[test]
     fn sampling_goes_from_where_there_is_signal_to_the_first_step_with_even_gaps() {
         let schedule = Schedule::cosine(50);
-        assert_eq!(schedule.sampled(10), [45, 40, 35, 30, 25, 20, 15, 10, 5, 0]);
-        assert_eq!(schedule.sampled(2), [45, 0]);
-        assert_eq!(schedule.sampled(1), [45]);
-        assert_eq!(schedule.sampled(50), (0..=45).rev().collect::<Vec<_>>());
-        assert_eq!(Schedule::cosine(2).sampled(10), [0]);
+        assert_eq!(schedule.sampled(10, Predicts::Noise), [45, 40, 35, 30, 25, 20, 15, 10, 5, 0]);
+        assert_eq!(schedule.sampled(2, Predicts::Noise), [45, 0]);
+        assert_eq!(schedule.sampled(1, Predicts::Noise), [45]);
+        assert_eq!(schedule.sampled(50, Predicts::Noise), (0..=45).rev().collect::<Vec<_>>());
+        assert_eq!(Schedule::cosine(2).sampled(10, Predicts::Noise), [0]);
+        // A chunk can be predicted of noise alone.
+        assert_eq!(schedule.sampled(8, Predicts::Chunk), [49, 42, 35, 28, 21, 14, 7, 0]);
     }
 
     proptest! {
@@ -97,15 +113,27 @@ mod tests {
             clean in -2.0_f64..2.0, epsilon in -2.0_f64..2.0, wrong in -0.1_f64..0.1, count in 2_usize..=50,
         ) {
             let schedule = Schedule::cosine(50);
-            let steps = schedule.sampled(count);
+            let steps = schedule.sampled(count, Predicts::Noise);
             let [signal, noise] = schedule.shares(steps[0]);
             let mut noisy = [(signal * clean + noise * epsilon) as f32];
             for (idx, &step) in steps.iter().enumerate() {
                 let [signal, noise] = schedule.shares(step);
                 let predicted = (f64::from(noisy[0]) - signal * clean) / noise + wrong;
-                schedule.denoise(&mut noisy, &[predicted as f32], step, steps.get(idx + 1).copied());
+                schedule.denoise(&mut noisy, &[predicted as f32], Predicts::Noise, step, steps.get(idx + 1).copied());
             }
             prop_assert!((f64::from(noisy[0]) - clean).abs() < 1.0, "{noisy:?} {clean}");
+        }
+
+        /// Whoever predicts the chunk has it after the last step, whatever came before.
+        #[test]
+        fn a_predicted_chunk_is_what_is_left(chunk in -3.0_f32..3.0, noise in -3.0_f32..3.0, count in 1_usize..=20) {
+            let schedule = Schedule::cosine(20);
+            let steps = schedule.sampled(count, Predicts::Chunk);
+            let mut noisy = [noise];
+            for (idx, &step) in steps.iter().enumerate() {
+                schedule.denoise(&mut noisy, &[chunk], Predicts::Chunk, step, steps.get(idx + 1).copied());
+            }
+            prop_assert!((noisy[0] - chunk).abs() < 1e-6, "{noisy:?} {chunk}");
         }
 
         /// Whoever predicts the noise exactly gets the chunk back, in any number of steps.
@@ -116,7 +144,7 @@ mod tests {
             count in 1_usize..=20,
         ) {
             let schedule = Schedule::cosine(20);
-            let steps = schedule.sampled(count);
+            let steps = schedule.sampled(count, Predicts::Noise);
             let [signal, noise] = schedule.shares(steps[0]);
             let mix = |(&clean, &epsilon): (&f32, &f32)| (signal * f64::from(clean) + noise * f64::from(epsilon)) as f32;
             let mut noisy: Vec<f32> = chunk.iter().zip(&epsilon).map(mix).collect();
@@ -127,7 +155,7 @@ mod tests {
                     .zip(&chunk)
                     .map(|(&value, &clean)| ((f64::from(value) - signal * f64::from(clean)) / noise) as f32)
                     .collect();
-                schedule.denoise(&mut noisy, &exact, step, steps.get(idx + 1).copied());
+                schedule.denoise(&mut noisy, &exact, Predicts::Noise, step, steps.get(idx + 1).copied());
             }
             for (found, expected) in noisy.iter().zip(&chunk) {
                 prop_assert!((found - expected).abs() < 2e-2, "{found} {expected}");

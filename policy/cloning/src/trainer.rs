@@ -14,7 +14,7 @@ use crate::network::{CHUNK_SAMPLES, Network};
 use crate::pass::values;
 use crate::scaling::Scaling;
 use crate::schedule::Schedule;
-use crate::{CloneConfig, CloneError, Head, Memory, Shape};
+use crate::{CloneConfig, CloneError, Head, Memory, Predicts, Shape};
 
 /// What noise is for: the order of samples; what is added to chunks; the same for held-out ones.
 const SHUFFLE: u64 = 2;
@@ -323,7 +323,11 @@ impl Trainer {
             (signal_share * f64::from(chunk) + noise_share * f64::from(noise)) as f32
         });
         let noisy = rows(noisy.collect());
-        Predicted { rows: network.noise(tensors, features, noisy, &steps), wanted: noise, divergence: None }
+        let wanted = match self.config.diffusion.predicts() {
+            Predicts::Noise => noise,
+            Predicts::Chunk => chunks,
+        };
+        Predicted { rows: network.of_noisy(tensors, features, noisy, &steps), wanted, divergence: None }
     }
 
     /// Slopes of the mean error, squared or absolute, of a batch of `batch_size`, and this part's share of it.

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::*;
 use crate::episodes::tests::{encoded, encoder, features_of, reaching};
 use crate::{
-    ActConfig, ActLoss, Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, RecurrentConfig,
-    Run, Shape, Start, Step, Touch, TrainingDevice, train,
+    ActConfig, ActLoss, Data, DiffusionConfig, Episode, Finish, Moment, ObservationConfig, Predicts,
+    RecurrentConfig, Run, Shape, Start, Step, Touch, TrainingDevice, train,
 };
 
 fn robot() -> Robot {
@@ -27,7 +27,13 @@ fn config(head: Head) -> CloneConfig {
         observation: ObservationConfig { frames: 3, stride: 2, ..ObservationConfig::default() },
         trunk: vec![32, 24],
         head,
-        diffusion: DiffusionConfig { channels: [8, 12], kernel: 3, steps: 12, sampled_steps: 6 },
+        diffusion: DiffusionConfig {
+            channels: [8, 12],
+            kernel: 3,
+            steps: 12,
+            sampled_steps: 6,
+            predicts: None,
+        },
         act: Some(act(ActLoss::Absolute)),
         ..CloneConfig::default()
     }
@@ -46,6 +52,13 @@ fn act(loss: ActLoss) -> ActConfig {
     }
 }
 
+/// A configuration of a diffusion that predicts the noise.
+fn of_noise() -> CloneConfig {
+    let config = config(Head::Diffusion);
+    let diffusion = DiffusionConfig { predicts: Some(Predicts::Noise), ..config.diffusion };
+    CloneConfig { diffusion, ..config }
+}
+
 fn recurrent(head: Head) -> CloneConfig {
     CloneConfig { memory: Memory::Recurrent, recurrent: RecurrentConfig { width: 12 }, ..config(head) }
 }
@@ -54,9 +67,9 @@ fn paces() -> Vec<f64> {
     (0..20).map(|idx| 0.05 + 0.005 * f64::from(idx)).collect()
 }
 
-fn trained(head: Head) -> Trainer {
-    let [learned, _] = reaching(&paces(), 25).split(&config(head));
-    let mut trainer = Trainer::new(config(head), robot(), &learned, BTreeMap::new()).expect("it fits");
+fn trained(config: CloneConfig) -> Trainer {
+    let [learned, _] = reaching(&paces(), 25).split(&config);
+    let mut trainer = Trainer::new(config, robot(), &learned, BTreeMap::new()).expect("it fits");
     while trainer.updates() < trainer.config().updates {
         trainer.update(&learned).expect("an update");
     }
@@ -85,15 +98,16 @@ fn rolled_out(policy: Cloned, pace: f64, steps: usize) -> (f64, bool) {
 
 #[test]
 fn all_heads_learn_to_reach_and_to_say_so() {
-    for head in [Head::Regression, Head::Diffusion, Head::Act] {
-        let trainer = trained(head);
-        let [_, held_out] = reaching(&paces(), 25).split(&config(head));
+    for config in [config(Head::Regression), config(Head::Diffusion), of_noise(), config(Head::Act)] {
+        let name = format!("{:?}, {:?}", config.head, config.diffusion.predicts);
+        let trainer = trained(config.clone());
+        let [_, held_out] = reaching(&paces(), 25).split(&config);
         let untrained =
-            Trainer::new(config(head), robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits");
+            Trainer::new(config, robot(), &reaching(&paces(), 25), BTreeMap::new()).expect("it fits");
         let [before, after] = [&untrained, &trainer].map(|trainer| trainer.judge(&held_out).expect("a loss"));
-        assert!(after < 0.5 * before, "{head:?}: {before} became {after}");
+        assert!(after < 0.5 * before, "{name}: {before} became {after}");
         let (reached, claims) = rolled_out(trainer.cloned(), 0.1, 25);
-        assert!((reached - 1.0).abs() < 0.15 && claims, "{head:?}: at {reached}, claims: {claims}");
+        assert!((reached - 1.0).abs() < 0.15 && claims, "{name}: at {reached}, claims: {claims}");
     }
 }
 
@@ -103,6 +117,7 @@ fn gradients_are_those_of_finite_differences() {
     let configs = [
         config(Head::Regression),
         config(Head::Diffusion),
+        of_noise(),
         recurrent(Head::Regression),
         config(Head::Act),
         squared,
@@ -277,11 +292,12 @@ fn files_are_read_back_and_what_does_not_belong_together_is_named() {
     let read = Cloned::from_bytes(path, &bytes).expect("the policy");
     assert_eq!(read.config().act, Some(act(ActLoss::Absolute)));
     assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
-    let trainer = trained(Head::Diffusion);
+    let trainer = trained(config(Head::Diffusion));
     let bytes = trainer.cloned().to_bytes().expect("a file");
     let read = Cloned::from_bytes(path, &bytes).expect("the policy");
     assert!(read.to_bytes().expect("a file") == bytes, "the same file again");
     assert_eq!(read.updates(), 300);
+    assert_eq!(read.config().diffusion.predicts, Some(Predicts::Chunk));
     let mut altered = bytes.clone();
     *altered.last_mut().expect("bytes") ^= 1;
     let problem = Cloned::from_bytes(path, &altered).expect_err("it was altered").to_string();

@@ -18,7 +18,7 @@ mod core_s {
     /// A trial of an evaluation, for each second of the episode.
     pub(super) const EVALUATED_S: f64 = 0.012;
     pub(super) const REGRESSION_UPDATE: f64 = 0.04;
-    pub(super) const DIFFUSION_UPDATE: f64 = 0.08;
+    pub(super) const DIFFUSION_UPDATE: f64 = 0.2;
     pub(super) const ACT_UPDATE: f64 = 0.24;
     /// What an update takes longer where the policy's memory is recurrent.
     pub(super) const RECURRENT_MORE: f64 = 0.03;
