@@ -42,6 +42,22 @@ fn lane_says_what_the_cursor_is_on() {
 }
 
 #[test]
+fn the_time_stands_on_one_row_at_any_width() {
+    let mut harness =
+        page_of(&full_api(), &FakeWindow::at("#/timelines/bench-1?take=take-01"), [320.0, 844.0]);
+    let row = harness.get_by_label("0.000 s of 19.9 s").rect().height();
+    for width in (320..=640).step_by(10) {
+        harness.set_size(egui::vec2(width as f32, 844.0));
+        harness.run_steps(2);
+        let time = harness.get_by_label("0.000 s of 19.9 s").rect();
+        assert!(
+            time.height() == row && time.right() <= width as f32,
+            "{width} wide: {time:?}, rows of {row}"
+        );
+    }
+}
+
+#[test]
 fn brackets_jump_from_mismatch_to_mismatch() {
     let mut harness = open();
     harness.key_press(Key::CloseBracket);

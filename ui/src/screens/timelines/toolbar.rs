@@ -28,14 +28,9 @@ pub(super) fn toolbar_ui(
             cx.playback.toggle_playing();
         }
         speed_ui(ui, cx.playback);
-        ui.label(
-            RichText::new(format!(
-                "{:.3} s of {}",
-                cx.playback.time_s,
-                duration_text(cx.playback.duration_s)
-            ))
-            .monospace(),
-        );
+        let time = format!("{:.3} s of {}", cx.playback.time_s, duration_text(cx.playback.duration_s));
+        // On a row of its own where it does not fit, and not broken into two.
+        ui.add(egui::Label::new(RichText::new(time).monospace()).extend());
         compared_ui(ui, cx);
         if cx.playback.diagnosed.is_some() {
             diagnosed_ui(ui, cx);
