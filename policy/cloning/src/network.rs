@@ -125,7 +125,8 @@ impl Network {
         let (samples, device) = (steps.len(), features.device());
         let embedded = TensorData::new(embedding(steps), [samples, STEP_DIM]);
         let embedded = activation::silu(pass.linear(Tensor::from_data(embedded, &device)));
-        let condition = Tensor::cat(vec![features, pass.linear(embedded)], 1);
+        // Every block is told the same.
+        let condition = activation::silu(Tensor::cat(vec![features, pass.linear(embedded)], 1));
         let signal = Signal { rows: noisy.reshape([samples * self.predicted, self.action_len]), samples };
         let [outer, inner] = self.channels;
         let unet = UNet { condition: 0, kernel: self.kernel };
@@ -253,7 +254,7 @@ impl UNet {
         let [_, inputs] = signal.rows.dims();
         let rows = self.convolve(pass, &signal);
         let rows = activation::silu(pass.norm(rows));
-        let film = pass.linear(activation::silu(condition));
+        let film = pass.linear(condition);
         let part = |first| film.clone().narrow(1, first, outputs).reshape([samples, 1, outputs]);
         let rows = rows.reshape([samples, steps, outputs]);
         let rows = rows.clone() + rows * part(0) + part(outputs);

@@ -1,7 +1,6 @@
 //! The `palpate-train` command: grasping in simulation. It scores scripts, tunes them, learns to do better than they,
 //! searches by touch, keeps what experts do and imitates it, scores what was learned, does all of that as one pipeline,
-//! pretrains the tactile encoder,
-//! and measures the grasp world's speed.
+//! pretrains the tactile encoder, and measures how fast all of it is.
 
 mod against_hand;
 mod bench;

@@ -18,14 +18,14 @@ mod core_s {
     /// A trial of an evaluation, for each second of the episode.
     pub(super) const EVALUATED_S: f64 = 0.012;
     pub(super) const REGRESSION_UPDATE: f64 = 0.04;
-    pub(super) const DIFFUSION_UPDATE: f64 = 0.2;
+    pub(super) const DIFFUSION_UPDATE: f64 = 0.13;
     pub(super) const ACT_UPDATE: f64 = 0.24;
     /// What an update takes longer where the policy's memory is recurrent.
     pub(super) const RECURRENT_MORE: f64 = 0.03;
     /// A sample of an encoder's update, by the preset `quick`.
     pub(super) const ENCODER_SAMPLE: f64 = 0.002;
     /// The features of one step, by the same encoder.
-    pub(super) const FEATURES_STEP: f64 = 0.0004;
+    pub(super) const FEATURES_STEP: f64 = 0.00015;
     /// Steps of a trial for each second of the longest one: many are won before.
     pub(super) const STEPS_PER_S: f64 = 15.0;
 }
