@@ -32,7 +32,7 @@ mod segment;
 mod tests;
 
 pub(crate) use adequacy::{loss_by_unit, share_left};
-pub(crate) use agreement::{Contributions, Disagreement};
+pub(crate) use agreement::Contributions;
 pub(crate) use fit::{refit, refit_roughly};
 pub use name::name;
 pub(crate) use name::strongest;

@@ -52,13 +52,10 @@ impl<'a> InForce<'a> {
 
 pub(crate) const USUAL: &str = "usual";
 pub(crate) const BY_TAKE: &str = "size_by_take";
-pub(crate) const BY_PART: &str = "size_by_part";
 pub(crate) const REMAINDER: &str = "remainder";
 pub(crate) const ALIKE: &str = "alike";
 pub(crate) const ONE_PLACE: &str = "one_place";
-pub(crate) const LOSS_LEFT: &str = "loss_left";
-pub(crate) const CRUMB: &str = "crumb";
-pub(crate) const REPEATING_LEFT: &str = "repeating_left";
+pub(crate) const WEAK_BESIDE_REST: &str = "weak_beside_rest";
 pub(crate) const REPEATS_MORE: &str = "repeats_more";
 pub(crate) const LEFT_AT_PATCH: &str = "left_at_patch";
 pub(crate) const POSTURE: &str = "posture";

@@ -15,11 +15,10 @@ use crate::prepare::{Prepared, check, prepare};
 use crate::reference::Reference;
 use crate::steps::Steps;
 use crate::tactile::adequacy::{
-    Adequacy, account_where_they_act, adequacy, changed_signals, complete_by_signal, leave_most_at_a_patch,
-    repeating_by_patch, touch_to_touch,
+    Adequacy, adequacy, leave_most_at_a_patch, repeating_by_patch, touch_to_touch,
 };
 use crate::tactile::posture::with_posture;
-use crate::withhold::withhold;
+use crate::withhold::{withhold, withhold_weak};
 use crate::{DiagnosisError, show};
 
 /// What a diagnosis found.
@@ -43,10 +42,6 @@ pub struct DiagnosisOutcome {
 /// three reached more than 120, with shares up to 0.025, and one 109 with more than 0.03.
 const EVENTS_EVIDENCE: f64 = 120.0;
 const EVENTS_SHARE: f64 = 0.035;
-
-/// Rules that ask for a share of the excess over a model that misses nothing. Where a library leaves much of a station anyway,
-/// right names leave a large share; reference sessions say how much may be left instead.
-const SHARES_OF_EXCESS: [&str; 3] = [fired::LOSS_LEFT, fired::CRUMB, fired::REPEATING_LEFT];
 
 /// Diagnoses `takes` (of one station), starting from `nominal`.
 ///
@@ -100,18 +95,19 @@ pub fn diagnose(
         naming.settle(&domain, &fitted)?;
     }
     let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
-    let mut unasked = config.without_rules.clone();
-    if reference.sessions().is_some() {
-        unasked.extend(SHARES_OF_EXCESS.map(str::to_owned));
-    }
-    let rules = InForce::all_but(&unasked);
+    let rules = InForce::all_but(&config.without_rules);
     withhold(&domain, &start, &mut naming, &fitted, is_cut_short, reference, rules)?;
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
     let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
-    let (mut adequacy, mut left) = adequacy(station, &domain, &naming.model, &fitted)?;
-    let changed = changed_signals(&domain, &naming.model, start.effects.len(), &fitted)?;
-    let complete = complete_by_signal(station);
+    let (mut after, mut left) = adequacy(station, &domain, &naming.model, &fitted)?;
+    let has_readings = domain.num_raw_takes() > 0;
+    if has_readings && !is_cut_short && rules.has(fired::WEAK_BESIDE_REST) {
+        let overdispersion = after.overdispersion(&reference.left);
+        if withhold_weak(&domain, start.effects.len(), &mut naming, &fitted, overdispersion)? {
+            (after, left) = adequacy(station, &domain, &naming.model, &fitted)?;
+        }
+    }
     let names = &naming.model.effects[start.effects.len()..];
     let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
     let of_channels_only = names.iter().all(is_of_channels);
@@ -120,22 +116,22 @@ pub fn diagnose(
     let mut bent = with_posture(&domain, &naming.model, &fitted, reference.posture)?;
     let evidence = naming.evidence[start.effects.len()..].iter().sum();
     // What reference sessions leave as well speaks against no name.
-    let is_usual = reference.sessions().is_some() && adequacy.repeating <= reference.left.repeating;
+    let is_usual = reference.sessions().is_some() && after.repeating <= reference.left.repeating;
     let of_something_else = || {
         let at_patch = rules.keep(leave_most_at_a_patch(&by_patch, &of_limb, reference.much_at_patch()));
         at_patch.or_else(|| bent.iter().find_map(|change| rules.keep(change.outweighs(evidence, &of_limb))))
     };
-    let fired = account_where_they_act(&left_before, &left, &changed, &complete, is_cut_short, rules)
-        .or_else(|| rules.keep(adequacy.repeats_more(&before).filter(|_| of_channels_only && !is_usual)))
+    let fired = rules
+        .keep(after.repeats_more(&before).filter(|_| of_channels_only && !is_usual))
         .or_else(|| of_something_else().filter(|_| !is_cut_short));
     let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
     let fired = match fired {
-        None if domain.num_raw_takes() > 0 => rules.keep(steps.widen_the_gap(station, &domain, &fitted)?),
-        fired => fired.filter(|_| domain.num_raw_takes() > 0),
+        None if has_readings => rules.keep(steps.widen_the_gap(station, &domain, &fitted)?),
+        fired => fired.filter(|_| has_readings),
     };
     if let Some(why) = fired {
         naming.withhold(&start, why);
-        (adequacy, left) = (before, left_before);
+        (after, left) = (before, left_before);
         bent = with_posture(&domain, &start, &fitted, reference.posture)?;
         steps.models.truncate(1);
     }
@@ -152,7 +148,7 @@ pub fn diagnose(
         steps: &steps,
         nominal,
         fitted: &fitted,
-        adequacy,
+        adequacy: after,
         touch_to_touch,
         with_posture: &bent,
         bar,
@@ -161,5 +157,5 @@ pub fn diagnose(
     })?;
     progress.report(1.0, "done");
     let model = steps.models.last().cloned().unwrap_or_else(|| calibrated.clone());
-    Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy })
+    Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy: after })
 }

@@ -12,7 +12,7 @@ use crate::engine;
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
 use crate::reference::{Measured, Reference};
-use crate::tactile::adequacy::{adequacy, touch_to_touch};
+use crate::tactile::adequacy::adequacy;
 use crate::tactile::posture::{Least, with_posture};
 
 /// Measures what `sessions`, of one station, leave in which nothing is wrong; each is searched like any other session.
@@ -51,7 +51,7 @@ pub fn reference(
             )));
         }
         let Prepared { domain, start, fitted, .. } = prepare(config, station, takes, nominal, cancel)?;
-        let (of_all, left) = adequacy(station, &domain, &start, &fitted)?;
+        let (of_all, _) = adequacy(station, &domain, &start, &fitted)?;
         let bent = with_posture(&domain, &start, &fitted, Least::ANY)?;
         let naming = NullBar::naming(config.max_effects + nominal.effects.len());
         let known = start.effects.len();
@@ -62,7 +62,6 @@ pub fn reference(
         measured.push(Measured {
             left: of_all,
             posture: bent.iter().map(|change| change.evidence).fold(0.0, f64::max),
-            dispersion: touch_to_touch(station, &left).into_iter().flatten().fold(0.0, f64::max),
             named: found.model.effects.into_iter().zip(found.evidence).skip(known).collect(),
         });
     }

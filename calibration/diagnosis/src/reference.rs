@@ -18,12 +18,6 @@ use crate::tactile::posture::Least;
 const BELOW_LIMIT: f64 = 0.99;
 /// Values from which a spread can be told.
 const FEWEST_VALUES: usize = 3;
-/// Loss, in variances, that sizes of its own for each channel in each take remove at most of a right name: on the tuning
-/// stations up to 26 (crosstalk along a layer); where a joint is named for an object that has moved, 40 to 150.
-pub(crate) const MOST_BY_PART: f64 = 32.0;
-/// Loss that sizes by channel and take remove of a right name, over what gains by take remove of the readings: on the tuning
-/// stations 26 of 16.
-const BY_PART_OVER_DISPERSION: f64 = 2.0;
 
 /// What sessions of a station leave in which nothing is wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,8 +30,6 @@ pub struct Reference {
     pub(crate) left: Adequacy,
     /// The same of a gain that bends with a joint, squares in variances.
     pub(crate) posture: Least,
-    /// The same of what sizes of a name's own by channel and take remove, variances.
-    pub(crate) by_part: f64,
     /// Highest evidence of effects that are alike.
     evidence: BTreeMap<Reach, f64>,
 }
@@ -50,7 +42,6 @@ impl Reference {
             sessions: None,
             left: Adequacy::SHIPPED,
             posture: Least::SHIPPED,
-            by_part: MOST_BY_PART,
             evidence: BTreeMap::new(),
         }
     }
@@ -85,8 +76,6 @@ impl Reference {
             ..made.left
         };
         made.posture.evidence = limit(|of| of.posture, made.posture.evidence);
-        let dispersion = limit(|of| of.dispersion, made.by_part / BY_PART_OVER_DISPERSION);
-        made.by_part = BY_PART_OVER_DISPERSION * dispersion;
         for (effect, evidence) in measured.iter().flat_map(|of| &of.named) {
             let most = made.evidence.entry(Reach::of(effect)).or_insert(0.0);
             *most = most.max(*evidence);
@@ -135,8 +124,6 @@ pub(crate) struct Measured {
     pub(crate) left: Adequacy,
     /// Squares that a gain which bends with a joint removes, at the patch where it removes most, variances.
     pub(crate) posture: f64,
-    /// Of the stream that is modelled most roughly from touch to touch.
-    pub(crate) dispersion: f64,
     /// What is named in it, with the evidence for each.
     pub(crate) named: Vec<(Effect, f64)>,
 }

@@ -6,11 +6,11 @@
 //! [`DiagnosisConfig::without_rules`]: crate::DiagnosisConfig::without_rules
 
 use crate::fired::{
-    ALIKE, BY_PART, BY_TAKE, CRUMB, GAP_GROWS, LEFT_AT_PATCH, LOSS_LEFT, ONE_PLACE, POSTURE, REMAINDER,
-    REPEATING_LEFT, REPEATS_MORE, USUAL,
+    ALIKE, BY_TAKE, GAP_GROWS, LEFT_AT_PATCH, ONE_PLACE, POSTURE, REMAINDER, REPEATS_MORE, USUAL,
+    WEAK_BESIDE_REST,
 };
 use crate::tactile::{adequacy, posture};
-use crate::{reference, steps, withhold};
+use crate::{steps, withhold};
 
 /// A rule that withholds names.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,11 +36,6 @@ pub static RULES: &[Rule] = &[
         limit: withhold::MOST_BY_TAKE,
     },
     Rule {
-        id: BY_PART,
-        measures: "loss that sizes of its own for each channel in each take remove, on average, in variances",
-        limit: reference::MOST_BY_PART,
-    },
-    Rule {
         id: REMAINDER,
         measures: "Wald statistic of a stronger effect at the same patch, joint or object, over the effect's own",
         limit: 1.0 / withhold::LEAST_BESIDE,
@@ -56,19 +51,10 @@ pub static RULES: &[Rule] = &[
         limit: 0.0,
     },
     Rule {
-        id: LOSS_LEFT,
-        measures: "share of the excess loss that is left in the signals that the effects change",
-        limit: adequacy::MOST_LOSS_LEFT,
-    },
-    Rule {
-        id: CRUMB,
-        measures: "share of the repeatable residual that is left in all signals, where that is large",
-        limit: 1.0 - adequacy::LEAST_OVERALL,
-    },
-    Rule {
-        id: REPEATING_LEFT,
-        measures: "share of the repeatable residual that is left in the signals that the effects change",
-        limit: adequacy::MOST_REPEATING_LEFT,
+        id: WEAK_BESIDE_REST,
+        measures: "Wald statistic that a name needs where more is left than may be (80 for each time as much as that), over the \
+                   effect's own",
+        limit: withhold::WEAK,
     },
     Rule {
         id: REPEATS_MORE,

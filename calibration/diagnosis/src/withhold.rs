@@ -6,7 +6,7 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::{self, Effect, Stage};
 
 use crate::DiagnosisError;
-use crate::engine::{Contributions, Disagreement, Domain, Model, Naming, within};
+use crate::engine::{Contributions, Domain, Model, Naming, within};
 use crate::fired::{self, Fired, InForce};
 use crate::reference::Reference;
 use crate::tactile::{TactileDomain, is_local};
@@ -21,6 +21,12 @@ pub(crate) const LEAST_BESIDE: f64 = 0.2;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.
 pub(crate) const MOST_BY_TAKE: f64 = 0.8;
+/// Evidence that a name needs where more is left than may be, for each time as much as that. On the tuning stations right names
+/// beside which much is left have 120 and more, and names that stand in for an effect of no library mostly 56 or less; this is
+/// in the middle.
+const EVIDENCE_BESIDE_REST: f64 = 80.0;
+/// How many times a name may fall short of it.
+pub(crate) const WEAK: f64 = 1.0;
 /// Cosine between what two names add to the readings from which they do nearly the same: of right ones at most 0.11, of a bent
 /// joint and a stiffer layer in place of a preload 0.7.
 pub(crate) const ALIKE: f64 = 0.3;
@@ -44,8 +50,8 @@ pub(crate) fn withhold(
     if rules.has(fired::USUAL) {
         withhold_usual(known, naming, reference);
     }
-    if has_readings && !is_part {
-        withhold_disagreeing(domain, known, naming, fitted, reference.by_part, rules)?;
+    if has_readings && !is_part && rules.has(fired::BY_TAKE) {
+        withhold_disagreeing(domain, known, naming, fitted)?;
     }
     if rules.has(fired::REMAINDER) {
         withhold_remainders(domain, known, naming, fitted)?;
@@ -57,6 +63,37 @@ pub(crate) fn withhold(
         withhold_at_one_place(domain, start, naming, fitted)?;
     }
     Ok(())
+}
+
+/// Takes back names beyond the first `known` that are too weak beside what is left, the weakest first, each time fitting the
+/// others without it; says whether any was. See [`too_weak`].
+pub(crate) fn withhold_weak(
+    domain: &TactileDomain<'_>,
+    known: usize,
+    naming: &mut Naming,
+    fitted: &[usize],
+    overdispersion: f64,
+) -> Result<bool, DiagnosisError> {
+    let count = naming.model.effects.len();
+    while let Some((weakest, why)) = too_weak(&naming.evidence, known, overdispersion) {
+        naming.withhold_one(domain, weakest, fitted, why)?;
+    }
+    Ok(naming.model.effects.len() < count)
+}
+
+/// The weakest of the names beyond the first `known` with this `evidence`, if it is too weak where `overdispersion` times as much
+/// is left as may be.
+///
+/// Standard errors hold for a model that is right but for noise. Where more is left, variances are as many times larger (the
+/// dispersion of a quasi-likelihood), and an effect that is not there explains a part of it.
+fn too_weak(evidence: &[f64], known: usize, overdispersion: f64) -> Option<(usize, Fired)> {
+    if overdispersion <= 1.0 {
+        return None;
+    }
+    let of_names = evidence.iter().copied().enumerate().skip(known);
+    let (weakest, evidence) = of_names.min_by(|(_, one), (_, other)| one.total_cmp(other))?;
+    let measured = EVIDENCE_BESIDE_REST * overdispersion / evidence.max(NO_EVIDENCE);
+    Some((weakest, Fired::above(fired::WEAK_BESIDE_REST, measured, WEAK)?))
 }
 
 /// Takes back names beyond the first `known` that have not much more evidence than effects like them have in sessions in which
@@ -77,24 +114,13 @@ fn withhold_disagreeing(
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
-    most_by_part: f64,
-    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
-    // How many times as much as it may, and by which rule.
-    let excess = |of: Disagreement| {
-        let measures =
-            [(fired::BY_TAKE, of.by_take, MOST_BY_TAKE), (fired::BY_PART, of.by_part, most_by_part)];
-        let in_force = measures.into_iter().filter(|(rule, ..)| rules.has(rule));
-        let ratios =
-            in_force.map(|(rule, measured, limit)| (measured / limit, Fired { rule, measured, limit }));
-        ratios.max_by(|(one, _), (other, _)| one.total_cmp(other))
-    };
     while naming.model.effects.len() > known {
         let disagreements = Contributions::of(domain, &naming.model, fitted)?.disagreements()?;
         let of_names = disagreements.into_iter().enumerate().skip(known);
-        let of_names = of_names.filter_map(|(idx, of)| excess(of).map(|(ratio, why)| (idx, ratio, why)));
-        let worst = of_names.max_by(|(_, one, _), (_, other, _)| one.total_cmp(other));
-        let Some((worst, _, why)) = worst.filter(|(_, ratio, _)| *ratio > 1.0) else { break };
+        let worst = of_names.max_by(|(_, one), (_, other)| one.total_cmp(other));
+        let fired = worst.and_then(|(idx, of)| Some((idx, Fired::above(fired::BY_TAKE, of, MOST_BY_TAKE)?)));
+        let Some((worst, why)) = fired else { break };
         naming.withhold_one(domain, worst, fitted, why)?;
     }
     Ok(())
@@ -242,6 +268,18 @@ mod tests {
             patches.iter().map(|patches| patches.iter().copied().collect()).collect();
         // Fingers of two patches each.
         num_standing(named, &patches, &[0, 0, 1, 2, 2, 3, 3])
+    }
+
+    #[test]
+    fn a_name_needs_more_evidence_the_more_is_left() {
+        let weakest = |overdispersion| too_weak(&[3.0, 900.0, 200.0, 500.0], 1, overdispersion);
+        assert_eq!(weakest(0.9), None, "no more is left than may be");
+        assert_eq!(weakest(2.0), None);
+        let (idx, why) = weakest(3.0).unwrap();
+        assert_eq!((idx, why.rule), (2, fired::WEAK_BESIDE_REST), "what the model had already is no name");
+        assert!((why.measured - 3.0 * EVIDENCE_BESIDE_REST / 200.0).abs() < 1e-12, "{why:?}");
+        assert_eq!(too_weak(&[3.0], 1, 9.0), None, "no names");
+        assert!(too_weak(&[f64::NAN], 0, 9.0).is_none_or(|(_, why)| why.measured.is_finite()));
     }
 
     #[test]

@@ -188,7 +188,7 @@ pub(crate) fn full() -> DiagnosisReport {
         id: "low_pass".into(),
         place: Place::Stream("film".into()),
         parameters: BTreeMap::new(),
-        doubt: vec![Doubt { check: "repeating_left".into(), measured: 0.52, limit: 0.36 }],
+        doubt: vec![Doubt { check: "weak_beside_rest".into(), measured: 2.1, limit: 1.0 }],
     }];
     full.notes = vec!["no null bar of this station: the shipped one applies".into()];
     full.candidates.push(Candidate { place: Place::Channels(ids(9)), ..full.candidates[1].clone() });

@@ -18,16 +18,6 @@ pub(crate) struct Contributions<'a, D: Domain> {
     added: Vec<Column>,
 }
 
-/// How much the sizes differ that parts of the takes would give an effect.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Disagreement {
-    /// Root mean square over takes of how far each is from the size that it has, over that size. Takes count by how much
-    /// they see of it.
-    pub(crate) by_take: f64,
-    /// Loss that sizes of their own would remove in each unit of each take, in variances: mean over those that see the effect.
-    pub(crate) by_part: f64,
-}
-
 impl<'a, D: Domain> Contributions<'a, D> {
     /// Of the effects of `model`.
     pub(crate) fn of(domain: &'a D, model: &Model, takes: &[usize]) -> Result<Self, DiagnosisError> {
@@ -54,8 +44,9 @@ impl<'a, D: Domain> Contributions<'a, D> {
         if squares > 0.0 { product(one, other) / squares.sqrt() } else { 0.0 }
     }
 
-    /// How far the takes disagree on the size of each effect.
-    pub(crate) fn disagreements(mut self) -> Result<Vec<Disagreement>, DiagnosisError> {
+    /// How far the takes disagree on the size of each effect: root mean square of how far each is from the size that it has,
+    /// over that size. Takes count by how much they see of it.
+    pub(crate) fn disagreements(mut self) -> Result<Vec<f64>, DiagnosisError> {
         let domain = self.linear.domain;
         let responses = self.linear.nuisance_columns()?;
         let mut first = self.linear.model.base.len();
@@ -71,21 +62,15 @@ impl<'a, D: Domain> Contributions<'a, D> {
 }
 
 /// How far the takes disagree on the size of what is `added` to the model of `linear`.
-fn disagreement<D: Domain>(linear: &Linear<'_, D>, added: &Column) -> Disagreement {
+fn disagreement<D: Domain>(linear: &Linear<'_, D>, added: &Column) -> f64 {
     let mut by_take: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
-    let mut by_part: BTreeMap<[usize; 2], [f64; 2]> = BTreeMap::new();
-    linear.each_left(added, |take, unit, added, left| {
-        for sums in [by_take.entry(take).or_default(), by_part.entry([take, unit]).or_default()] {
-            sums[0] += added * left;
-            sums[1] += added * added;
-        }
+    linear.each_left(added, |take, added, left| {
+        let sums = by_take.entry(take).or_default();
+        sums[0] += added * left;
+        sums[1] += added * added;
     });
     let removable = |[product, square]: &[f64; 2]| product * product / square.max(f64::MIN_POSITIVE);
     let square: f64 = by_take.values().map(|[_, square]| square).sum();
     let over_takes: f64 = by_take.values().map(removable).sum();
-    let over_parts: f64 = by_part.values().map(removable).sum();
-    Disagreement {
-        by_take: (over_takes / square.max(f64::MIN_POSITIVE)).sqrt(),
-        by_part: over_parts / (by_part.len() as f64).max(1.0),
-    }
+    (over_takes / square.max(f64::MIN_POSITIVE)).sqrt()
 }

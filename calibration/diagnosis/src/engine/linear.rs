@@ -617,9 +617,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
     }
 
-    /// Calls `visit` with the take, the unit, the value of `column` and the residual of every row, both with the nuisances
+    /// Calls `visit` with the take, the value of `column` and the residual of every row, both with the nuisances
     /// projected out, where the former is not nothing.
-    pub(crate) fn each_left(&self, column: &Column, mut visit: impl FnMut(usize, usize, f64, f64)) {
+    pub(crate) fn each_left(&self, column: &Column, mut visit: impl FnMut(usize, f64, f64)) {
         let mut values = vec![0.0; self.rows.blocks.len()];
         let mut along = DVector::zeros(self.nuisances.count);
         for (&row, &value) in column.rows.iter().zip(&column.values) {
@@ -632,7 +632,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
         let of_column = &self.nuisances.inverse * along;
         for (segment, residual) in self.residual.values.iter().enumerate() {
-            let (take, unit) = (self.rows.take(segment), self.rows.unit(segment));
+            let take = self.rows.take(segment);
             for (row, residual) in (self.rows.starts[segment]..).zip(residual.iter()) {
                 let (mut value, mut left) = (values[row], *residual);
                 let nuisances = self.nuisances.of_row(row).unwrap_or_default();
@@ -641,7 +641,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                     left -= nuisance * self.residual.coefficients[idx];
                 }
                 if value != 0.0 {
-                    visit(take, unit, value, left);
+                    visit(take, value, left);
                 }
             }
         }

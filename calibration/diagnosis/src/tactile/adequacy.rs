@@ -1,12 +1,12 @@
 //! Whether what is left repeats: the ground for `unexplained`, which rests on this and not on a lack of power.
 
-use palpate_robot_model::{Place, SensorKind, Station};
+use palpate_robot_model::{SensorKind, Station};
 
 use super::judge::repeated;
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
-use crate::fired::{self, Fired, InForce};
+use crate::fired::{self, Fired};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,6 +41,13 @@ impl Adequacy {
         patch: 0,
         stream: 0,
     };
+
+    /// How many times as much is left of touches as `limits` allow, by the measure in variances that is farthest beyond its own:
+    /// how far residuals are from what standard errors take them for.
+    pub(crate) fn overdispersion(&self, limits: &Self) -> f64 {
+        let repeating = (self.repeating / limits.repeating).max(self.at_patch / limits.at_patch);
+        repeating.max(self.loss / limits.loss)
+    }
 
     /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel
     /// that is taken for a flickering one: its errors shrink, but become the same in every repetition.
@@ -127,134 +134,8 @@ impl Left {
     }
 }
 
-/// Fires unless names account for what there was in the events and readings that they change.
-///
-/// `before` and `after` are what is left without and with them, by signal, `complete` what repeats in each where nothing is
-/// missing. However much is left elsewhere, right names leave little of the excess where they act; what is named in place of
-/// something else leaves more of what repeats, or of the loss, or explains a crumb of it. Names of what firmware makes of
-/// readings change nothing else, and stand. Names that are a part of what was found (`is_part`) need only mend the loss.
-pub(crate) fn account_where_they_act(
-    before: &[Left],
-    after: &[Left],
-    changed: &[bool],
-    complete: &[f64],
-    is_part: bool,
-    rules: InForce<'_>,
-) -> Option<Fired> {
-    let is_touch = |&idx: &usize| Signal::at(idx) != Signal::Switched;
-    let there: Vec<usize> = (0..changed.len()).filter(is_touch).filter(|&idx| changed[idx]).collect();
-    let everywhere: Vec<usize> = (0..changed.len()).filter(is_touch).collect();
-    let repeating = |left: &[Left], of: &[usize]| {
-        let known: f64 = of.iter().map(|&idx| complete[idx] * left[idx].products[1]).sum();
-        let [product, count] = Left::sum(of.iter().map(|&idx| &left[idx])).products;
-        if count > 0.0 { (product - known).max(0.0) / count } else { 0.0 }
-    };
-    let loss = |left: &[Left], of: &[usize]| {
-        (Left::sum(of.iter().map(|&idx| &left[idx])).loss() - COMPLETE_LOSS).max(0.0)
-    };
-    let (loss_before, loss_after) = (loss(before, &there), loss(after, &there));
-    let is_left = Fired::above(fired::LOSS_LEFT, loss_after / loss_before, MOST_LOSS_LEFT);
-    let is_left = rules.keep(is_left.filter(|_| loss_before >= MUCH_LOSS));
-    if is_left.is_some() || is_part {
-        return is_left;
-    }
-    let (repeats, everything) = (repeating(before, &everywhere), loss(before, &everywhere));
-    let is_crumb = repeats > MUCH_REPEATING
-        && repeating(after, &everywhere) > (1.0 - LEAST_OVERALL) * repeats
-        && loss(after, &everywhere) > (1.0 - MUCH_OVERALL) * everything;
-    if is_crumb && !there.is_empty() && rules.has(fired::CRUMB) {
-        let measured = repeating(after, &everywhere) / repeats;
-        return Some(Fired { rule: fired::CRUMB, measured, limit: 1.0 - LEAST_OVERALL });
-    }
-    let share = if loss_after <= LITTLE_LOSS_LEFT * loss_before {
-        MOST_REPEATING_LEFT_WITH_LITTLE_LOSS
-    } else {
-        MOST_REPEATING_LEFT
-    };
-    let little = LITTLE_REPEATING + ROUGHNESS * loss_before;
-    let [of_before, of_after] = [before, after].map(|left| repeating(left, &there));
-    if of_after <= (share * of_before).max(little) {
-        return None;
-    }
-    let limit = share.max(little / of_before.max(TINY));
-    let measured = of_after / of_before.max(TINY);
-    rules.keep(Some(Fired { rule: fired::REPEATING_LEFT, measured, limit }))
-}
-
 /// Loss of a row, in variances, of a model that misses nothing.
 const COMPLETE_LOSS: f64 = 0.56;
-/// Share of the excess of what repeats that right names leave at most: on the tuning stations 0.34, most of them nothing; and
-/// 0.5 where little of the loss is left (a latency of the FSR).
-pub(crate) const MOST_REPEATING_LEFT: f64 = 0.36;
-const MOST_REPEATING_LEFT_WITH_LITTLE_LOSS: f64 = 0.52;
-const LITTLE_LOSS_LEFT: f64 = 0.3;
-/// Excess of what repeats, in variances, that is no more than the model's own misfit.
-const LITTLE_REPEATING: f64 = 0.25;
-/// Share of a loss that repeats because nothing is modelled better than so.
-const ROUGHNESS: f64 = 0.01;
-/// Excess of the loss that is large enough to judge by what is left of it.
-const MUCH_LOSS: f64 = 0.95;
-/// Share of it that right names leave at most: on the tuning stations 0.16, a latency in place of a low-pass 0.49.
-pub(crate) const MOST_LOSS_LEFT: f64 = 0.25;
-/// Excess of what repeats over all signals that is more than what the model's own misfit makes it.
-const MUCH_REPEATING: f64 = 0.3;
-/// Share of that which names remove at least: on the tuning stations 0.6.
-pub(crate) const LEAST_OVERALL: f64 = 0.35;
-/// Share of the excess of the loss over all signals that names remove if they need not.
-const MUCH_OVERALL: f64 = 0.5;
-
-/// What repeats where nothing is missing, of pressure and of proximity sensors: on the tuning stations 0.19 to 0.42, and 0.86 to
-/// 2.18, single pads up to 2.8.
-const COMPLETE_PRESSURE: f64 = 0.45;
-const COMPLETE_PROXIMITY: f64 = 2.2;
-
-/// What repeats in each signal of `station` where nothing is missing.
-pub(crate) fn complete_by_signal(station: &Station) -> Vec<f64> {
-    let of_channel =
-        station.layout.channels.iter().map(|channel| match station.layout.streams[channel.stream].kind {
-            SensorKind::Pressure => COMPLETE_PRESSURE,
-            SensorKind::Proximity => COMPLETE_PROXIMITY,
-        });
-    of_channel.flat_map(|complete| [complete; Signal::COUNT]).collect()
-}
-
-/// Which signals the effects of `model` beyond the first `known` are about: those in which they do more than a small share of
-/// what they do in one, and events and readings of channels that they name.
-pub(crate) fn changed_signals(
-    domain: &TactileDomain<'_>,
-    model: &Model,
-    known: usize,
-    takes: &[usize],
-) -> Result<Vec<bool>, DiagnosisError> {
-    let mut without = model.clone();
-    without.effects.truncate(known);
-    let mut changes = vec![0.0; domain.num_signals()];
-    for &take in takes {
-        let predicted = domain.predict(take, model)?.into_iter().zip(domain.predict(take, &without)?);
-        for (signal, ((with, without), change)) in predicted.zip(&mut changes).enumerate() {
-            let rows = with.iter().zip(without.iter()).zip(domain.weights(take, signal, &with));
-            let squares =
-                rows.map(|((with, without), weight)| ((with - without) * weight).abs().min(CLIP).powi(2));
-            *change += squares.sum::<f64>();
-        }
-    }
-    let most = changes.iter().copied().fold(0.0, f64::max);
-    let mut changed: Vec<bool> = changes.iter().map(|change| *change > SMALL_CHANGE * most).collect();
-    // Whoever says what is wrong with a channel says what becomes of its readings too, and be it nothing.
-    let of_channels = model.effects[known..]
-        .iter()
-        .filter(|effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_)));
-    for reach in of_channels.map(|effect| domain.reach(effect)) {
-        for channel in (0..reach.len()).filter(|&channel| reach[channel]) {
-            changed[Signal::Event.of(channel)] = true;
-            changed[Signal::Reading.of(channel)] = true;
-        }
-    }
-    Ok(changed)
-}
-
-/// Share of what names do in one signal below which they do nothing in another.
-const SMALL_CHANGE: f64 = 0.02;
 /// A channel is quiet where the model expects less than this, in units of the threshold.
 pub(super) const QUIET: f64 = 0.02;
 
@@ -425,82 +306,6 @@ impl Quiet {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// What is left without and with names that leave so much where they act, and `elsewhere` is as it was.
-    fn accounts_beside(elsewhere: f64, repeating: [f64; 2], loss: [f64; 2]) -> bool {
-        let left = |repeating: f64, loss: f64| Left {
-            products: [10.0 * repeating, 10.0],
-            losses: [100.0 * loss, 100.0],
-            ..Left::default()
-        };
-        let of = |idx: usize| {
-            let mut signals = [Left::default(); 2 * Signal::COUNT];
-            signals[0] = left(repeating[idx], loss[idx]);
-            signals[Signal::COUNT] = left(elsewhere, 5.0);
-            signals
-        };
-        let mut changed = [false; 2 * Signal::COUNT];
-        changed[0] = true;
-        let complete = [0.0; 2 * Signal::COUNT];
-        account_where_they_act(&of(0), &of(1), &changed, &complete, false, InForce::all_but(&[])).is_none()
-    }
-
-    fn accounts(repeating: [f64; 2], loss: [f64; 2]) -> bool {
-        accounts_beside(0.0, repeating, loss)
-    }
-
-    #[test]
-    fn names_are_judged_by_what_they_leave_where_they_act() {
-        assert!(accounts([2.0, 0.4], [1.2, 1.0]), "a fifth repeats, little of the loss was theirs");
-        assert!(!accounts([2.0, 0.9], [1.2, 1.0]), "nearly half of what repeats is left");
-        assert!(accounts([2.0, 0.9], [1.2, 0.6]), "but nothing of the loss");
-        assert!(!accounts([2.0, 1.2], [1.2, 0.6]), "most of what repeats is left");
-        assert!(accounts([0.1, 0.15], [1.2, 1.1]), "nothing repeats that is not the model's own");
-        assert!(!accounts([0.1, 0.6], [1.2, 1.1]), "it repeats more");
-        assert!(accounts([2.0, 0.1], [4.0, 1.0]), "the loss is gone");
-        assert!(!accounts([2.0, 0.1], [4.0, 2.5]), "half of the loss is left");
-        assert!(accounts([0.3, 0.6], [60.0, 1.0]), "of a large loss something is left that repeats");
-        assert!(!accounts([0.3, 0.6], [6.0, 0.6]), "and of a small one nothing should");
-    }
-
-    #[test]
-    fn a_rule_says_what_it_measured_and_is_silent_when_it_is_off() {
-        let mut left = [Left::default(); Signal::COUNT];
-        left[0] = Left { products: [0.0, 10.0], losses: [456.0, 100.0], ..Left::default() };
-        let mut after = left;
-        after[0].losses[0] = 256.0;
-        let mut changed = [false; Signal::COUNT];
-        changed[0] = true;
-        let fired = |without: &[String]| {
-            let rules = InForce::all_but(without);
-            account_where_they_act(&left, &after, &changed, &[0.0; Signal::COUNT], false, rules)
-        };
-        let why = fired(&[]).unwrap();
-        assert_eq!((why.rule, why.limit), (fired::LOSS_LEFT, MOST_LOSS_LEFT));
-        assert!((why.measured - 0.5).abs() < 1e-9, "{why:?}");
-        assert_eq!(fired(&[fired::LOSS_LEFT.to_owned()]), None);
-    }
-
-    #[test]
-    fn a_crumb_of_something_larger_is_no_name() {
-        assert!(accounts_beside(0.2, [0.3, 0.0], [1.2, 0.6]), "little repeats at all");
-        assert!(accounts_beside(2.0, [2.0, 0.0], [1.2, 0.6]), "half of all");
-        assert!(!accounts_beside(4.0, [2.0, 0.0], [1.2, 0.6]), "a third of all");
-        assert!(accounts_beside(9.0, [0.5, 0.0], [9.0, 0.6]), "a twentieth, but most of the loss");
-        assert!(!accounts_beside(9.0, [0.5, 0.0], [3.0, 0.6]), "nor that");
-    }
-
-    #[test]
-    fn names_of_what_firmware_makes_of_readings_stand() {
-        let mut left = [Left::default(); Signal::COUNT];
-        left[Signal::Switched as usize] =
-            Left { products: [90.0, 10.0], losses: [900.0, 10.0], ..Left::default() };
-        let mut changed = [false; Signal::COUNT];
-        changed[Signal::Switched as usize] = true;
-        let complete = [0.0; Signal::COUNT];
-        let fired = account_where_they_act(&left, &left, &changed, &complete, false, InForce::all_but(&[]));
-        assert_eq!(fired, None);
-    }
 
     #[test]
     fn names_of_a_limb_leave_little_in_its_worst_patch() {
