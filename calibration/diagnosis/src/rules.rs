@@ -54,7 +54,7 @@ pub static RULES: &[Rule] = &[
         id: WEAK_BESIDE_REST,
         measures: "Wald statistic that a name needs where more is left than may be (80 for each time as much as that), over the \
                    effect's own",
-        limit: withhold::WEAK,
+        limit: 1.0,
     },
     Rule {
         id: REPEATS_MORE,
@@ -90,6 +90,13 @@ mod tests {
         for Rule { id, .. } in RULES {
             assert_ne!(wording::objection(id), wording::words(id));
         }
+    }
+
+    #[test]
+    fn what_a_weak_name_needs_is_what_the_table_says() {
+        let needs = format!("({} for each", withhold::EVIDENCE_BESIDE_REST);
+        let weak = RULES.iter().find(|rule| rule.id == WEAK_BESIDE_REST);
+        assert!(weak.is_some_and(|rule| rule.measures.contains(&needs)), "{needs}");
     }
 
     #[test]

@@ -21,12 +21,10 @@ pub(crate) const LEAST_BESIDE: f64 = 0.2;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.
 pub(crate) const MOST_BY_TAKE: f64 = 0.8;
-/// Evidence that a name needs where more is left than may be, for each time as much as that. On the tuning stations right names
-/// beside which much is left have 120 and more, and names that stand in for an effect of no library mostly 56 or less; this is
-/// in the middle.
-const EVIDENCE_BESIDE_REST: f64 = 80.0;
-/// How many times a name may fall short of it.
-pub(crate) const WEAK: f64 = 1.0;
+/// Evidence that a name needs where more is left than may be, for each time as much as that. On the tuning stations
+/// right first names beside which more is left have 120 and more; names that stand in for an effect of no library
+/// have 67 and less, or 400 and more.
+pub(crate) const EVIDENCE_BESIDE_REST: f64 = 80.0;
 /// Cosine between what two names add to the readings from which they do nearly the same: of right ones at most 0.11, of a bent
 /// joint and a stiffer layer in place of a preload 0.7.
 pub(crate) const ALIKE: f64 = 0.3;
@@ -65,8 +63,8 @@ pub(crate) fn withhold(
     Ok(())
 }
 
-/// Takes back names beyond the first `known` that are too weak beside what is left, the weakest first, each time fitting the
-/// others without it; says whether any was. See [`too_weak`].
+/// Takes back names beyond the first `known` that are too weak beside what is left, the weakest first, each time
+/// fitting the others without it; says whether any was. See [`too_weak`].
 pub(crate) fn withhold_weak(
     domain: &TactileDomain<'_>,
     known: usize,
@@ -81,11 +79,11 @@ pub(crate) fn withhold_weak(
     Ok(naming.model.effects.len() < count)
 }
 
-/// The weakest of the names beyond the first `known` with this `evidence`, if it is too weak where `overdispersion` times as much
-/// is left as may be.
+/// The weakest of the names beyond the first `known` with this `evidence`, if it is too weak where `overdispersion`
+/// times as much is left as may be.
 ///
-/// Standard errors hold for a model that is right but for noise. Where more is left, variances are as many times larger (the
-/// dispersion of a quasi-likelihood), and an effect that is not there explains a part of it.
+/// Standard errors hold for a model that is right but for noise. Where more is left, variances are as many times
+/// larger (the dispersion of a quasi-likelihood), and an effect that is not there explains a part of it.
 fn too_weak(evidence: &[f64], known: usize, overdispersion: f64) -> Option<(usize, Fired)> {
     if overdispersion <= 1.0 {
         return None;
@@ -93,7 +91,7 @@ fn too_weak(evidence: &[f64], known: usize, overdispersion: f64) -> Option<(usiz
     let of_names = evidence.iter().copied().enumerate().skip(known);
     let (weakest, evidence) = of_names.min_by(|(_, one), (_, other)| one.total_cmp(other))?;
     let measured = EVIDENCE_BESIDE_REST * overdispersion / evidence.max(NO_EVIDENCE);
-    Some((weakest, Fired::above(fired::WEAK_BESIDE_REST, measured, WEAK)?))
+    Some((weakest, Fired::above(fired::WEAK_BESIDE_REST, measured, 1.0)?))
 }
 
 /// Takes back names beyond the first `known` that have not much more evidence than effects like them have in sessions in which

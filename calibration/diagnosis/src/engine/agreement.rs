@@ -44,8 +44,8 @@ impl<'a, D: Domain> Contributions<'a, D> {
         if squares > 0.0 { product(one, other) / squares.sqrt() } else { 0.0 }
     }
 
-    /// How far the takes disagree on the size of each effect: root mean square of how far each is from the size that it has,
-    /// over that size. Takes count by how much they see of it.
+    /// How far the takes disagree on the size of each effect: root mean square of how far each is from the size
+    /// that it has, over that size. Takes count by how much they see of it.
     pub(crate) fn disagreements(mut self) -> Result<Vec<f64>, DiagnosisError> {
         let domain = self.linear.domain;
         let responses = self.linear.nuisance_columns()?;

@@ -42,8 +42,8 @@ impl Adequacy {
         stream: 0,
     };
 
-    /// How many times as much is left of touches as `limits` allow, by the measure in variances that is farthest beyond its own:
-    /// how far residuals are from what standard errors take them for.
+    /// How many times as much is left of touches as `limits` allow, by the measure in variances that is farthest
+    /// beyond its own: how far residuals are from what standard errors take them for.
     pub(crate) fn overdispersion(&self, limits: &Self) -> f64 {
         let repeating = (self.repeating / limits.repeating).max(self.at_patch / limits.at_patch);
         repeating.max(self.loss / limits.loss)
