@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use palpate_reports::{Candidate, DiagnosisReport, EffectInDoubt, Gap, NamedEffect, Unexplained, Verdict};
+use palpate_sim::effects::Effect;
 use palpate_truth::{Expected, Hidden};
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +69,19 @@ pub(crate) struct Answer {
     #[serde(default)]
     pub(crate) unexplained: Unexplained,
     pub(crate) notes: Vec<String>,
+    /// What would be named with rules changed one by one; only of a bench that asked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) ablation: Vec<Otherwise>,
+}
+
+/// What would be named with one rule changed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Otherwise {
+    pub(crate) rule: String,
+    /// Factor of its limit; `None` where the rule is switched off.
+    pub(crate) scale: Option<f64>,
+    /// Ids, the weightiest first.
+    pub(crate) named: Vec<String>,
 }
 
 /// Candidates that are kept with an answer.
@@ -86,7 +100,19 @@ impl Answer {
             candidates: report.candidates,
             unexplained: Unexplained { cells: Vec::new(), ..report.unexplained },
             notes: report.notes,
+            ablation: Vec::new(),
         }
+    }
+
+    /// With what would be `named` with each of these factors of a rule.
+    pub(crate) fn with_ablation(mut self, scales: &[(String, f64)], named: &[Vec<Effect>]) -> Self {
+        let otherwise = scales.iter().zip(named).map(|((rule, scale), named)| Otherwise {
+            rule: rule.clone(),
+            scale: scale.is_finite().then_some(*scale),
+            named: named.iter().map(|effect| effect.id.clone()).collect(),
+        });
+        self.ablation = otherwise.collect();
+        self
     }
 
     /// Whether a class of a name holds `id`.

@@ -7,13 +7,14 @@ mod answers;
 mod score;
 mod second;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use palpate_diagnosis::actuator::{ActuatorConfig, diagnose_actuator};
+use palpate_diagnosis::rules::{RULES, Rule};
 use palpate_diagnosis::{DiagnosisConfig, DiagnosisError, Reference, diagnose, reference};
 use palpate_recording::{AxesLog, RecordingError, Take};
-use palpate_reports::DiagnosisReport;
 use palpate_sim::job::{Cancel, NoProgress, Progress};
 use palpate_sim::{SensorModel, SensorModelError};
 use palpate_truth::actuator::{ServoCaseKind, ServoTruth, record_servo, servo_cases};
@@ -21,7 +22,7 @@ use palpate_truth::{Case, EmulationError, Expected, Hidden, Stage, Strength, cas
 use rayon::prelude::*;
 
 use answers::{Answer, Answers, Asked, Secret};
-pub use score::{BlindReport, LeftOut, Pairs, Scores, StrengthScores};
+pub use score::{AblationRow, BlindReport, LeftOut, Pairs, Scores, StrengthScores};
 use second::{Kept, Part, Second};
 
 /// Whose physics the sessions of touch have.
@@ -72,8 +73,11 @@ pub struct BlindConfig {
     pub binary_only: bool,
     /// Whether effects are diagnosed again with themselves left out of the library.
     pub leave_out: bool,
-    /// Rules of the diagnosis that withhold nothing, by id (touch only): what each is good for.
-    pub without_rules: Vec<String>,
+    /// Factors of the limits of rules of the diagnosis, by id (touch only); a rule with an infinite one withholds nothing.
+    pub rule_scales: BTreeMap<String, f64>,
+    /// Whether to say as well what would be named with each rule by itself switched off, and with its limit multiplied
+    /// (touch only): what each is good for.
+    pub ablation: bool,
     /// Run only cases whose label contains one of these; empty: all.
     pub only: Vec<String>,
     /// Where answers are kept, one a line: those that are there are not asked for again.
@@ -154,10 +158,11 @@ pub fn tactile(
         all.extend(world.cases(config.nulls, seed)?);
     }
     let name = station_name + config.world.suffix();
-    let name = match &config.without_rules[..] {
-        [] => name,
-        rules => format!("{name}, without {}", rules.join(", ")),
-    };
+    let scaled = config.rule_scales.iter().map(|(id, scale)| match scale.is_finite() {
+        true => format!(", {scale} times {id}"),
+        false => format!(", without {id}"),
+    });
+    let name = name + &scaled.collect::<String>();
     let name = match config.references {
         0 => name,
         count => format!("{name}, {count} reference sessions"),
@@ -175,20 +180,35 @@ pub fn tactile(
         (secret, ())
     });
     let references = References::new(&world, &nominal, config, cancel)?;
+    let ablation = if config.ablation { ablation() } else { Vec::new() };
     let diagnosed = |secret: &Secret, (): &(), asked: Asked| {
         let takes = world.record(&secret.details, secret.seed, asked == Asked::EventsOnly)?;
         let config = DiagnosisConfig {
             without: without(secret, asked),
-            without_rules: config.without_rules.clone(),
+            rule_scales: config.rule_scales.clone(),
+            ablation: ablation.iter().map(|(rule, scale)| [(rule.clone(), *scale)].into()).collect(),
             reference: references.of(asked).cloned(),
             bootstrap_resamples: 0,
             ..DiagnosisConfig::default()
         };
         let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, cancel, &|| 0.0);
-        outcome.map(|outcome| outcome.report).map_err(|source| failed(&secret.label, source))
+        let outcome = outcome.map_err(|source| failed(&secret.label, source))?;
+        Ok(Answer::new(secret, asked, outcome.report).with_ablation(&ablation, &outcome.ablation))
     };
     run(sessions.collect(), config, config.binary_only, progress, cancel, &diagnosed)
 }
+
+/// Every rule by itself, with each factor of its limit; a limit of 0 has no multiples.
+fn ablation() -> Vec<(String, f64)> {
+    let of_rule = |rule: &'static Rule| {
+        let scales = ABLATION_SCALES.iter().filter(|scale| rule.limit != 0.0 || scale.is_infinite());
+        scales.map(|scale| (rule.id.to_owned(), *scale))
+    };
+    RULES.iter().flat_map(of_rule).collect()
+}
+
+/// Factors of limits that show whether a rule hangs on where its limit lies, and whether it is needed at all.
+const ABLATION_SCALES: [f64; 3] = [0.7, 1.4, f64::INFINITY];
 
 /// Where sessions of touch come from.
 enum Physics {
@@ -293,7 +313,8 @@ pub fn actuator(
         let logs = record_servo(truth, secret.seed);
         let config = ActuatorConfig { without: without(secret, asked), ..ActuatorConfig::default() };
         let outcome = diagnose_actuator(&config, &logs, &NoProgress, cancel, &|| 0.0);
-        outcome.map(|outcome| outcome.report).map_err(|source| failed(&secret.label, source))
+        let outcome = outcome.map_err(|source| failed(&secret.label, source))?;
+        Ok(Answer::new(secret, asked, outcome.report))
     };
     run(sessions, config, false, progress, cancel, &diagnosed)
 }
@@ -308,7 +329,7 @@ fn run<T: Sync>(
     events_only: bool,
     progress: &dyn Progress,
     cancel: &Cancel,
-    diagnosed: &(dyn Fn(&Secret, &T, Asked) -> Result<DiagnosisReport, BlindError> + Sync),
+    diagnosed: &(dyn Fn(&Secret, &T, Asked) -> Result<Answer, BlindError> + Sync),
 ) -> Result<BlindReport, BlindError> {
     sessions.retain(|(secret, _)| config.wants(&secret.label));
     if sessions.is_empty() {
@@ -333,7 +354,7 @@ fn run<T: Sync>(
         if let Some(known) = answers.find(secret, asked) {
             return Ok(known);
         }
-        let answer = Answer::new(secret, asked, diagnosed(secret, truth, asked)?);
+        let answer = diagnosed(secret, truth, asked)?;
         answers.add(&answer)?;
         Ok(answer)
     };

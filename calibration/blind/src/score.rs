@@ -55,6 +55,71 @@ pub struct Scores {
     pub by_strength: BTreeMap<String, StrengthScores>,
     /// How often each effect (`nothing` for none) was answered with which first name.
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
+    /// What each rule does by itself, in the order in which they are asked; only of a bench that asked for it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ablation: Vec<AblationRow>,
+}
+
+/// What is named with one rule changed, beside what is named with the rules as they are.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AblationRow {
+    /// Its id.
+    pub rule: String,
+    /// Factor of its limit; `None` where it is switched off.
+    pub scale: Option<f64>,
+    /// Sessions in which other effects are named, or in another order.
+    pub changed: usize,
+    /// Of [`Scores::cases`], those with the right first name.
+    pub named_correctly: usize,
+    /// Of [`Scores::cases`], those with the right first name that have it only with this change.
+    pub gained: usize,
+    /// Of [`Scores::cases`], those with the right first name that lose it with this change.
+    pub lost: usize,
+    /// Of [`Scores::cases`], those with a name of another effect.
+    pub misnamed: usize,
+    /// Of sessions that hide nothing, those with a name.
+    pub null_named: usize,
+    /// Of sessions that hide something outside the library, or left out of it, those with a name.
+    pub unknown_named: usize,
+}
+
+impl AblationRow {
+    /// Adds what `answer` would name with this change.
+    fn add(&mut self, answer: &Answer, named: &[String]) {
+        let is = answer.named.iter().map(|name| &name.id);
+        self.changed += usize::from(!is.eq(named));
+        let is_named = usize::from(!named.is_empty());
+        match (answer.asked, answer.secret.expected, answer.secret.hidden.as_slice()) {
+            (Asked::LeftOut, ..) | (_, Expected::Unexplained, _) => self.unknown_named += is_named,
+            (_, Expected::Nothing, _) => self.null_named += is_named,
+            (_, Expected::Named, [one]) => {
+                let was_right = answer.named.first().is_some_and(|name| name.id == *one);
+                let is_right = named.first() == Some(one);
+                self.named_correctly += usize::from(is_right);
+                self.gained += usize::from(is_right && !was_right);
+                self.lost += usize::from(was_right && !is_right);
+                self.misnamed += usize::from(named.iter().any(|name| name != one));
+            }
+            (_, Expected::Named, _) => {}
+        }
+    }
+}
+
+/// The rows of all changes that were asked about.
+fn ablation<'a>(answers: impl Iterator<Item = &'a Answer>) -> Vec<AblationRow> {
+    let mut rows: Vec<AblationRow> = Vec::new();
+    for answer in answers {
+        for otherwise in &answer.ablation {
+            let is_of = |row: &AblationRow| row.rule == otherwise.rule && row.scale == otherwise.scale;
+            let at = rows.iter().position(is_of).unwrap_or_else(|| {
+                let (rule, scale) = (otherwise.rule.clone(), otherwise.scale);
+                rows.push(AblationRow { rule, scale, ..AblationRow::default() });
+                rows.len() - 1
+            });
+            rows[at].add(answer, &otherwise.named);
+        }
+    }
+    rows
 }
 
 /// Sessions that hide two effects.
@@ -111,6 +176,7 @@ fn scores<'a>(answers: impl Iterator<Item = &'a Answer> + Clone) -> Scores {
         .map(|a| a.gap.calibrated)
         .collect();
     let floor = median(&mut quiet_gaps);
+    scores.ablation = ablation(answers.clone());
     let mut removed = Vec::new();
     for answer in answers {
         let hidden: Vec<&str> = answer.secret.hidden.iter().map(String::as_str).collect();
@@ -202,7 +268,7 @@ mod tests {
     use palpate_robot_model::Place;
 
     use super::*;
-    use crate::answers::Secret;
+    use crate::answers::{Otherwise, Secret};
 
     fn name(id: &str) -> NamedEffect {
         NamedEffect {
@@ -240,6 +306,7 @@ mod tests {
             candidates: Vec::new(),
             unexplained: palpate_reports::Unexplained::default(),
             notes: Vec::new(),
+            ablation: Vec::new(),
         }
     }
 
@@ -273,6 +340,38 @@ mod tests {
         let scores = BlindReport::new(&[withheld, beside]).scores;
         assert_eq!((scores.withheld, scores.misnamed), (1, 1));
         assert_eq!(scores.withheld_by, BTreeMap::from([("posture".to_owned(), 1)]));
+    }
+
+    #[test]
+    fn what_a_rule_is_good_for_is_told_by_pairs_of_the_same_session() {
+        let otherwise = |mut answer: Answer, named: &[&str]| {
+            let named = named.iter().map(|id| (*id).to_owned()).collect();
+            answer.ablation = vec![Otherwise { rule: "alike".to_owned(), scale: None, named }];
+            answer
+        };
+        let single = |named: &[&str]| answer(&["latency"], Expected::Named, Some("strong"), named);
+        let left_out = Answer { asked: Asked::LeftOut, ..single(&[]) };
+        let rows = BlindReport::new(&[
+            otherwise(single(&[]), &["latency"]),
+            otherwise(single(&["latency"]), &["low_pass", "latency"]),
+            otherwise(single(&["latency"]), &["latency"]),
+            otherwise(answer(&[], Expected::Nothing, None, &[]), &["preload"]),
+            otherwise(left_out, &["low_pass"]),
+        ])
+        .scores
+        .ablation;
+        let row = AblationRow {
+            rule: "alike".to_owned(),
+            scale: None,
+            changed: 4,
+            named_correctly: 2,
+            gained: 1,
+            lost: 1,
+            misnamed: 1,
+            null_named: 1,
+            unknown_named: 1,
+        };
+        assert_eq!(rows, [row]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot be run is a failed test")]
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
@@ -27,7 +28,8 @@ fn config(only: &str, first_seed: u64) -> BlindConfig {
         nulls: 1,
         binary_only: false,
         leave_out: false,
-        without_rules: Vec::new(),
+        rule_scales: BTreeMap::new(),
+        ablation: false,
         references: 0,
         only: vec![only.to_owned()],
         answers: None,

@@ -1,5 +1,7 @@
 //! What a diagnosis is asked to do, and what it asks of names.
 
+use std::collections::BTreeMap;
+
 use palpate_calibration::HoldOut;
 
 use crate::reference::Reference;
@@ -21,8 +23,11 @@ pub struct DiagnosisConfig {
     pub max_effects: usize,
     /// Effects to leave out of the library, by id.
     pub without: Vec<String>,
-    /// Rules that withhold nothing, by id: for benches that ask what each of [`crate::rules::RULES`] is good for.
-    pub without_rules: Vec<String>,
+    /// Factors of the limits of some of [`crate::rules::RULES`], by id; a rule with an infinite one withholds nothing. For
+    /// benches that ask what each is good for.
+    pub rule_scales: BTreeMap<String, f64>,
+    /// Other such factors, to say what would be named with each; what is searched is searched once.
+    pub ablation: Vec<BTreeMap<String, f64>>,
     /// What sessions of the station leave in which nothing is wrong; the shipped limits apply without it.
     pub reference: Option<Reference>,
     /// Resamples behind intervals.
@@ -37,7 +42,8 @@ impl Default for DiagnosisConfig {
             hold_out: HoldOut::Auto,
             max_effects: 8,
             without: Vec::new(),
-            without_rules: Vec::new(),
+            rule_scales: BTreeMap::new(),
+            ablation: Vec::new(),
             reference: None,
             bootstrap_resamples: 1000,
             seed: 0,

@@ -1,5 +1,7 @@
 //! Names that are withheld, and the rule that does it.
 
+use std::collections::BTreeMap;
+
 use palpate_sim::effects::Effect;
 
 /// Why a name was withheld.
@@ -29,24 +31,26 @@ pub struct Withheld {
     pub why: Fired,
 }
 
-/// Which rules are in force.
+/// The rules in force, and by how much their limits are other than shipped.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct InForce<'a> {
-    without: &'a [String],
+    scales: &'a BTreeMap<String, f64>,
 }
 
 impl<'a> InForce<'a> {
-    pub(crate) fn all_but(without: &'a [String]) -> Self {
-        Self { without }
-    }
-
-    /// `fired`, if its rule is in force.
-    pub(crate) fn keep(&self, fired: Option<Fired>) -> Option<Fired> {
-        fired.filter(|fired| self.has(fired.rule))
+    /// As in [`crate::DiagnosisConfig::rule_scales`].
+    pub(crate) fn scaled(scales: &'a BTreeMap<String, f64>) -> Self {
+        Self { scales }
     }
 
     pub(crate) fn has(&self, rule: &str) -> bool {
-        !self.without.iter().any(|without| without == rule)
+        self.scales.get(rule).is_none_or(|scale| scale.is_finite())
+    }
+
+    /// The rule `rule`, if it is in force, allows `shipped` as it is shipped, and `measured` is above what it allows.
+    pub(crate) fn above(&self, rule: &'static str, measured: f64, shipped: f64) -> Option<Fired> {
+        let limit = shipped * self.scales.get(rule).copied().filter(|scale| scale.is_finite()).unwrap_or(1.0);
+        Fired::above(rule, measured, limit).filter(|_| self.has(rule))
     }
 }
 
@@ -60,3 +64,19 @@ pub(crate) const REPEATS_MORE: &str = "repeats_more";
 pub(crate) const LEFT_AT_PATCH: &str = "left_at_patch";
 pub(crate) const POSTURE: &str = "posture";
 pub(crate) const GAP_GROWS: &str = "gap_grows";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rule_that_is_scaled_allows_more_and_one_that_is_off_all() {
+        let scales = BTreeMap::from([(ALIKE.to_owned(), 1.4), (BY_TAKE.to_owned(), f64::INFINITY)]);
+        let rules = InForce::scaled(&scales);
+        assert_eq!(rules.above(ALIKE, 0.4, 0.3), None);
+        assert_eq!(rules.above(ALIKE, 0.5, 0.3).map(|fired| fired.limit), Some(1.4 * 0.3));
+        assert_eq!(rules.above(BY_TAKE, 1e9, 0.8), None);
+        assert_eq!(rules.above(POSTURE, 1.1, 1.0).map(|fired| fired.limit), Some(1.0));
+        assert!(!rules.has(BY_TAKE) && rules.has(POSTURE));
+    }
+}

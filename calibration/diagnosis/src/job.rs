@@ -1,23 +1,26 @@
 //! The diagnosis of a session: calibrate, find, name, add, show.
 
+use std::collections::BTreeMap;
+
 use palpate_recording::Take;
 use palpate_reports::DiagnosisReport;
-use palpate_robot_model::Place;
+use palpate_robot_model::{Place, Station};
 use palpate_sim::SensorModel;
 use palpate_sim::effects::Effect;
 use palpate_sim::job::{Cancel, Progress};
 
 use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
-use crate::engine::{self, NamingConfig};
-use crate::fired::{self, InForce};
+use crate::engine::{self, Model, Naming, NamingConfig};
+use crate::fired::{self, Fired, InForce};
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
 use crate::reference::Reference;
 use crate::steps::Steps;
+use crate::tactile::TactileDomain;
 use crate::tactile::adequacy::{
-    Adequacy, adequacy, leave_most_at_a_patch, repeating_by_patch, touch_to_touch,
+    Adequacy, Left, adequacy, leave_most_at_a_patch, repeating_by_patch, touch_to_touch,
 };
-use crate::tactile::posture::with_posture;
+use crate::tactile::posture::{WithPosture, with_posture};
 use crate::withhold::{withhold, withhold_weak};
 use crate::{DiagnosisError, show};
 
@@ -35,6 +38,8 @@ pub struct DiagnosisOutcome {
     pub first_evidence: f64,
     /// What is left of the diagnosed model's residuals.
     pub adequacy: Adequacy,
+    /// Which effects would be named instead, the weightiest first, with each of [`DiagnosisConfig::ablation`].
+    pub ablation: Vec<Vec<Effect>>,
 }
 
 /// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
@@ -91,53 +96,36 @@ pub fn diagnose(
     let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
-    if naming.model.effects.len() > start.effects.len() {
+    let known = start.effects.len();
+    if naming.model.effects.len() > known {
         naming.settle(&domain, &fitted)?;
     }
-    let is_cut_short = naming.model.effects.len() - start.effects.len() >= config.max_effects;
-    let rules = InForce::all_but(&config.without_rules);
-    withhold(&domain, &start, &mut naming, &fitted, is_cut_short, reference, rules)?;
+    let is_cut_short = naming.model.effects.len() - known >= config.max_effects;
+    let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
 
     watch(0.86, "judging on takes that nothing was fitted to")?;
-    let (before, left_before) = adequacy(station, &domain, &start, &fitted)?;
-    let (mut after, mut left) = adequacy(station, &domain, &naming.model, &fitted)?;
-    let has_readings = domain.num_raw_takes() > 0;
-    if has_readings && !is_cut_short && rules.has(fired::WEAK_BESIDE_REST) {
-        let overdispersion = after.overdispersion(&reference.left);
-        if withhold_weak(&domain, start.effects.len(), &mut naming, &fitted, overdispersion)? {
-            (after, left) = adequacy(station, &domain, &naming.model, &fitted)?;
-        }
-    }
-    let names = &naming.model.effects[start.effects.len()..];
-    let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
-    let of_channels_only = names.iter().all(is_of_channels);
-    let of_limb = domain.limb_of(names);
-    let by_patch = [&left_before, &left].map(|left| repeating_by_patch(station, left));
-    let mut bent = with_posture(&domain, &naming.model, &fitted, reference.posture)?;
-    let evidence = naming.evidence[start.effects.len()..].iter().sum();
-    // What reference sessions leave as well speaks against no name.
-    let is_usual = reference.sessions().is_some() && after.repeating <= reference.left.repeating;
-    let of_something_else = || {
-        let at_patch = rules.keep(leave_most_at_a_patch(&by_patch, &of_limb, reference.much_at_patch()));
-        at_patch.or_else(|| bent.iter().find_map(|change| rules.keep(change.outweighs(evidence, &of_limb))))
+    let before = measured(station, &domain, &start, &fitted, reference)?;
+    let found = Found {
+        station,
+        takes,
+        reference,
+        domain: &domain,
+        fitted: &fitted,
+        start: &start,
+        calibrated: &calibrated,
+        naming,
+        is_cut_short,
+        before,
     };
-    let fired = rules
-        .keep(after.repeats_more(&before).filter(|_| of_channels_only && !is_usual))
-        .or_else(|| of_something_else().filter(|_| !is_cut_short));
-    let mut steps = Steps::new(station, &domain, &naming, &fitted, &calibrated, takes)?;
-    let fired = match fired {
-        None if has_readings => rules.keep(steps.widen_the_gap(station, &domain, &fitted)?),
-        fired => fired.filter(|_| has_readings),
+    let named = |rule_scales: &BTreeMap<String, f64>| {
+        let judged = found.judged(InForce::scaled(rule_scales))?;
+        Ok(judged.naming.model.effects[known..].to_vec())
     };
-    if let Some(why) = fired {
-        naming.withhold(&start, why);
-        (after, left) = (before, left_before);
-        bent = with_posture(&domain, &start, &fitted, reference.posture)?;
-        steps.models.truncate(1);
-    }
-    let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
+    let ablation = config.ablation.iter().map(named).collect::<Result<_, DiagnosisError>>()?;
+    let Judged { naming, steps, left } = found.judged(InForce::scaled(&config.rule_scales))?;
+
     watch(0.95, "writing the report")?;
-    let streams = station.layout.streams.iter().zip(touch_to_touch(station, &left));
+    let streams = station.layout.streams.iter().zip(touch_to_touch(station, &left.by_signal));
     let touch_to_touch = streams.filter_map(|(stream, of)| Some((stream.id.clone(), of?))).collect();
     let report = show::report(&show::Evidence {
         config,
@@ -148,14 +136,113 @@ pub fn diagnose(
         steps: &steps,
         nominal,
         fitted: &fitted,
-        adequacy: after,
+        adequacy: left.adequacy,
         touch_to_touch,
-        with_posture: &bent,
+        with_posture: &left.with_posture,
         bar,
         least_evidence,
         seconds: clock_s() - start_s,
     })?;
     progress.report(1.0, "done");
     let model = steps.models.last().cloned().unwrap_or_else(|| calibrated.clone());
-    Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy: after })
+    Ok(DiagnosisOutcome { report, model, calibrated, first_evidence, adequacy: left.adequacy, ablation })
+}
+
+/// What a search found, before rules withhold any of it.
+struct Found<'a> {
+    station: &'a Station,
+    takes: &'a [Take],
+    reference: &'a Reference,
+    domain: &'a TactileDomain<'a>,
+    /// Indices of the takes that are not kept for confirmation.
+    fitted: &'a [usize],
+    start: &'a Model,
+    calibrated: &'a SensorModel,
+    naming: Naming,
+    /// Whether the search ended at its limit of names.
+    is_cut_short: bool,
+    /// What is left without any of the names.
+    before: Measured,
+}
+
+/// What rules leave of what was found.
+struct Judged {
+    naming: Naming,
+    steps: Steps,
+    left: Measured,
+}
+
+/// What is left of a model's residuals on the fitted takes.
+#[derive(Clone)]
+struct Measured {
+    adequacy: Adequacy,
+    by_signal: Vec<Left>,
+    with_posture: Vec<WithPosture>,
+}
+
+fn measured(
+    station: &Station,
+    domain: &TactileDomain<'_>,
+    model: &Model,
+    fitted: &[usize],
+    reference: &Reference,
+) -> Result<Measured, DiagnosisError> {
+    let (adequacy, by_signal) = adequacy(station, domain, model, fitted)?;
+    let with_posture = with_posture(domain, model, fitted, reference.posture)?;
+    Ok(Measured { adequacy, by_signal, with_posture })
+}
+
+impl Found<'_> {
+    /// What stands by these rules.
+    fn judged(&self, rules: InForce<'_>) -> Result<Judged, DiagnosisError> {
+        let Self { station, domain, fitted, start, reference, .. } = *self;
+        let known = start.effects.len();
+        let has_readings = domain.num_raw_takes() > 0;
+        let mut naming = self.naming.clone();
+        withhold(domain, start, &mut naming, fitted, self.is_cut_short, reference, rules)?;
+        let mut left = measured(station, domain, &naming.model, fitted, reference)?;
+        if has_readings && !self.is_cut_short && rules.has(fired::WEAK_BESIDE_REST) {
+            let overdispersion = left.adequacy.overdispersion(&reference.left);
+            if withhold_weak(domain, known, &mut naming, fitted, overdispersion, rules)? {
+                left = measured(station, domain, &naming.model, fitted, reference)?;
+            }
+        }
+        let mut steps = Steps::new(station, domain, &naming, fitted, self.calibrated, self.takes)?;
+        let fired = match self.all_wrong(&naming, &left, rules) {
+            None if has_readings => steps.widen_the_gap(station, domain, fitted, rules)?,
+            fired => fired.filter(|_| has_readings),
+        };
+        if let Some(why) = fired {
+            naming.withhold(start, why);
+            left = self.before.clone();
+            steps.models.truncate(1);
+        }
+        Ok(Judged { naming, steps, left })
+    }
+
+    /// Fires if what is `left` with the names shows that they are all of something else.
+    fn all_wrong(&self, naming: &Naming, left: &Measured, rules: InForce<'_>) -> Option<Fired> {
+        let known = self.start.effects.len();
+        let names = &naming.model.effects[known..];
+        let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
+        // What reference sessions leave as well speaks against no name.
+        let is_usual =
+            self.reference.sessions().is_some() && left.adequacy.repeating <= self.reference.left.repeating;
+        if names.iter().all(is_of_channels)
+            && !is_usual
+            && let Some(fired) = left.adequacy.repeats_more(&self.before.adequacy, rules)
+        {
+            return Some(fired);
+        }
+        if self.is_cut_short {
+            return None;
+        }
+        let of_limb = self.domain.limb_of(names);
+        let by_patch =
+            [&self.before, left].map(|measured| repeating_by_patch(self.station, &measured.by_signal));
+        let evidence = naming.evidence[known..].iter().sum();
+        leave_most_at_a_patch(&by_patch, &of_limb, self.reference.much_at_patch(), rules).or_else(|| {
+            left.with_posture.iter().find_map(|change| change.outweighs(evidence, &of_limb, rules))
+        })
+    }
 }

@@ -1,5 +1,7 @@
 //! A session before it is searched: checked, and calibrated.
 
+use std::collections::BTreeMap;
+
 use palpate_calibration::{CalibrationConfig, CalibrationError, PairedTake, calibrate, held_out};
 use palpate_recording::Take;
 use palpate_robot_model::Station;
@@ -99,14 +101,27 @@ pub(crate) fn check<'a>(config: &DiagnosisConfig, takes: &'a [Take]) -> Result<&
             )));
         }
     }
-    if let Some(id) = config.without_rules.iter().find(|id| !RULES.iter().any(|rule| rule.id == **id)) {
-        let known: Vec<&str> = RULES.iter().map(|rule| rule.id).collect();
-        return Err(DiagnosisError::Input(format!(
-            "there is no rule {id:?} to switch off; the rules are {}",
-            known.join(", ")
-        )));
-    }
+    config.ablation.iter().chain([&config.rule_scales]).try_for_each(check_scales)?;
     Ok(&first.station)
+}
+
+/// Refuses factors of rules that there are not, and those that are no factor.
+fn check_scales(scales: &BTreeMap<String, f64>) -> Result<(), DiagnosisError> {
+    for (id, scale) in scales {
+        if !RULES.iter().any(|rule| rule.id == *id) {
+            let known: Vec<&str> = RULES.iter().map(|rule| rule.id).collect();
+            return Err(DiagnosisError::Input(format!(
+                "there is no rule {id:?} to switch off or to scale; the rules are {}",
+                known.join(", ")
+            )));
+        }
+        if scale.is_nan() || *scale <= 0.0 {
+            return Err(DiagnosisError::Input(format!(
+                "the limit of rule {id:?} cannot be multiplied by {scale}; give a number above 0"
+            )));
+        }
+    }
+    Ok(())
 }
 
 impl From<CalibrationError> for DiagnosisError {

@@ -1,9 +1,9 @@
 //! The rules that withhold names of touch: what each measures, and its limit.
 //!
-//! `docs/diagnosis.md` shows this table; a test compares them. A rule that is switched off
-//! ([`DiagnosisConfig::without_rules`]) withholds nothing, so that benches can tell what each is good for.
+//! `docs/diagnosis.md` shows this table; a test compares them. Benches switch rules off and scale their limits
+//! ([`DiagnosisConfig::rule_scales`]), to tell what each is good for.
 //!
-//! [`DiagnosisConfig::without_rules`]: crate::DiagnosisConfig::without_rules
+//! [`DiagnosisConfig::rule_scales`]: crate::DiagnosisConfig::rule_scales
 
 use crate::fired::{
     ALIKE, BY_TAKE, GAP_GROWS, LEFT_AT_PATCH, ONE_PLACE, POSTURE, REMAINDER, REPEATS_MORE, USUAL,
@@ -15,7 +15,7 @@ use crate::{steps, withhold};
 /// A rule that withholds names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
-    /// Its name in reports and for `--without-rule`.
+    /// Its name in reports, for `--without-rule` and for `--scale-rule`.
     pub id: &'static str,
     /// What it measures, and in which unit.
     pub measures: &'static str,
@@ -38,7 +38,7 @@ pub static RULES: &[Rule] = &[
     Rule {
         id: REMAINDER,
         measures: "Wald statistic of a stronger effect at the same patch, joint or object, over the effect's own",
-        limit: 1.0 / withhold::LEAST_BESIDE,
+        limit: withhold::MOST_BESIDE,
     },
     Rule {
         id: ALIKE,

@@ -261,8 +261,8 @@ fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
     );
     measure("repeating_at_patch", of.at_patch, limits.at_patch, Some(Place::Patch(patch.0.to_owned())), says);
     let says = format!(
-        "Quiet channels of the {} stream wander together: the variance of their mean is {:.2} times that of independent \
-         noise",
+        "Quiet channels of the {} stream wander together: the variance of their median is {:.2} times what noise and the \
+         wander of a board make it",
         stream.1, of.common_mode
     );
     let place = Place::Stream(stream.0.to_owned());

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::DiagnosisError;
 use crate::engine::{self, Domain, Model, Naming, Tried};
-use crate::fired::{self, Fired, Withheld};
+use crate::fired::{self, Fired, InForce, Withheld};
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
 
@@ -91,6 +91,7 @@ impl Steps {
         station: &Station,
         domain: &TactileDomain<'_>,
         fitted: &[usize],
+        rules: InForce<'_>,
     ) -> Result<Option<Fired>, DiagnosisError> {
         let [first, .., last] = &self.models[..] else { return Ok(None) };
         let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
@@ -105,9 +106,7 @@ impl Steps {
         };
         let allowance = if first.effects.is_empty() { CHANCE_IN_GAP } else { 0.0 };
         let (before, after) = (mistaken(first)?, mistaken(last)?);
-        let fired =
-            Fired { rule: fired::GAP_GROWS, measured: after / before.max(1.0), limit: 1.0 + allowance };
-        Ok((after > (1.0 + allowance) * before).then_some(fired))
+        Ok(rules.above(fired::GAP_GROWS, after / before.max(1.0), 1.0 + allowance))
     }
 }
 

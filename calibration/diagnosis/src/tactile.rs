@@ -22,6 +22,7 @@ mod observe;
 pub(crate) mod posture;
 mod switched;
 mod theta;
+mod wander;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -41,6 +42,7 @@ use crate::engine::{BaseParameter, Domain, Model, Series};
 use forward::Memory;
 pub(crate) use observe::Observed;
 use theta::{Of, holders, shared};
+use wander::Wander;
 
 /// Which number of a model's base is what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,6 +80,8 @@ pub struct TactileDomain<'a> {
     moves: Vec<Vec<bool>>,
     /// Per stream, how its readings were repeated to the bit.
     frozen: Vec<Option<Frozen>>,
+    /// Per stream, how far its readings wander.
+    wander: Vec<Wander>,
     /// Per channel, its gain's name among the parameters of a stream.
     gain_names: Vec<String>,
     /// Per channel, the limb that it is on.
@@ -211,6 +215,9 @@ impl<'a> TactileDomain<'a> {
             station.layout.channels.iter().map(|channel| format!("gain_{}", channel.id)).collect();
         let seen: Vec<&Observed<'_>> = fitted.iter().map(|&take| &takes[take]).collect();
         let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&seen, stream)).collect();
+        let wander = (0..station.layout.streams.len())
+            .map(|stream| Wander::of(&seen, &station.layout, stream))
+            .collect();
         let moves = moves(station);
         let domain = Self {
             station,
@@ -223,6 +230,7 @@ impl<'a> TactileDomain<'a> {
             alike,
             moves,
             frozen,
+            wander,
             gain_names,
             limb_of,
             memories,
@@ -291,7 +299,7 @@ impl<'a> TactileDomain<'a> {
             let predicted = self.predict(idx, model)?;
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(idx as u64);
-            takes.push(take.simulated(self.station, &predicted, &mut rng));
+            takes.push(take.simulated(self.station, &predicted, &self.wander, &mut rng));
         }
         Ok(Self {
             station: self.station,
@@ -306,6 +314,7 @@ impl<'a> TactileDomain<'a> {
             alike: self.alike.clone(),
             moves: self.moves.clone(),
             frozen: self.frozen.clone(),
+            wander: self.wander.clone(),
             limb_of: self.limb_of.clone(),
         })
     }
@@ -317,6 +326,11 @@ impl<'a> TactileDomain<'a> {
 
     pub(crate) fn take(&self, take: usize) -> &Observed<'a> {
         &self.takes[take]
+    }
+
+    /// Per stream.
+    fn wander(&self) -> &[Wander] {
+        &self.wander
     }
 
     /// Indices of the patches that `effect` can reach.
@@ -544,15 +558,18 @@ impl Domain for TactileDomain<'_> {
             };
             return around.map(weight).collect();
         }
-        // What the model may be wrong by without being wrong: noise, a share of the reading, and about a quarter of a
+        // What the model may be wrong by without being wrong: noise, wander, a share of the reading, and about a quarter of a
         // millimetre of depth, which a first touch reads as a share of the threshold.
-        let quiet = self.takes[take].noise[signal / Signal::COUNT].max(LEAST_NOISE);
+        let channel = signal / Signal::COUNT;
+        let wander = self.wander[self.station.layout.channels[channel].stream];
+        let noise = self.takes[take].noise[channel].max(LEAST_NOISE);
+        let quiet = noise * noise + wander.variance();
         let mut last = (f64::NAN, f64::NAN);
         let weight = |&x: &f64| {
             if x != last.0 {
                 let shape = SHARE * x;
                 let depth = DEPTH * (x.abs() / 0.5).min(1.0);
-                last = (x, (quiet * quiet + shape * shape + depth * depth).sqrt().recip());
+                last = (x, (quiet + shape * shape + depth * depth).sqrt().recip());
             }
             last.1
         };

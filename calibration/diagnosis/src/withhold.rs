@@ -16,8 +16,8 @@ use crate::tactile::{TactileDomain, is_local};
 pub(crate) const MOST_USUAL: f64 = 0.25;
 /// Less than any evidence that counts: keeps quotients finite, as reports need them.
 const NO_EVIDENCE: f64 = 1e-3;
-/// Share of the evidence of a name below which another one of the same parts is taken for a remainder of it.
-pub(crate) const LEAST_BESIDE: f64 = 0.2;
+/// Evidence of a name, over that of another one of the same parts, beyond which the other is taken for a remainder of it.
+pub(crate) const MOST_BESIDE: f64 = 5.0;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.
 pub(crate) const MOST_BY_TAKE: f64 = 0.8;
@@ -45,22 +45,17 @@ pub(crate) fn withhold(
 ) -> Result<(), DiagnosisError> {
     let known = start.effects.len();
     let has_readings = domain.num_raw_takes() > 0;
-    if rules.has(fired::USUAL) {
-        withhold_usual(known, naming, reference);
-    }
+    withhold_usual(known, naming, reference, rules);
     if has_readings && !is_part && rules.has(fired::BY_TAKE) {
-        withhold_disagreeing(domain, known, naming, fitted)?;
+        withhold_disagreeing(domain, known, naming, fitted, rules)?;
     }
     if rules.has(fired::REMAINDER) {
-        withhold_remainders(domain, known, naming, fitted)?;
+        withhold_remainders(domain, known, naming, fitted, rules)?;
     }
     if has_readings && rules.has(fired::ALIKE) {
-        withhold_alike(domain, known, naming, fitted)?;
+        withhold_alike(domain, known, naming, fitted, rules)?;
     }
-    if rules.has(fired::ONE_PLACE) {
-        withhold_at_one_place(domain, start, naming, fitted)?;
-    }
-    Ok(())
+    withhold_at_one_place(domain, start, naming, fitted, rules)
 }
 
 /// Takes back names beyond the first `known` that are too weak beside what is left, the weakest first, each time
@@ -71,9 +66,10 @@ pub(crate) fn withhold_weak(
     naming: &mut Naming,
     fitted: &[usize],
     overdispersion: f64,
+    rules: InForce<'_>,
 ) -> Result<bool, DiagnosisError> {
     let count = naming.model.effects.len();
-    while let Some((weakest, why)) = too_weak(&naming.evidence, known, overdispersion) {
+    while let Some((weakest, why)) = too_weak(&naming.evidence, known, overdispersion, rules) {
         naming.withhold_one(domain, weakest, fitted, why)?;
     }
     Ok(naming.model.effects.len() < count)
@@ -84,23 +80,28 @@ pub(crate) fn withhold_weak(
 ///
 /// Standard errors hold for a model that is right but for noise. Where more is left, variances are as many times
 /// larger (the dispersion of a quasi-likelihood), and an effect that is not there explains a part of it.
-fn too_weak(evidence: &[f64], known: usize, overdispersion: f64) -> Option<(usize, Fired)> {
+fn too_weak(
+    evidence: &[f64],
+    known: usize,
+    overdispersion: f64,
+    rules: InForce<'_>,
+) -> Option<(usize, Fired)> {
     if overdispersion <= 1.0 {
         return None;
     }
     let of_names = evidence.iter().copied().enumerate().skip(known);
     let (weakest, evidence) = of_names.min_by(|(_, one), (_, other)| one.total_cmp(other))?;
     let measured = EVIDENCE_BESIDE_REST * overdispersion / evidence.max(NO_EVIDENCE);
-    Some((weakest, Fired::above(fired::WEAK_BESIDE_REST, measured, 1.0)?))
+    Some((weakest, rules.above(fired::WEAK_BESIDE_REST, measured, 1.0)?))
 }
 
 /// Takes back names beyond the first `known` that have not much more evidence than effects like them have in sessions in which
 /// nothing is wrong. They are there, and usual: the others stay as they were fitted beside them.
-fn withhold_usual(known: usize, naming: &mut Naming, reference: &Reference) {
+fn withhold_usual(known: usize, naming: &mut Naming, reference: &Reference, rules: InForce<'_>) {
     for idx in (known..naming.model.effects.len()).rev() {
         let Some(usual) = reference.evidence_of(&naming.model.effects[idx]) else { continue };
         let measured = usual / naming.evidence[idx].max(NO_EVIDENCE);
-        if let Some(why) = Fired::above(fired::USUAL, measured, MOST_USUAL) {
+        if let Some(why) = rules.above(fired::USUAL, measured, MOST_USUAL) {
             naming.set_aside(idx, why);
         }
     }
@@ -112,12 +113,13 @@ fn withhold_disagreeing(
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     while naming.model.effects.len() > known {
         let disagreements = Contributions::of(domain, &naming.model, fitted)?.disagreements()?;
         let of_names = disagreements.into_iter().enumerate().skip(known);
         let worst = of_names.max_by(|(_, one), (_, other)| one.total_cmp(other));
-        let fired = worst.and_then(|(idx, of)| Some((idx, Fired::above(fired::BY_TAKE, of, MOST_BY_TAKE)?)));
+        let fired = worst.and_then(|(idx, of)| Some((idx, rules.above(fired::BY_TAKE, of, MOST_BY_TAKE)?)));
         let Some((worst, why)) = fired else { break };
         naming.withhold_one(domain, worst, fitted, why)?;
     }
@@ -133,27 +135,26 @@ fn withhold_remainders(
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     let is_placed =
         |effect: &Effect| matches!(effect.place, Place::Patch(_) | Place::Joint(_) | Place::Object(_));
     loop {
         let named = &naming.model.effects[known..];
         let evidence = &naming.evidence[known..];
-        let stronger = |idx: usize| {
+        let beside_stronger = |idx: usize| {
             let reach = domain.reach(&named[idx]);
-            let mut others = named.iter().zip(evidence);
-            others.find(|(other, of_other)| {
-                other.id != named[idx].id
-                    && is_placed(other)
-                    && evidence[idx] < LEAST_BESIDE * **of_other
-                    && within(&domain.reach(other), &reach)
+            named.iter().zip(evidence).find_map(|(other, of_other)| {
+                let measured = of_other / evidence[idx].max(NO_EVIDENCE);
+                let why = rules.above(fired::REMAINDER, measured, MOST_BESIDE)?;
+                let is_of_same =
+                    other.id != named[idx].id && is_placed(other) && within(&domain.reach(other), &reach);
+                is_of_same.then_some(why)
             })
         };
-        let placed = (0..named.len()).filter(|&idx| is_placed(&named[idx]));
-        let remainder = placed.filter_map(|idx| Some((idx, *stronger(idx)?.1))).next();
-        let Some((remainder, of_stronger)) = remainder else { return Ok(()) };
-        let measured = of_stronger / evidence[remainder];
-        let why = Fired { rule: fired::REMAINDER, measured, limit: 1.0 / LEAST_BESIDE };
+        let mut placed = (0..named.len()).filter(|&idx| is_placed(&named[idx]));
+        let remainder = placed.find_map(|idx| Some((idx, beside_stronger(idx)?)));
+        let Some((remainder, why)) = remainder else { return Ok(()) };
         naming.withhold_one(domain, known + remainder, fitted, why)?;
     }
 }
@@ -165,6 +166,7 @@ fn withhold_alike(
     known: usize,
     naming: &mut Naming,
     fitted: &[usize],
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     loop {
         let contributions = Contributions::of(domain, &naming.model, fitted)?;
@@ -174,7 +176,7 @@ fn withhold_alike(
             placed.iter().enumerate().flat_map(|(at, &two)| placed[..at].iter().map(move |&one| (one, two)));
         let mut alike = pairs.filter_map(|(one, two)| {
             let cosine = contributions.likeness(one, two).abs();
-            Fired::above(fired::ALIKE, cosine, ALIKE).map(|why| (one, two, why))
+            rules.above(fired::ALIKE, cosine, ALIKE).map(|why| (one, two, why))
         });
         let Some((one, two, why)) = alike.next() else { break };
         naming.withhold_one(domain, two, fitted, why)?;
@@ -189,14 +191,14 @@ fn withhold_at_one_place(
     start: &Model,
     naming: &mut Naming,
     fitted: &[usize],
+    rules: InForce<'_>,
 ) -> Result<(), DiagnosisError> {
     let known = start.effects.len();
     let named = &naming.model.effects[known..];
     let patches: Vec<BTreeSet<usize>> = named.iter().map(|effect| domain.patches(effect)).collect();
     let (standing, count) = (num_standing(named, &patches, &domain.limbs()), named.len());
-    let why = Fired { rule: fired::ONE_PLACE, measured: (count - standing) as f64, limit: 0.0 };
+    let Some(why) = rules.above(fired::ONE_PLACE, (count - standing) as f64, 0.0) else { return Ok(()) };
     match standing {
-        _ if standing == count => {}
         0 => naming.withhold(start, why),
         standing => {
             while naming.model.effects.len() > known + standing {
@@ -270,14 +272,16 @@ mod tests {
 
     #[test]
     fn a_name_needs_more_evidence_the_more_is_left() {
-        let weakest = |overdispersion| too_weak(&[3.0, 900.0, 200.0, 500.0], 1, overdispersion);
+        let shipped = BTreeMap::new();
+        let rules = InForce::scaled(&shipped);
+        let weakest = |overdispersion| too_weak(&[3.0, 900.0, 200.0, 500.0], 1, overdispersion, rules);
         assert_eq!(weakest(0.9), None, "no more is left than may be");
         assert_eq!(weakest(2.0), None);
         let (idx, why) = weakest(3.0).unwrap();
         assert_eq!((idx, why.rule), (2, fired::WEAK_BESIDE_REST), "what the model had already is no name");
         assert!((why.measured - 3.0 * EVIDENCE_BESIDE_REST / 200.0).abs() < 1e-12, "{why:?}");
-        assert_eq!(too_weak(&[3.0], 1, 9.0), None, "no names");
-        assert!(too_weak(&[f64::NAN], 0, 9.0).is_none_or(|(_, why)| why.measured.is_finite()));
+        assert_eq!(too_weak(&[3.0], 1, 9.0, rules), None, "no names");
+        assert!(too_weak(&[f64::NAN], 0, 9.0, rules).is_none_or(|(_, why)| why.measured.is_finite()));
     }
 
     #[test]

@@ -45,6 +45,12 @@ pub(crate) struct BlindArgs {
     /// Switch a rule that withholds names off, by its id in docs/diagnosis.md; may be given several times
     #[arg(long, value_name = "ID")]
     without_rule: Vec<String>,
+    /// Multiply the limit of a rule, to see whether anything hangs on where it lies; may be given several times
+    #[arg(long, value_name = "ID=FACTOR", value_parser = scaled_rule)]
+    scale_rule: Vec<(String, f64)>,
+    /// Say as well what would be named with each rule by itself switched off, and with its limit times 0.7 and 1.4
+    #[arg(long)]
+    ablation: bool,
     /// Run only cases whose label contains this; may be given several times
     #[arg(long, value_name = "TEXT")]
     only: Vec<String>,
@@ -87,7 +93,13 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         references: args.references,
         binary_only: !args.raw_only,
         leave_out: !args.whole_library,
-        without_rules: args.without_rule.clone(),
+        rule_scales: args
+            .scale_rule
+            .iter()
+            .cloned()
+            .chain(args.without_rule.iter().map(|id| (id.clone(), f64::INFINITY)))
+            .collect(),
+        ablation: args.ablation,
         only: args.only.clone(),
         answers: args.answers.clone(),
     };
@@ -110,6 +122,13 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
         output::line(&text(&report))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// `ID=FACTOR`, a factor above 0.
+fn scaled_rule(text: &str) -> Result<(String, f64), String> {
+    let (id, factor) = text.split_once('=').ok_or("expected ID=FACTOR, as in alike=1.4")?;
+    let factor: f64 = factor.parse().map_err(|_| format!("{factor:?} is no number"))?;
+    if factor > 0.0 { Ok((id.to_owned(), factor)) } else { Err("the factor must be above 0".to_owned()) }
 }
 
 fn text(report: &BlindReport) -> String {
@@ -180,5 +199,23 @@ fn scores(scores: &Scores) -> Vec<String> {
     if let Some(removed) = scores.median_gap_removed {
         lines.push(format!("  median share of the removable gap that was removed: {:.0} %", 100.0 * removed));
     }
+    if !scores.ablation.is_empty() {
+        lines.push("  rule, its limit: right first names (gained, lost), another name, names where nothing is hidden, of no \
+                    library; sessions changed".to_owned());
+    }
+    lines.extend(scores.ablation.iter().map(|row| {
+        let limit = row.scale.map_or_else(|| "off".to_owned(), |scale| format!("x {scale}"));
+        format!(
+            "    {:<16} {limit:<6} {} (+{} -{}), {}, {}, {}; {}",
+            row.rule,
+            row.named_correctly,
+            row.gained,
+            row.lost,
+            row.misnamed,
+            row.null_named,
+            row.unknown_named,
+            row.changed
+        )
+    }));
     lines
 }

@@ -3,10 +3,11 @@
 use palpate_robot_model::{SensorKind, Station};
 
 use super::judge::repeated;
+use super::wander::{FEWEST_CHANNELS, OF_MEDIAN, Wander, median};
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
-use crate::fired::{self, Fired};
+use crate::fired::{self, Fired, InForce};
 
 /// What is left of a model's residuals and should not be there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,8 +18,8 @@ pub struct Adequacy {
     /// The same of the readings of the patch of pressure sensors in which most repeats, with rows enough to tell: over
     /// all patches together what is wrong with one of them is lost.
     pub at_patch: f64,
-    /// Variance of the mean over a stream's quiet channels, over what independent channels would show; about 1 if they
-    /// are independent.
+    /// Variance of the median of a stream's quiet channels, over what noise and the wander of its board make it; about 1 if
+    /// that is all.
     pub common_mode: f64,
     /// Huber's loss of a row, in variances, over all events and readings that were measured.
     pub loss: f64,
@@ -51,12 +52,8 @@ impl Adequacy {
 
     /// Fires if the residual that repetitions share has grown from what it was `before`. This catches a stuck channel
     /// that is taken for a flickering one: its errors shrink, but become the same in every repetition.
-    pub(crate) fn repeats_more(&self, before: &Self) -> Option<Fired> {
-        if self.repeating > MOST_RAISED * before.repeating {
-            let measured = self.repeating / before.repeating.max(TINY);
-            return Some(Fired { rule: fired::REPEATS_MORE, measured, limit: MOST_RAISED });
-        }
-        None
+    pub(crate) fn repeats_more(&self, before: &Self, rules: InForce<'_>) -> Option<Fired> {
+        rules.above(fired::REPEATS_MORE, self.repeating / before.repeating.max(TINY), MOST_RAISED)
     }
 }
 
@@ -179,8 +176,8 @@ pub(crate) fn adequacy(
                 }
             }
         }
-        for (stream, sum) in station.layout.streams.iter().zip(&mut quiet) {
-            sum.add(observed, &prediction, stream.channels.clone());
+        for ((stream, wander), sum) in station.layout.streams.iter().zip(domain.wander()).zip(&mut quiet) {
+            sum.add(observed, &prediction, *wander, stream.channels.clone());
         }
     }
     let of = |switched: bool| {
@@ -253,12 +250,12 @@ pub(crate) fn leave_most_at_a_patch(
     [before, after]: &[Vec<f64>; 2],
     patches: &[usize],
     much: f64,
+    rules: InForce<'_>,
 ) -> Option<Fired> {
-    let is_much = |patch: &&usize| after[**patch] > much.max(MOST_LEFT_AT_PATCH * before[**patch]);
-    let patch = *patches.iter().find(is_much)?;
-    let before = before[patch].max(TINY);
-    let limit = MOST_LEFT_AT_PATCH.max(much / before);
-    Some(Fired { rule: fired::LEFT_AT_PATCH, measured: after[patch] / before, limit })
+    patches.iter().find_map(|&patch| {
+        let before = before[patch].max(TINY);
+        rules.above(fired::LEFT_AT_PATCH, after[patch] / before, MOST_LEFT_AT_PATCH.max(much / before))
+    })
 }
 
 /// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at
@@ -270,6 +267,7 @@ pub(crate) const MOST_LEFT_AT_PATCH: f64 = 0.7;
 /// Rows near contact from which what repeats by chance is a small part of a variance.
 const ENOUGH_ROWS: f64 = 300.0;
 
+/// What quiet channels of a stream have in common.
 #[derive(Clone, Copy, Default)]
 struct Quiet {
     frames: f64,
@@ -277,22 +275,33 @@ struct Quiet {
 }
 
 impl Quiet {
-    fn add(&mut self, observed: &Observed<'_>, prediction: &[Series], channels: std::ops::Range<usize>) {
+    fn add(
+        &mut self,
+        observed: &Observed<'_>,
+        prediction: &[Series],
+        wander: Wander,
+        channels: std::ops::Range<usize>,
+    ) {
         for frame in 0..observed.take.num_frames() {
-            let (mut sum, mut count) = (0.0, 0.0);
+            let mut deviations = Vec::with_capacity(channels.len());
+            let (mut alone, mut together) = (0.0, 0.0);
             let readings =
                 observed.signals.iter().zip(prediction).skip(Signal::Reading as usize).step_by(Signal::COUNT);
             let of_stream = readings.zip(&observed.noise).take(channels.end).skip(channels.start);
             for ((reading, predicted), noise) in of_stream {
                 let value = reading[frame] - predicted[frame];
                 if value.is_finite() && predicted[frame].abs() < QUIET && *noise > 0.0 {
-                    sum += (value / noise).clamp(-2.0 * CLIP, 2.0 * CLIP);
-                    count += 1.0;
+                    let variance = noise * noise + wander.variance();
+                    deviations.push(value / variance.sqrt());
+                    alone += 1.0 - wander.together / variance;
+                    together += (wander.together / variance).sqrt();
                 }
             }
-            if count > 1.0 {
-                // The square of a sum of independent deviates is as large as their number.
-                self.squares += sum * sum / count;
+            let count = deviations.len() as f64;
+            if deviations.len() >= FEWEST_CHANNELS {
+                // What one channel feels that the model does not know of is nothing that they have in common.
+                let expected = OF_MEDIAN * alone / count + together * together / count;
+                self.squares += count * median(deviations).powi(2) / expected;
                 self.frames += 1.0;
             }
         }
@@ -305,19 +314,24 @@ impl Quiet {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
 
     #[test]
     fn names_of_a_limb_leave_little_in_its_worst_patch() {
+        let shipped = BTreeMap::new();
+        let rules = InForce::scaled(&shipped);
         let leaves = |before: f64, after: f64| {
-            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1], MUCH_AT_PATCH).is_some()
+            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1], MUCH_AT_PATCH, rules)
+                .is_some()
         };
         assert!(leaves(2.4, 2.3), "another pad of that finger was named");
         assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
         assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
         assert!(leaves(0.9, 1.4), "it is worse than before");
         assert!(
-            leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[], MUCH_AT_PATCH).is_none(),
+            leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[], MUCH_AT_PATCH, rules).is_none(),
             "names of several limbs"
         );
     }
@@ -340,8 +354,10 @@ mod tests {
 
     #[test]
     fn a_stuck_channel_that_is_said_to_flicker_repeats_more() {
+        let shipped = BTreeMap::new();
+        let rules = InForce::scaled(&shipped);
         let of = |repeating: f64| Adequacy { repeating, ..Adequacy::default() };
-        assert!(of(0.76).repeats_more(&of(0.54)).is_some());
-        assert!(of(0.55).repeats_more(&of(0.54)).is_none(), "by chance");
+        assert!(of(0.76).repeats_more(&of(0.54), rules).is_some());
+        assert!(of(0.55).repeats_more(&of(0.54), rules).is_none(), "by chance");
     }
 }

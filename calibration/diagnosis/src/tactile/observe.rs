@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use super::Signal;
 use super::moments::Moments;
 use super::switched::Samples;
+use super::wander::Wander;
 use crate::DiagnosisError;
 use crate::engine::Series;
 
@@ -241,8 +242,15 @@ impl<'a> Observed<'a> {
         ends.into_iter()
     }
 
-    /// This take with what a model predicts in place of what was measured, and noise.
-    pub(crate) fn simulated(&self, station: &Station, predicted: &[Series], rng: &mut ChaCha8Rng) -> Self {
+    /// This take with what a model predicts in place of what was measured, and noise. The readings of each stream wander
+    /// as in `wander`.
+    pub(crate) fn simulated(
+        &self,
+        station: &Station,
+        predicted: &[Series],
+        wander: &[Wander],
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
         let num_channels = station.layout.num_channels();
         let num_dofs = station.robot.num_dofs();
         let mut positions = self.take.joints.positions.clone();
@@ -267,11 +275,12 @@ impl<'a> Observed<'a> {
         for block in &self.blocks {
             // No two touches press a channel quite alike.
             let shares: Vec<f64> = (0..num_channels).map(|_| 1.0 + TOUCH_SPREAD * gaussian(rng)).collect();
+            let levels = Wander::levels(wander, &station.layout, || gaussian(rng));
             for frame in block.clone() {
                 for channel in 0..num_channels {
                     let (event, raw) = (Signal::Event.of(channel), Signal::Reading.of(channel));
                     let noise = self.noise[channel] * gaussian(rng);
-                    let reading = predicted[raw][frame] * shares[channel] + noise;
+                    let reading = predicted[raw][frame] * shares[channel] + levels[channel] + noise;
                     on[channel] = reading > if on[channel] { off_fractions[channel] } else { 1.0 };
                     if !self.signals[event][frame].is_nan() {
                         simulated.signals[event][frame] = f64::from(u8::from(on[channel]));

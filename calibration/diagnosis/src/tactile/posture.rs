@@ -15,7 +15,7 @@ use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model};
-use crate::fired::{self, Fired};
+use crate::fired::{self, Fired, InForce};
 
 /// How the size of a patch's response changes with a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,10 +32,9 @@ pub(crate) struct WithPosture {
 
 impl WithPosture {
     /// Fires if it is of one of these `patches` and explains more than do names with so much evidence.
-    pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize]) -> Option<Fired> {
-        let is_more = patches.contains(&self.patch) && self.evidence > MOST_OF_EVIDENCE * evidence;
+    pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize], rules: InForce<'_>) -> Option<Fired> {
         let measured = self.evidence / evidence.max(1e-9);
-        is_more.then_some(Fired { rule: fired::POSTURE, measured, limit: MOST_OF_EVIDENCE })
+        rules.above(fired::POSTURE, measured, MOST_OF_EVIDENCE).filter(|_| patches.contains(&self.patch))
     }
 
     /// As a report has it.
@@ -199,9 +198,11 @@ mod tests {
     #[test]
     fn a_change_outweighs_little_evidence_on_its_own_finger() {
         let change = WithPosture { patch: 3, dof: 7, per_rad: -0.2, evidence: 490.0 };
-        assert!(change.outweighs(39.0, &[2, 3]).is_some());
-        assert!(change.outweighs(39.0, &[0, 1]).is_none(), "of another finger");
-        assert!(change.outweighs(601.0, &[2, 3]).is_none(), "the names explain as much");
+        let shipped = BTreeMap::new();
+        let rules = InForce::scaled(&shipped);
+        assert!(change.outweighs(39.0, &[2, 3], rules).is_some());
+        assert!(change.outweighs(39.0, &[0, 1], rules).is_none(), "of another finger");
+        assert!(change.outweighs(601.0, &[2, 3], rules).is_none(), "the names explain as much");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `palpate blind` as a job.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     ops::Range,
     path::{Path, PathBuf},
@@ -82,7 +82,8 @@ fn work(cx: &JobWork<'_>, request: &Value) -> Result<(), Error> {
     let request: BlindRequest = parse(BLIND.name, request)?;
     let config = BlindConfig {
         world: World::A,
-        without_rules: Vec::new(),
+        rule_scales: BTreeMap::new(),
+        ablation: false,
         references: 0,
         seeds: request.seeds,
         first_seed: cx.seed,
