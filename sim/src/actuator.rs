@@ -5,7 +5,10 @@
 
 mod armature_inertia;
 mod command_latency;
+mod constant_torque;
 mod coulomb_friction;
+mod current_limit;
+mod derivative_gain;
 mod encoder_offset;
 mod gain_error;
 mod gear_backlash;
@@ -25,8 +28,10 @@ use crate::effects::{Effect, Parameter};
 pub const ACTUATOR: &[&dyn ActuatorEffect] = &[
     &command_latency::CommandLatency,
     &gain_error::GainError,
+    &derivative_gain::DerivativeGain,
     &integer_wrap::IntegerWrap,
     &voltage_sag::VoltageSag,
+    &current_limit::CurrentLimit,
     &armature_inertia::ArmatureInertia,
     &viscous_friction::ViscousFriction,
     &coulomb_friction::CoulombFriction,
@@ -34,6 +39,7 @@ pub const ACTUATOR: &[&dyn ActuatorEffect] = &[
     &load_dependent_friction::LoadDependentFriction,
     &gear_backlash::GearBacklash,
     &gravity_load::GravityLoad,
+    &constant_torque::ConstantTorque,
     &encoder_offset::EncoderOffset,
 ];
 
@@ -60,6 +66,11 @@ pub trait ActuatorEffect: Sync {
     /// what gears and electronics do, and leave something where those are of another make.
     fn is_constant(&self) -> bool {
         false
+    }
+
+    /// Whether it moves the joint, and not a reading alone.
+    fn moves(&self) -> bool {
+        true
     }
 
     /// Adds it to `plant`.
@@ -101,6 +112,12 @@ pub struct Plant {
     pub gravity_factor: f64,
     /// Position gain over the one that the register states.
     pub gain_factor: f64,
+    /// Derivative gain of the firmware over its position gain, s.
+    pub derivative_s: f64,
+    /// One over the most current that the driver gives, 1/A; 0 for a driver that gives any.
+    pub inverse_current_limit_per_a: f64,
+    /// Torque on the joint that is always there, N m.
+    pub constant_torque_nm: f64,
     /// 1 if negative PWM readings are stored unsigned, 0 if not.
     pub wrap: f64,
 }
@@ -125,6 +142,9 @@ impl Default for Plant {
             encoder_offset_rad: 0.0,
             gravity_factor: 1.0,
             gain_factor: 1.0,
+            derivative_s: 0.0,
+            inverse_current_limit_per_a: 0.0,
+            constant_torque_nm: 0.0,
             wrap: 0.0,
         }
     }

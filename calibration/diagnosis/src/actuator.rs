@@ -5,6 +5,7 @@
 
 mod adequacy;
 mod domain;
+mod open_loop;
 mod report;
 
 use palpate_recording::ServoLog;
@@ -19,7 +20,8 @@ use rayon::prelude::*;
 pub use domain::ActuatorDomain;
 
 use crate::DiagnosisError;
-use crate::engine::{self, Domain as _, Model, NamingConfig, huber};
+use crate::engine::{self, Domain, Model, NamingConfig, huber};
+use open_loop::OpenLoop;
 
 /// Which logs are kept for the final judgement.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,7 +92,8 @@ impl Default for ActuatorConfig {
 pub struct ActuatorOutcome {
     /// The report.
     pub report: DiagnosisReport,
-    /// The diagnosed model: torque constant, resistance, supply factor, then the named effects.
+    /// The diagnosed model: torque constant, resistance, supply factor, Coulomb friction, viscous friction, encoder offset, then
+    /// the named effects, fitted to whole logs.
     pub model: Model,
     /// Highest evidence of any effect in the first round.
     pub first_evidence: f64,
@@ -103,9 +106,12 @@ pub const ACTUATOR_BAR: f64 = 16.0;
 /// Share of the loss that a named effect removes at least.
 const LEAST_SHARE: f64 = 0.005;
 /// Candidates fitted in a round: all of them, they are few.
-const NUM_FITS: usize = 12;
+const NUM_FITS: usize = 15;
 /// Steps of the first fit and of each restart.
 const FIT_STEPS: usize = 12;
+
+/// Starts of a fit of whole logs: that of windows is near.
+const DEPLOYED_STARTS: usize = 3;
 
 /// Diagnoses the actuator that `logs` are of.
 ///
@@ -166,9 +172,18 @@ pub fn diagnose_actuator(
         naming.withhold_one(&domain, inadequate, &fitted, why)?;
         steps.truncate(inadequate + 1);
     }
-    watch(0.92, "judging on logs that nothing was fitted to")?;
-    let last = steps[steps.len() - 1].clone();
-    let losses = adequacy::losses(&domain, &last, &fitted)?;
+    watch(0.9, "fitting whole logs")?;
+    let losses = adequacy::losses(&domain, &steps[steps.len() - 1], &fitted)?;
+    let whole = |model: &Model, with_trims| deployed(&domain, model, with_trims, &fitted, config);
+    let deployed: Vec<Model> =
+        steps.iter().map(|step| whole(step, false)).collect::<Result<_, DiagnosisError>>()?;
+    // Beside no name they would stand in for one.
+    let trimmed = match &steps[..] {
+        [_, .., last] => Some(whole(last, true)?),
+        _ => None,
+    };
+    watch(0.96, "judging on logs that nothing was fitted to")?;
+    let last = trimmed.as_ref().unwrap_or(&deployed[deployed.len() - 1]).clone();
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
     let report = report::report(&report::Evidence {
         config,
@@ -176,6 +191,8 @@ pub fn diagnose_actuator(
         naming: &naming,
         nominal: &nominal,
         steps: &steps,
+        deployed: &deployed,
+        trimmed: trimmed.as_ref(),
         fitted: &fitted,
         confirm: &confirm,
         losses: &losses,
@@ -188,8 +205,8 @@ pub fn diagnose_actuator(
 
 /// Fits `model` to `takes` from itself and from points around it, and keeps the best: a fit that has not converged turns
 /// the ranking of models round.
-fn fit_well(
-    domain: &ActuatorDomain<'_>,
+fn fit_well<D: Domain>(
+    domain: &D,
     model: &Model,
     takes: &[usize],
     config: &ActuatorConfig,
@@ -220,6 +237,18 @@ fn fit_well(
     Ok(best.map_or_else(|| model.clone(), |(_, fit)| fit))
 }
 
+/// `model` as a simulator drives it: fitted to whole logs, with what every servo has a little of or without.
+fn deployed(
+    domain: &ActuatorDomain<'_>,
+    model: &Model,
+    with_trims: bool,
+    takes: &[usize],
+    config: &ActuatorConfig,
+) -> Result<Model, DiagnosisError> {
+    let config = ActuatorConfig { starts: config.starts.min(DEPLOYED_STARTS), ..config.clone() };
+    fit_well(&OpenLoop::new(domain, model, with_trims), &OpenLoop::start(model), takes, &config)
+}
+
 /// Whether a parameter of `effect` ended where it may go no further. Effects that are there or not are, at their end.
 fn at_bound(domain: &ActuatorDomain<'_>, effect: &Effect) -> bool {
     domain.parameters(effect).iter().any(|parameter| {
@@ -231,7 +260,7 @@ fn at_bound(domain: &ActuatorDomain<'_>, effect: &Effect) -> bool {
 }
 
 /// Huber's loss of the residuals of `model`.
-fn loss(domain: &ActuatorDomain<'_>, model: &Model, takes: &[usize]) -> Result<f64, DiagnosisError> {
+fn loss<D: Domain>(domain: &D, model: &Model, takes: &[usize]) -> Result<f64, DiagnosisError> {
     let mut sum = 0.0;
     for &take in takes {
         let predicted = domain.predict(take, model)?;

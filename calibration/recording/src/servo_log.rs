@@ -81,6 +81,7 @@ impl ServoLog {
     /// Reads a log in the format of BAM's raw recordings (github.com/Rhoban/bam): one JSON object with `mass` (kg),
     /// `length` (m), `kp` (register), `vin` (V), `motor`, `trajectory` and `entries`, each with `timestamp` (s),
     /// `position` (rad), `goal_position` (rad), `torque_enable`, and optionally `load` (PWM register) and `input_volts` (V).
+    /// A mass of 0 is an unknown load; a PWM that is 0 in every entry was not logged.
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
         let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::from_bytes(path, &bytes)
@@ -118,8 +119,8 @@ impl ServoLog {
                 })
                 .collect(),
             position_gain_register: Some(gain),
-            mass_kg: reader.positive(head, "mass")?,
-            length_m: reader.positive(head, "length")?,
+            mass_kg: reader.not_negative(head, "mass")?,
+            length_m: reader.not_negative(head, "length")?,
             supply_v: Some(reader.positive(head, "vin")?),
             ..Self::default()
         };
@@ -149,6 +150,10 @@ impl ServoLog {
             if has_voltage {
                 log.input_v.push(number("input_volts")?);
             }
+        }
+        // A column that a recorder fills with nothing was not measured.
+        if log.pwm_register.iter().all(|reading| *reading == 0.0) {
+            log.pwm_register.clear();
         }
         Ok(log)
     }
@@ -216,6 +221,15 @@ impl Reader<'_> {
         }
         Err(RecordingError::content(self.path, name, format!("expected a number above 0, found {number}")))
     }
+
+    fn not_negative(&self, of: &Map<String, Value>, name: &str) -> Result<f64, RecordingError> {
+        let number = self.number(of, name, "")?;
+        if number >= 0.0 {
+            return Ok(number);
+        }
+        let problem = format!("expected 0 (unknown) or a number above it, found {number}");
+        Err(RecordingError::content(self.path, name, problem))
+    }
 }
 
 #[cfg(test)]
@@ -252,6 +266,18 @@ mod tests {
         assert_eq!(log.pwm_register[..2], [40.0, 65_496.0], "wrapped readings stay what they are");
         assert_eq!(log.times_s.len(), 120);
         assert!((ServoLog::duty_per_rad(400.0) - 1.1509).abs() < 1e-4);
+    }
+
+    #[test]
+    fn what_was_not_known_or_not_logged_is_no_measurement() {
+        let unlogged = text(|_, entry| entry["load"] = 0.into());
+        assert!(read(&unlogged).unwrap().pwm_register.is_empty());
+        let mut log: Value = serde_json::from_slice(&text(|_, _| {})).unwrap();
+        log["mass"] = 0.into();
+        assert_eq!(read(&serde_json::to_vec(&log).unwrap()).unwrap().mass_kg, 0.0);
+        log["mass"] = (-0.1).into();
+        let refused = read(&serde_json::to_vec(&log).unwrap()).unwrap_err().to_string();
+        assert!(refused.contains("mass: expected 0 (unknown)"), "{refused}");
     }
 
     #[test]

@@ -22,6 +22,8 @@ pub use motion::Motion;
 const STEP_S: f64 = 5e-5;
 /// Steps of the world per turn of the firmware's loop.
 const STEPS_PER_LOOP: usize = 20;
+/// Turns of the firmware's loop over which it takes the speed.
+const LOOPS_OF_SPEED: usize = 8;
 /// Length of a log, s.
 const DURATION_S: f64 = 6.0;
 /// Time between samples, s, and the share of it that jitters upwards.
@@ -73,6 +75,12 @@ pub struct ServoTruth {
     pub gain: f64,
     /// Inertia of rotor and gear beyond the datasheet's, kg m^2.
     pub inertia_kg_m2: f64,
+    /// Derivative gain of the firmware over its position gain, s.
+    pub derivative_s: f64,
+    /// Most current that the driver gives, A; 0 for a driver that gives any.
+    pub current_limit_a: f64,
+    /// Torque on the joint that is always there, N m.
+    pub constant_torque_nm: f64,
     /// Whether negative PWM readings are stored unsigned.
     pub wraps: bool,
     /// Amplitude of a torque that repeats with the angle, N m (fourteen times a turn).
@@ -138,6 +146,8 @@ struct World<'a> {
     queue: VecDeque<(f64, f64, bool)>,
     goal_rad: f64,
     torque_on: bool,
+    /// What the encoder showed in the last turns of the loop, rad: the firmware's speed.
+    shown_rad: VecDeque<f64>,
 }
 
 impl<'a> World<'a> {
@@ -166,6 +176,7 @@ impl<'a> World<'a> {
             queue: VecDeque::new(),
             goal_rad: 0.0,
             torque_on: true,
+            shown_rad: VecDeque::new(),
         }
     }
 
@@ -230,7 +241,14 @@ impl<'a> World<'a> {
                 (self.goal_rad, self.torque_on) = (goal_rad, on);
             }
         }
-        let counts = (self.goal_rad - self.encoder_rad()) * ServoLog::COUNTS_PER_TURN / TAU;
+        let shown_rad = self.encoder_rad();
+        self.shown_rad.push_back(shown_rad);
+        let before_rad =
+            if self.shown_rad.len() > LOOPS_OF_SPEED { self.shown_rad.pop_front() } else { None };
+        let turned_rad = before_rad.map_or(0.0, |before_rad| shown_rad - before_rad);
+        let speed_rad_per_s = turned_rad / (LOOPS_OF_SPEED as f64 * STEPS_PER_LOOP as f64 * STEP_S);
+        let error_rad = self.goal_rad - shown_rad - self.truth.derivative_s * speed_rad_per_s;
+        let counts = error_rad * ServoLog::COUNTS_PER_TURN / TAU;
         let pwm = counts * self.gain_register * (1.0 + self.truth.gain) / 256.0;
         let most = 1.0 - self.truth.duty_withheld;
         self.duty = if self.torque_on { (pwm / ServoLog::FULL_PWM).clamp(-most, most) } else { 0.0 };
@@ -245,6 +263,10 @@ impl<'a> World<'a> {
                 - self.motor.resistance_ohm * self.current_a
                 - constant * self.rotor_rad_per_s;
             self.current_a += STEP_S * across_v / INDUCTANCE_H;
+            // A chopper cuts it off.
+            if truth.current_limit_a > 0.0 {
+                self.current_a = self.current_a.clamp(-truth.current_limit_a, truth.current_limit_a);
+            }
         } else {
             // The driver's bridge is open.
             self.current_a = 0.0;
@@ -258,7 +280,8 @@ impl<'a> World<'a> {
         let friction_nm = self.friction_nm(gear_nm);
         let rotor = ROTOR_KG_M2 + truth.inertia_kg_m2;
         self.rotor_rad_per_s += STEP_S * (motor_nm - friction_nm - gear_nm) / rotor;
-        self.joint_rad_per_s += STEP_S * (gear_nm - gravity_nm) / (MASS_KG * LENGTH_M * LENGTH_M);
+        self.joint_rad_per_s +=
+            STEP_S * (gear_nm - gravity_nm + truth.constant_torque_nm) / (MASS_KG * LENGTH_M * LENGTH_M);
         self.rotor_rad += STEP_S * self.rotor_rad_per_s;
         self.joint_rad += STEP_S * self.joint_rad_per_s;
         self.time_s += STEP_S;

@@ -2,6 +2,7 @@
 
 mod api;
 mod http;
+mod servos;
 mod sessions;
 mod stop;
 mod stream;
@@ -36,6 +37,8 @@ pub(crate) enum BenchCommand {
     Api(api::ApiArgs),
     /// How long a studio takes to start and to list a data folder of many sessions
     Sessions(sessions::SessionsArgs),
+    /// The diagnosis of measured servo logs, one gain held out in turn, beside BAM's friction models
+    Servos(servos::ServosArgs),
     /// STOP under load: from a client's message to the bytes that switch the servos off
     Stop(stop::StopArgs),
 }
@@ -69,6 +72,7 @@ pub(super) fn run(command: &BenchCommand) -> Outcome {
         BenchCommand::Stream(args) => stream::run(args)?,
         BenchCommand::Api(args) => api::run(args)?,
         BenchCommand::Sessions(args) => sessions::run(args)?,
+        BenchCommand::Servos(args) => servos::run(args)?,
         BenchCommand::Stop(args) => stop::run(args)?,
     }
     Ok(ExitCode::SUCCESS)

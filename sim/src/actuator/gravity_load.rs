@@ -13,7 +13,8 @@ impl ActuatorEffect for GravityLoad {
 
     fn explain(&self, effect: &Effect) -> String {
         let size = effect.parameter("gravity") * 100.0;
-        format!("Gravity pulls {size:+.0} % harder than the stated load accounts for.")
+        let how = if size < 0.0 { "less hard" } else { "harder" };
+        format!("Gravity pulls {:.0} % {how} than the stated load accounts for.", size.abs())
     }
 
     fn signature(&self) -> &'static str {

@@ -27,6 +27,10 @@ impl ActuatorEffect for IntegerWrap {
         vec![parameter("wrapped", [0.0, 1.0], 0.1, 1.0)]
     }
 
+    fn moves(&self) -> bool {
+        false
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.wrap += effect.parameter("wrapped");
     }

@@ -127,21 +127,27 @@ impl State {
         }
     }
 
-    fn duty(plant: &Plant, drive: &Drive<'_>, goal_rad: f64, position_rad: f64) -> f64 {
-        (plant.gain_factor * drive.gain_per_rad * (goal_rad - position_rad)).clamp(-1.0, 1.0)
+    /// Duty at this position; the speed is that of the joint.
+    fn duty(&self, plant: &Plant, drive: &Drive<'_>, goal_rad: f64, position_rad: f64) -> f64 {
+        let error_rad = goal_rad - position_rad - plant.derivative_s * self.speed_rad_per_s;
+        (plant.gain_factor * drive.gain_per_rad * error_rad).clamp(-1.0, 1.0)
     }
 
     fn step(&mut self, plant: &Plant, drive: &Drive<'_>, from_s: f64, step_s: f64) {
         let (goal_rad, on) = self.goal(plant, drive, from_s, step_s);
         let middle_rad = self.position_rad + 0.5 * step_s * self.speed_rad_per_s;
-        let duty = if on { Self::duty(plant, drive, goal_rad, middle_rad) } else { 0.0 };
+        let duty = if on { self.duty(plant, drive, goal_rad, middle_rad) } else { 0.0 };
         // i = (duty V - kt w) / (R + r duty^2), for the supply's own voltage V0 - r duty i drives the winding.
         let (kt, loop_ohm) = (
             plant.torque_constant_nm_per_a,
             plant.resistance_ohm + plant.supply_resistance_ohm * duty * duty,
         );
+        let rotor_rad_per_s = self.rotor_rad_per_s();
         let (drive_nm, emf_nm_s) = if on {
-            (kt * duty * drive.supply_v * plant.supply_factor / loop_ohm, kt * kt / loop_ohm)
+            let (free_a, emf_a_s) = (duty * drive.supply_v * plant.supply_factor / loop_ohm, kt / loop_ohm);
+            let limited_a = limited(plant, free_a - emf_a_s * rotor_rad_per_s);
+            // A driver at its limit gives that current, whatever the speed.
+            limited_a.map_or((kt * free_a, kt * emf_a_s), |limited_a| (kt * limited_a, 0.0))
         } else {
             (0.0, 0.0)
         };
@@ -194,16 +200,20 @@ impl State {
         }
     }
 
-    fn sense(&mut self, plant: &Plant, drive: &Drive<'_>, time_s: f64) -> Sensed {
-        let (goal_rad, on) = self.goal(plant, drive, time_s, 1e-9);
-        let duty = if on { Self::duty(plant, drive, goal_rad, self.position_rad) } else { 0.0 };
-        let rest_v = drive.supply_v * plant.supply_factor;
-        let rotor = match self.gear {
+    fn rotor_rad_per_s(&self) -> f64 {
+        match self.gear {
             Gear::Engaged(_) => self.speed_rad_per_s,
             Gear::Free { speed_rad_per_s, .. } => speed_rad_per_s,
-        };
-        let current_a = (duty * rest_v - plant.torque_constant_nm_per_a * rotor)
+        }
+    }
+
+    fn sense(&mut self, plant: &Plant, drive: &Drive<'_>, time_s: f64) -> Sensed {
+        let (goal_rad, on) = self.goal(plant, drive, time_s, 1e-9);
+        let duty = if on { self.duty(plant, drive, goal_rad, self.position_rad) } else { 0.0 };
+        let rest_v = drive.supply_v * plant.supply_factor;
+        let current_a = (duty * rest_v - plant.torque_constant_nm_per_a * self.rotor_rad_per_s())
             / (plant.resistance_ohm + plant.supply_resistance_ohm * duty * duty);
+        let current_a = limited(plant, current_a).unwrap_or(current_a);
         Sensed {
             position_rad: self.position_rad,
             duty,
@@ -213,10 +223,16 @@ impl State {
     }
 }
 
-/// Torque of gravity at a measured position, N m.
+/// The current at the driver's limit, A, if it would be beyond it.
+fn limited(plant: &Plant, current_a: f64) -> Option<f64> {
+    let is_beyond = current_a.abs() * plant.inverse_current_limit_per_a > 1.0;
+    is_beyond.then(|| current_a.signum() / plant.inverse_current_limit_per_a)
+}
+
+/// Torque of gravity, and of what is always there, at a measured position, N m.
 fn gravity_nm(plant: &Plant, drive: &Drive<'_>, position_rad: f64) -> f64 {
     let full_nm = plant.gravity_factor * drive.mass_kg * GRAVITY_M_PER_S2 * drive.length_m;
-    -full_nm * (position_rad - plant.encoder_offset_rad).sin()
+    plant.constant_torque_nm - full_nm * (position_rad - plant.encoder_offset_rad).sin()
 }
 
 /// Largest torque of dry friction, N m (Stribeck's curve, and the load's share).

@@ -23,7 +23,7 @@ const BLOCK_S: f64 = 0.9;
 /// Samples on each side that the state at a window's beginning is smoothed over.
 const SMOOTHING: usize = 5;
 /// Standard deviation of a measured position, rad: an encoder count is 1.5 mrad, and a window's model is no better.
-const POSITION_RAD: f64 = 1.0e-3;
+pub(super) const POSITION_RAD: f64 = 1.0e-3;
 /// Standard deviation of the position at a window's beginning, rad.
 const START_RAD: f64 = 0.7e-3;
 /// Standard deviation of the speed at a window's beginning, rad/s.
@@ -34,6 +34,8 @@ const DUTY: f64 = 0.02;
 const SUPPLY_V: f64 = 0.5;
 /// Standard deviation of whether a reading exceeds the signed range.
 const CARRY: f64 = 0.3;
+/// Where the supply factor is in a model's base.
+pub(super) const SUPPLY: usize = 2;
 /// Number of signals.
 pub(super) const SIGNALS: usize = SIGNAL_NAMES.len();
 /// The signals.
@@ -118,15 +120,29 @@ impl<'a> ActuatorDomain<'a> {
         self.logs[take].log
     }
 
-    /// The plant that `model` describes.
+    /// What drives the joint in `take`.
+    pub fn drive(&self, take: usize) -> Drive<'_> {
+        self.logs[take].drive()
+    }
+
+    /// Where the joint is at the beginning of `take`.
+    pub fn start(&self, take: usize) -> Start {
+        smoothed(self.logs[take].log, 0)
+    }
+
+    /// The plant that `model` describes; of one that is deployed, with what was fitted along.
     ///
     /// # Errors
     /// If an effect is none of the actuator's.
     pub fn plant(&self, model: &Model) -> Result<Plant, DiagnosisError> {
+        let of_base = |idx: usize| model.base.get(idx).copied().unwrap_or(0.0);
         let mut plant = Plant {
-            torque_constant_nm_per_a: model.base[0],
-            resistance_ohm: model.base[1],
-            supply_factor: model.base[2],
+            torque_constant_nm_per_a: of_base(0),
+            resistance_ohm: of_base(1),
+            supply_factor: of_base(SUPPLY),
+            coulomb_nm: of_base(3),
+            viscous_nm_s_per_rad: of_base(4),
+            encoder_offset_rad: of_base(5),
             ..Plant::default()
         };
         plant.add(&model.effects).map_err(|id| {
@@ -142,9 +158,8 @@ impl<'a> ActuatorDomain<'a> {
     /// # Errors
     /// If an effect is none of the actuator's.
     pub fn open_loop(&self, take: usize, model: &Model) -> Result<Vec<f64>, DiagnosisError> {
-        let prepared = &self.logs[take];
-        let start = smoothed(prepared.log, 0);
-        let sensed = rollout(&self.plant(model)?, &prepared.drive(), start, prepared.log.times_s.len());
+        let drive = self.drive(take);
+        let sensed = rollout(&self.plant(model)?, &drive, self.start(take), drive.times_s.len());
         Ok(sensed.iter().map(|sensed| sensed.position_rad).collect())
     }
 

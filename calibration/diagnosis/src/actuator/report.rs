@@ -12,7 +12,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::domain::SIGNAL_NAMES;
-use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy};
+use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy, at_bound, deployed};
 use crate::DiagnosisError;
 use crate::engine::{Domain as _, Model, Naming, Round, refit};
 use crate::steps::{in_doubt, interval};
@@ -23,6 +23,8 @@ const HOLDING_RAD_PER_S: f64 = 0.05;
 const CELLS_SHARE: f64 = 0.8;
 /// Difference of two models over a log, in standard deviations, that recording it again would show.
 const LEAST_TELLING: f64 = 4.0;
+/// The step that adds Coulomb friction, viscous friction and an offset of the encoder, which every servo has a little of.
+const TRIMS_STEP: &str = "constants_of_every_servo";
 /// The three states of motion.
 const PHASES: [&str; 3] = ["moving", "holding", "reversing"];
 
@@ -32,8 +34,12 @@ pub(super) struct Evidence<'a> {
     pub(super) domain: &'a ActuatorDomain<'a>,
     pub(super) naming: &'a Naming,
     pub(super) nominal: &'a Model,
-    /// Calibrated, then with one more effect each.
+    /// Calibrated, then with one more effect each, fitted to windows.
     pub(super) steps: &'a [Model],
+    /// The same, fitted to whole logs.
+    pub(super) deployed: &'a [Model],
+    /// The last of these with what every servo has a little of; none without names.
+    pub(super) trimmed: Option<&'a Model>,
     pub(super) fitted: &'a [usize],
     pub(super) confirm: &'a [usize],
     /// Loss of a row by signal on the fitted logs, in variances.
@@ -44,13 +50,16 @@ pub(super) struct Evidence<'a> {
 }
 
 pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, DiagnosisError> {
-    let Evidence { config, domain, naming, nominal, steps, fitted, confirm, losses, .. } = *evidence;
+    let Evidence {
+        config, domain, naming, nominal, steps, deployed, trimmed, fitted, confirm, losses, ..
+    } = *evidence;
     let judged_on = if confirm.is_empty() { fitted } else { confirm };
     let mut models = vec![nominal];
-    models.extend(steps);
+    models.extend(deployed);
+    models.extend(trimmed);
     let errors: Vec<Vec<f64>> =
         models.iter().map(|model| log_errors(domain, model, judged_on)).collect::<Result<_, _>>()?;
-    let fitted_errors: Vec<f64> = [nominal, &steps[0], &steps[steps.len() - 1]]
+    let fitted_errors: Vec<f64> = [nominal, &deployed[0], models[models.len() - 1]]
         .into_iter()
         .map(|model| Ok(mean(&log_errors(domain, model, fitted)?)))
         .collect::<Result<_, DiagnosisError>>()?;
@@ -79,7 +88,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             step: match idx {
                 0 => "nominal".to_owned(),
                 1 => "calibrated".to_owned(),
-                _ => effects[idx - 2].id.clone(),
+                _ => effects.get(idx - 2).map_or(TRIMS_STEP, |effect| effect.id.as_str()).to_owned(),
             },
             gap: mean(errors),
             interval_95: bootstrap(errors, config),
@@ -98,6 +107,14 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         notes.push(format!(
             "{id} fits only at the end of its bounds, which no real servo has: it stands in for something else and is not named"
         ));
+    }
+    for effect in &models[models.len() - 1].effects {
+        if at_bound(domain, effect) {
+            notes.push(format!(
+                "{} ends where it may go no further in the fit of whole logs: treat its size with care",
+                effect.id
+            ));
+        }
     }
     for effect in &naming.dropped {
         notes.push(format!(
@@ -193,7 +210,7 @@ fn named(
     judged_on: &[usize],
     [before, after]: [&[f64]; 2],
 ) -> Result<NamedEffect, DiagnosisError> {
-    let Evidence { domain, naming, steps, fitted, .. } = *evidence;
+    let Evidence { config, domain, naming, steps, fitted, .. } = *evidence;
     let round = naming.round_of(effect);
     let (mut class, mut rivals) = (vec![effect.id.clone()], Vec::new());
     let (gap_before, gap_after) = (mean(before), mean(after));
@@ -202,7 +219,7 @@ fn named(
             let rival = &round.tried[member];
             let mut with = steps[idx + 1].clone();
             with.effects[idx] = rival.effect.clone();
-            let with = refit(domain, &with, fitted, FIT_STEPS)?;
+            let with = deployed(domain, &refit(domain, &with, fitted, FIT_STEPS)?, false, fitted, config)?;
             class.push(rival.effect.id.clone());
             rivals.push(Rival {
                 id: rival.effect.id.clone(),

@@ -43,6 +43,9 @@ const SINGLES: &[(&str, Hide, &[f64])] = &[
     ("gravity_load", |truth, size| truth.gravity = size, &[0.1, 0.2, 0.4]),
     ("gain_error", |truth, size| truth.gain = size, &[-0.1, 0.2, 0.4]),
     ("armature_inertia", |truth, size| truth.inertia_kg_m2 = size, &[6e-4, 1.2e-3, 2.4e-3]),
+    ("derivative_gain", |truth, size| truth.derivative_s = size, &[0.01, 0.02, 0.04]),
+    ("current_limit", |truth, size| truth.current_limit_a = size, &[1.2, 0.9, 0.7]),
+    ("constant_torque", |truth, size| truth.constant_torque_nm = size, &[0.025, -0.05, 0.1]),
     ("integer_wrap", |truth, size| truth.wraps = size > 0.0, &[1.0]),
 ];
 
@@ -63,6 +66,7 @@ const PAIRS: &[[&str; 2]] = &[
     ["voltage_sag", "coulomb_friction"],
     ["encoder_offset", "armature_inertia"],
     ["gain_error", "load_dependent_friction"],
+    ["derivative_gain", "coulomb_friction"],
 ];
 
 const STRENGTHS: [&str; 3] = ["weak", "medium", "strong"];
