@@ -10,6 +10,7 @@ mod completions;
 mod contact_map;
 mod devices;
 mod diagnose;
+mod effects;
 mod emulate;
 mod export;
 mod folder;
@@ -65,6 +66,8 @@ enum Command {
     Calibrate(calibrate::CalibrateArgs),
     /// Name what the calibrated model lacks, and add it
     Diagnose(diagnose::DiagnoseArgs),
+    /// List the effects that a diagnosis chooses from
+    Effects(effects::EffectsArgs),
     /// A learned map from raw readings to contact, in place of the station's thresholds
     #[command(subcommand)]
     ContactMap(contact_map::ContactMapCommand),
@@ -131,6 +134,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Export(command) => export::run(&command),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Effects(args) => effects::run(&args),
         Command::ContactMap(command) => contact_map::run(&command),
         Command::Devices(command) => devices::run(&command),
         Command::Actuator(command) => actuator::run(&command),

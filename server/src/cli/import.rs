@@ -103,7 +103,7 @@ fn station(args: &ImportArgs, mapping: Option<&Mapping>) -> Result<(Station, Str
 }
 
 /// The station file, relative to `folder`, or the shipped station of that id.
-fn named_station(file_or_id: &str, folder: &Path) -> Result<Station, Error> {
+pub(super) fn named_station(file_or_id: &str, folder: &Path) -> Result<Station, Error> {
     let path = folder.join(file_or_id);
     // What looks like a file is reported as a missing file, not as an unknown id.
     if path.exists() || path.extension().is_some() || file_or_id.contains('/') {

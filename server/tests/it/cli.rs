@@ -22,6 +22,23 @@ fn help_lists_every_command() {
 }
 
 #[test]
+fn the_library_of_effects_has_every_parameter_within_its_bounds() {
+    let listed: Vec<Value> = serde_json::from_str(&palpate_ok(&["effects", "--json"])).unwrap();
+    let of = |domain: &str| listed.iter().filter(|effect| effect["domain"] == domain).count();
+    assert!(of("tactile") >= 20 && of("actuator") >= 15, "{listed:?}");
+    for effect in &listed {
+        for parameter in effect["parameters"].as_array().unwrap() {
+            let value = |key: &str| parameter[key].as_f64().unwrap();
+            assert!((value("lower")..=value("upper")).contains(&value("neutral")), "{effect}");
+            assert!(value("smallest") >= 0.0, "{effect}");
+        }
+    }
+    let text = palpate_ok(&["effects"]);
+    assert!(text.contains("current_limit (actuator)") && text.contains("more like these"), "{text}");
+    palpate_refuses(&["effects", "--station", "nowhere"], "xarm6-leap");
+}
+
+#[test]
 fn every_command_has_help() {
     for command in [
         &["emulate"][..],
@@ -30,6 +47,7 @@ fn every_command_has_help() {
         &["replay"],
         &["calibrate"],
         &["diagnose"],
+        &["effects"],
         &["serve"],
         &["bench", "sweep"],
         &["bench", "replay"],
