@@ -160,7 +160,8 @@ mod tests {
     #[test]
     fn a_steady_drift_is_no_wander() {
         let (steady, drifting) = (wander(|_| 0.0), wander(|time_s| 0.02 * time_s));
-        assert!((drifting.together - steady.together).abs() < 1e-5, "{drifting:?} {steady:?}");
+        // Readings are whole numbers: the second differences of so steep a drift are nearly none.
+        assert!((drifting.together - steady.together).abs() < 5e-5, "{drifting:?} {steady:?}");
         assert!((drifting.own - steady.own).abs() < 1e-5, "{drifting:?} {steady:?}");
     }
 
