@@ -149,7 +149,7 @@ fn without_marks_of_repetitions_nobody_can_tell_whether_something_is_left() {
     let config = DiagnosisConfig { bootstrap_resamples: 0, max_effects: 1, ..DiagnosisConfig::default() };
     let outcome = diagnose(&config, &takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0);
     let report = outcome.unwrap().report;
-    assert_eq!(report.verdict, Verdict::CannotBeJudged, "{}", report.sentence);
+    assert_eq!(report.verdict, Verdict::CannotBeJudged, "{:?}", report.unexplained.because);
     assert!(report.sentence.contains("no motion is repeated"), "{}", report.sentence);
     // So the first thing to do is to repeat one, that which touches most.
     let next = report.next_experiment.unwrap();

@@ -261,7 +261,7 @@ fn too_much_left(evidence: &Evidence<'_>) -> Vec<TooMuchLeft> {
     );
     measure("repeating_at_patch", of.at_patch, limits.at_patch, Some(Place::Patch(patch.0.to_owned())), says);
     let says = format!(
-        "Quiet channels of the {} stream wander together: the variance of their median is {:.2} times what noise and the \
+        "Quiet channels of the {} stream wander together: the variance of their mean is {:.2} times what noise and the \
          wander of a board make it",
         stream.1, of.common_mode
     );

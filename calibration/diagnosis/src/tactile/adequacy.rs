@@ -3,7 +3,7 @@
 use palpate_robot_model::{SensorKind, Station};
 
 use super::judge::repeated;
-use super::wander::{FEWEST_CHANNELS, OF_MEDIAN, Wander, median};
+use super::wander::Wander;
 use super::{Observed, Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series, huber};
@@ -18,7 +18,7 @@ pub struct Adequacy {
     /// The same of the readings of the patch of pressure sensors in which most repeats, with rows enough to tell: over
     /// all patches together what is wrong with one of them is lost.
     pub at_patch: f64,
-    /// Variance of the median of a stream's quiet channels, over what noise and the wander of its board make it; about 1 if
+    /// Variance of the mean over a stream's quiet channels, over what noise and the wander of its board make it; about 1 if
     /// that is all.
     pub common_mode: f64,
     /// Huber's loss of a row, in variances, over all events and readings that were measured.
@@ -283,8 +283,7 @@ impl Quiet {
         channels: std::ops::Range<usize>,
     ) {
         for frame in 0..observed.take.num_frames() {
-            let mut deviations = Vec::with_capacity(channels.len());
-            let (mut alone, mut together) = (0.0, 0.0);
+            let (mut sum, mut count, mut alone, mut together) = (0.0, 0.0, 0.0, 0.0);
             let readings =
                 observed.signals.iter().zip(prediction).skip(Signal::Reading as usize).step_by(Signal::COUNT);
             let of_stream = readings.zip(&observed.noise).take(channels.end).skip(channels.start);
@@ -292,16 +291,16 @@ impl Quiet {
                 let value = reading[frame] - predicted[frame];
                 if value.is_finite() && predicted[frame].abs() < QUIET && *noise > 0.0 {
                     let variance = noise * noise + wander.variance();
-                    deviations.push(value / variance.sqrt());
+                    sum += (value / variance.sqrt()).clamp(-2.0 * CLIP, 2.0 * CLIP);
                     alone += 1.0 - wander.together / variance;
                     together += (wander.together / variance).sqrt();
+                    count += 1.0;
                 }
             }
-            let count = deviations.len() as f64;
-            if deviations.len() >= FEWEST_CHANNELS {
-                // What one channel feels that the model does not know of is nothing that they have in common.
-                let expected = OF_MEDIAN * alone / count + together * together / count;
-                self.squares += count * median(deviations).powi(2) / expected;
+            if count > 1.0 {
+                // The square of a sum of independent deviates is as large as their number; what a board does is the same in
+                // all of them.
+                self.squares += sum * sum / (alone + together * together);
                 self.frames += 1.0;
             }
         }

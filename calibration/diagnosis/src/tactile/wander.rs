@@ -72,7 +72,7 @@ impl Wander {
 }
 
 /// Channels from which a common level can be told from theirs.
-pub(super) const FEWEST_CHANNELS: usize = 4;
+const FEWEST_CHANNELS: usize = 4;
 /// Share of a take's length over which readings are compared. A random walk is as far from where a take began, on average,
 /// as its second differences over a quarter of the take are large; what forgets sooner is nearer.
 const SPAN: f64 = 0.25;
@@ -84,7 +84,7 @@ const MEDIAN_OF_SQUARE: f64 = 0.454_936;
 /// Variance of a second difference of independent deviates, over theirs.
 const OF_SECOND_DIFFERENCE: f64 = 6.0;
 /// Variance of the median of many normal deviates, over that of their mean.
-pub(super) const OF_MEDIAN: f64 = std::f64::consts::FRAC_PI_2;
+const OF_MEDIAN: f64 = std::f64::consts::FRAC_PI_2;
 /// A patch is pressed a little before the first of its channels switches, and after the last has, s.
 const AROUND_S: f64 = 0.5;
 
@@ -121,7 +121,7 @@ fn within_bounds(variance: f64) -> f64 {
 }
 
 /// The median of those of `values` that are numbers; NaN of none.
-pub(super) fn median(values: Vec<f64>) -> f64 {
+fn median(values: Vec<f64>) -> f64 {
     Data::new(values.into_iter().filter(|value| value.is_finite()).collect::<Vec<_>>()).median()
 }
 
