@@ -163,6 +163,7 @@ pub fn tactile(
         false => format!(", without {id}"),
     });
     let name = name + &scaled.collect::<String>();
+    let name = if config.ablation { name + ", every rule changed" } else { name };
     let name = match config.references {
         0 => name,
         count => format!("{name}, {count} reference sessions"),
