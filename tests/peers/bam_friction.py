@@ -37,8 +37,8 @@ BOUNDS = {
     "external_stribeck": (0.0, 1.0), "speed": (0.1, 3.0), "alpha": (1.0, 10.0), "motor_quad": (0.0, 0.01),
     "external_quad": (0.0, 0.01),
 }  # fmt: skip
-EVALUATIONS = 30_000
-RESTARTS = 4
+EVALUATIONS = 12_000
+RESTARTS = 2
 
 
 @njit(cache=False)
