@@ -42,13 +42,14 @@ struct ListedParameter {
     upper: f64,
     /// Where the effect is absent.
     neutral: f64,
-    /// Distance from there below which it does not matter.
-    smallest: f64,
+    /// Distance from there below which it does not matter; none of what never matters by itself.
+    smallest: Option<f64>,
 }
 
 impl From<Parameter> for ListedParameter {
     fn from(of: Parameter) -> Self {
-        Self { name: of.name, lower: of.lower, upper: of.upper, neutral: of.neutral, smallest: of.smallest }
+        let smallest = of.smallest.is_finite().then_some(of.smallest);
+        Self { name: of.name, lower: of.lower, upper: of.upper, neutral: of.neutral, smallest }
     }
 }
 
@@ -88,9 +89,10 @@ fn text(effect: &Listed) -> String {
     let places = effect.places.map_or_else(String::new, |count| format!(", {count} places"));
     let mut lines = vec![format!("{} ({}{places}): {}", effect.id, effect.domain, effect.signature)];
     lines.extend(effect.parameters.iter().take(SHOWN).map(|of| {
+        let matters = of.smallest.map_or_else(String::new, |size| format!(", matters from {size} on"));
         format!(
-            "    {} from {} to {}, {} where it is absent, matters from {} on",
-            of.name, of.lower, of.upper, of.neutral, of.smallest
+            "    {} from {} to {}, {} where it is absent{matters}",
+            of.name, of.lower, of.upper, of.neutral
         )
     }));
     let more = effect.parameters.len().saturating_sub(SHOWN);
