@@ -1,9 +1,9 @@
-"""BAM's friction models M1 to M6 (Duclusaud, Passault et al., "Extended Friction Models for the Physics Simulation of Servo
-Actuators", arXiv 2410.08650), fitted on the logs of `palpate bench servos`.
+"""BAM's friction models M1 to M6, fitted on the logs of `palpate bench servos`.
 
-Written from the paper's equations and stepped as in the authors' simulator: semi-implicit, friction as the torque that would
-stop the joint within a step, up to the budget of the model. As the authors do, CMA-ES with restarts lowers the mean absolute
-position error of open-loop rollouts, within the bounds that they give for this servo.
+Of Duclusaud, Passault and others, "Extended Friction Models for the Physics Simulation of Servo Actuators", arXiv
+2410.08650. Written from the paper's equations and stepped as in the authors' simulator: semi-implicit, friction as the
+torque that would stop the joint within a step, up to the budget of the model. As the authors do, CMA-ES with restarts
+lowers the mean absolute position error of open-loop rollouts, within the bounds that they give for this servo.
 
 Reads one line of JSON and writes one: the mean absolute error of each held-out log, by model and fold.
 """
@@ -25,15 +25,16 @@ MODELS = {
     "M5": (True, True, True, False),
     "M6": (True, True, True, True),
 }
-# Torque constant, resistance, armature, offset, Coulomb, viscous; Stribeck; load by motor and load, the same at rest; speed and
-# exponent of the Stribeck curve; square of the load by motor and load.
+# Torque constant, resistance, armature, offset, Coulomb, viscous; Stribeck; load by motor and load, the same at rest;
+# speed and exponent of the Stribeck curve; square of the load by motor and load.
 NAMES = [
     "kt", "R", "armature", "offset", "base", "viscous", "stribeck", "motor", "external", "motor_stribeck",
     "external_stribeck", "speed", "alpha", "motor_quad", "external_quad",
 ]  # fmt: skip
 BOUNDS = {
-    "kt": (0.1, 3.0), "R": (2.0, 5.0), "armature": (1e-4, 0.05), "offset": (-0.1, 0.1), "base": (0.0, 0.2), "viscous": (0.0, 1.0),
-    "stribeck": (0.0, 0.2), "motor": (0.0, 0.5), "external": (0.0, 0.5), "motor_stribeck": (0.0, 1.0),
+    "kt": (0.1, 3.0), "R": (2.0, 5.0), "armature": (1e-4, 0.05), "offset": (-0.1, 0.1), "base": (0.0, 0.2),
+    "viscous": (0.0, 1.0), "stribeck": (0.0, 0.2), "motor": (0.0, 0.5), "external": (0.0, 0.5),
+    "motor_stribeck": (0.0, 1.0),
     "external_stribeck": (0.0, 1.0), "speed": (0.1, 3.0), "alpha": (1.0, 10.0), "motor_quad": (0.0, 0.01),
     "external_quad": (0.0, 0.01),
 }  # fmt: skip

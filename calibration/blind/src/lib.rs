@@ -73,7 +73,8 @@ pub struct BlindConfig {
     pub binary_only: bool,
     /// Whether effects are diagnosed again with themselves left out of the library.
     pub leave_out: bool,
-    /// Factors of the limits of rules of the diagnosis, by id (touch only); a rule with an infinite one withholds nothing.
+    /// Factors of the limits of rules of the diagnosis, by id (touch only); a rule with an infinite one withholds
+    /// nothing.
     pub rule_scales: BTreeMap<String, f64>,
     /// Whether to say as well what would be named with each rule by itself switched off, and with its limit multiplied
     /// (touch only): what each is good for.

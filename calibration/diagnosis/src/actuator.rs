@@ -92,8 +92,8 @@ impl Default for ActuatorConfig {
 pub struct ActuatorOutcome {
     /// The report.
     pub report: DiagnosisReport,
-    /// The diagnosed model: torque constant, resistance, supply factor, Coulomb friction, viscous friction, encoder offset, then
-    /// the named effects, fitted to whole logs.
+    /// The diagnosed model: torque constant, resistance, supply factor, Coulomb friction, viscous friction, encoder
+    /// offset, then the named effects, fitted to whole logs.
     pub model: Model,
     /// Highest evidence of any effect in the first round.
     pub first_evidence: f64,

@@ -23,8 +23,8 @@ pub struct DiagnosisConfig {
     pub max_effects: usize,
     /// Effects to leave out of the library, by id.
     pub without: Vec<String>,
-    /// Factors of the limits of some of [`crate::rules::RULES`], by id; a rule with an infinite one withholds nothing. For
-    /// benches that ask what each is good for.
+    /// Factors of the limits of some of [`crate::rules::RULES`], by id; a rule with an infinite one withholds
+    /// nothing. For benches that ask what each is good for.
     pub rule_scales: BTreeMap<String, f64>,
     /// Other such factors, to say what would be named with each; what is searched is searched once.
     pub ablation: Vec<BTreeMap<String, f64>>,

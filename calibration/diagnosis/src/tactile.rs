@@ -558,8 +558,8 @@ impl Domain for TactileDomain<'_> {
             };
             return around.map(weight).collect();
         }
-        // What the model may be wrong by without being wrong: noise, wander, a share of the reading, and about a quarter of a
-        // millimetre of depth, which a first touch reads as a share of the threshold.
+        // What the model may be wrong by without being wrong: noise, wander, a share of the reading, and about a
+        // quarter of a millimetre of depth, which a first touch reads as a share of the threshold.
         let channel = signal / Signal::COUNT;
         let wander = self.wander[self.station.layout.channels[channel].stream];
         let noise = self.takes[take].noise[channel].max(LEAST_NOISE);

@@ -16,7 +16,8 @@ use crate::tactile::{TactileDomain, is_local};
 pub(crate) const MOST_USUAL: f64 = 0.25;
 /// Less than any evidence that counts: keeps quotients finite, as reports need them.
 const NO_EVIDENCE: f64 = 1e-3;
-/// Evidence of a name, over that of another one of the same parts, beyond which the other is taken for a remainder of it.
+/// Evidence of a name, over that of another one of the same parts, beyond which the other is taken for a remainder of
+/// it.
 pub(crate) const MOST_BESIDE: f64 = 5.0;
 /// How far takes may disagree on the size of a right name: on the tuning stations by up to 0.6; a channel that is stuck, and is
 /// said to flicker, is off by as much as it should be.

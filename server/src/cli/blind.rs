@@ -200,8 +200,9 @@ fn scores(scores: &Scores) -> Vec<String> {
         lines.push(format!("  median share of the removable gap that was removed: {:.0} %", 100.0 * removed));
     }
     if !scores.ablation.is_empty() {
-        lines.push("  rule, its limit: right first names (gained, lost), another name, names where nothing is hidden, of no \
-                    library; sessions changed".to_owned());
+        let columns =
+            "right first names (gained, lost), another name, a name where nothing is hidden, of no library";
+        lines.push(format!("  rule, its limit: {columns}; sessions changed"));
     }
     lines.extend(scores.ablation.iter().map(|row| {
         let limit = row.scale.map_or_else(|| "off".to_owned(), |scale| format!("x {scale}"));

@@ -3,7 +3,8 @@
 use super::{ActuatorEffect, Plant, parameter};
 use crate::effects::{Effect, Parameter};
 
-/// A torque on the joint that depends neither on its angle nor on its motion: a spring, a cable, a link that nobody weighed.
+/// A torque on the joint that depends neither on its angle nor on its motion: a spring, a cable, a link that nobody
+/// weighed.
 pub(super) struct ConstantTorque;
 
 impl ActuatorEffect for ConstantTorque {

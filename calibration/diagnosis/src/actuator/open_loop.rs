@@ -1,9 +1,9 @@
 //! Models as they are deployed: fitted to whole logs, driven from their first measured position alone.
 //!
-//! Short windows tell effects apart, since what is missing shows there where it acts. What a simulator does with the model is
-//! another matter: it drives it for seconds, so that small errors pile up. The last fit is therefore of what is judged. Beside
-//! names go three constants that every servo has a little of and that are worth no name (the base of the models M1 to M6
-//! of Duclusaud and others, arXiv 2410.08650).
+//! Short windows tell effects apart, since what is missing shows there where it acts. What a simulator does with the
+//! model is another matter: it drives it for seconds, so that small errors pile up. The last fit is therefore of what
+//! is judged. Beside names go three constants that every servo has a little of and that are worth no name (the base
+//! of the models M1 to M6 of Duclusaud and others, arXiv 2410.08650).
 
 use std::ops::Range;
 
@@ -107,8 +107,8 @@ impl Domain for OpenLoop<'_, '_> {
         Ok(vec![self.domain.open_loop(take, model)?.into()])
     }
 
-    /// Nearly all errors are beyond four standard deviations of a measured position, where a loss is linear: what is fitted
-    /// is the mean absolute error, which is judged.
+    /// Nearly all errors are beyond four standard deviations of a measured position, where a loss is linear: what is
+    /// fitted is the mean absolute error, which is judged.
     fn weights(&self, _take: usize, _signal: usize, prediction: &[f64]) -> Vec<f64> {
         vec![POSITION_RAD.recip(); prediction.len()]
     }

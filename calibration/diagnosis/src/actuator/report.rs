@@ -23,7 +23,8 @@ const HOLDING_RAD_PER_S: f64 = 0.05;
 const CELLS_SHARE: f64 = 0.8;
 /// Difference of two models over a log, in standard deviations, that recording it again would show.
 const LEAST_TELLING: f64 = 4.0;
-/// The step that adds Coulomb friction, viscous friction and an offset of the encoder, which every servo has a little of.
+/// The step that adds Coulomb friction, viscous friction and an offset of the encoder, which every servo has a little
+/// of.
 const TRIMS_STEP: &str = "constants_of_every_servo";
 /// The three states of motion.
 const PHASES: [&str; 3] = ["moving", "holding", "reversing"];

@@ -18,8 +18,8 @@ pub struct Adequacy {
     /// The same of the readings of the patch of pressure sensors in which most repeats, with rows enough to tell: over
     /// all patches together what is wrong with one of them is lost.
     pub at_patch: f64,
-    /// Variance of the mean over a stream's quiet channels, over what noise and the wander of its board make it; about 1 if
-    /// that is all.
+    /// Variance of the mean over a stream's quiet channels, over what noise and the wander of its board make it;
+    /// about 1 if that is all.
     pub common_mode: f64,
     /// Huber's loss of a row, in variances, over all events and readings that were measured.
     pub loss: f64,
@@ -298,8 +298,8 @@ impl Quiet {
                 }
             }
             if count > 1.0 {
-                // The square of a sum of independent deviates is as large as their number; what a board does is the same in
-                // all of them.
+                // The square of a sum of independent deviates is as large as their number; what a board does is the
+                // same in all of them.
                 self.squares += sum * sum / (alone + together * together);
                 self.frames += 1.0;
             }

@@ -242,8 +242,8 @@ impl<'a> Observed<'a> {
         ends.into_iter()
     }
 
-    /// This take with what a model predicts in place of what was measured, and noise. The readings of each stream wander
-    /// as in `wander`.
+    /// This take with what a model predicts in place of what was measured, and noise. The readings of each stream
+    /// wander as in `wander`.
     pub(crate) fn simulated(
         &self,
         station: &Station,

@@ -1,8 +1,9 @@
 //! How far readings wander without touch: boards warm up, supplies sag, mains leak in, skins settle.
 //!
-//! What is steady from one reading to the next is no noise, and what is the same in all channels is not independent, but
-//! neither is news as long as it is small. How large it is in a session is told by second differences, as in the Allan
-//! variance of D. W. Allan, "Statistics of atomic frequency standards" (1966): a steady drift, which is news, has none.
+//! What is steady from one reading to the next is no noise, and what is the same in all channels is not independent,
+//! but neither is news as long as it is small. How large it is in a session is told by second differences, as in the
+//! Allan variance of D. W. Allan, "Statistics of atomic frequency standards" (1966): a steady drift, which is news,
+//! has none.
 
 use palpate_robot_model::{Patch, TactileLayout};
 use statrs::statistics::{Data, OrderStatistics, Statistics};
@@ -73,11 +74,11 @@ impl Wander {
 
 /// Channels from which a common level can be told from theirs.
 const FEWEST_CHANNELS: usize = 4;
-/// Share of a take's length over which readings are compared. A random walk is as far from where a take began, on average,
-/// as its second differences over a quarter of the take are large; what forgets sooner is nearer.
+/// Share of a take's length over which readings are compared. A random walk is as far from where a take began, on
+/// average, as its second differences over a quarter of the take are large; what forgets sooner is nearer.
 const SPAN: f64 = 0.25;
-/// Standard deviation of wander, in units of the switching threshold, beyond which it is news: a twentieth of what a touch
-/// must reach is more than a board's warming up and less than what moves an event.
+/// Standard deviation of wander, in units of the switching threshold, beyond which it is news: a twentieth of what a
+/// touch must reach is more than a board's warming up and less than what moves an event.
 const MOST: f64 = 0.05;
 /// Median of the square of a standard normal deviate.
 const MEDIAN_OF_SQUARE: f64 = 0.454_936;
@@ -137,8 +138,8 @@ mod tests {
 
     use super::*;
 
-    /// What is told of the first stream of an emulated station to whose readings `shift` adds so many thresholds, by time
-    /// in s.
+    /// What is told of the first stream of an emulated station to whose readings `shift` adds so many thresholds, by
+    /// time in s.
     fn wander(mut shift: impl FnMut(f64) -> f64) -> Wander {
         let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
         let stage = Stage::read(truth).unwrap();

@@ -1,7 +1,7 @@
 //! `palpate bench servos`: the diagnosis of measured servo logs, one value of a field held out in turn.
 //!
-//! `--peer PYTHON` fits BAM's friction models to the same logs in the same run, and judges them by the same metric: the mean
-//! absolute position error of rollouts that never look at the log again.
+//! `--peer PYTHON` fits BAM's friction models to the same logs in the same run, and judges them by the same metric:
+//! the mean absolute position error of rollouts that never look at the log again.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -64,7 +64,8 @@ struct OfModel {
     by_fold_rad: Vec<f64>,
     /// Mean over folds, rad.
     mean_rad: f64,
-    /// How much higher it is than that of the diagnosed model, paired by log, rad, with a 95 % interval from resampling logs.
+    /// How much higher it is than that of the diagnosed model, paired by log, rad, with a 95 % interval from
+    /// resampling logs.
     above_diagnosed_rad: Option<(f64, [f64; 2])>,
 }
 
