@@ -14,12 +14,13 @@ use crate::DiagnosisError;
 use crate::config::DiagnosisConfig;
 use crate::engine::{self, Model};
 use crate::rules::RULES;
-use crate::steps::CHANCE_IN_GAP;
 use crate::tactile::judge::{gap, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
 
 /// Steps of the first fit of the model's own parameters.
 const FIRST_STEPS: usize = 6;
+/// What may be added to the gap by chance, over what it is.
+const CHANCE_IN_GAP: f64 = 0.1;
 
 /// A session, calibrated and ready to be searched.
 pub(crate) struct Prepared<'a> {

@@ -74,8 +74,9 @@ pub static RULES: &[Rule] = &[
     },
     Rule {
         id: GAP_GROWS,
-        measures: "frames that are mistaken on the fitted takes with the effects, over those without",
-        limit: 1.0 + steps::CHANCE_IN_GAP,
+        measures: "frames that are mistaken on the fitted takes with the effects, over those without, where the \
+                   model had effects already",
+        limit: steps::MOST_MISTAKEN,
     },
 ];
 

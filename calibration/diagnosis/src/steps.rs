@@ -17,8 +17,8 @@ use crate::tactile::{Observed, TactileDomain};
 
 /// What the names of diagnosed models end with.
 const DIAGNOSED: &str = ", diagnosed";
-/// What may be added to the gap by chance, over what it is.
-pub(crate) const CHANCE_IN_GAP: f64 = 0.1;
+/// Frames that may be mistaken with the names, over those with a model that had effects already.
+pub(crate) const MOST_MISTAKEN: f64 = 1.0;
 
 /// Models as deployed: calibrated, then with one more effect each.
 pub(crate) struct Steps {
@@ -82,10 +82,8 @@ impl Steps {
         deployed(station, domain, &model, model.effects.clone(), &self.models[0], fitted)
     }
 
-    /// Fires if the last model mistakes more events than the first on the takes `fitted`, on channels that it does not
-    /// say flicker by chance. Names that do not shrink the gap that they were made for are no use. A model that has
-    /// effects already is held to it without an allowance for chance, so that diagnoses in a row cannot make it worse
-    /// bit by bit.
+    /// Fires if the last model mistakes more events on the takes `fitted` than the first, which has effects already, on
+    /// channels that it does not say flicker by chance: diagnoses in a row must not make a good model worse bit by bit.
     pub(crate) fn widen_the_gap(
         &self,
         station: &Station,
@@ -94,6 +92,9 @@ impl Steps {
         rules: InForce<'_>,
     ) -> Result<Option<Fired>, DiagnosisError> {
         let [first, .., last] = &self.models[..] else { return Ok(None) };
+        if first.effects.is_empty() {
+            return Ok(None);
+        }
         let observed: Vec<&Observed<'_>> = fitted.iter().map(|&take| domain.take(take)).collect();
         let flickers = flickering(station, &observed, last);
         let mistaken = |model: &SensorModel| -> Result<f64, DiagnosisError> {
@@ -104,9 +105,8 @@ impl Steps {
                 .map(|(sum, _)| sum.false_positives + sum.false_negatives);
             Ok(frames.sum::<u64>() as f64)
         };
-        let allowance = if first.effects.is_empty() { CHANCE_IN_GAP } else { 0.0 };
         let (before, after) = (mistaken(first)?, mistaken(last)?);
-        Ok(rules.above(fired::GAP_GROWS, after / before.max(1.0), 1.0 + allowance))
+        Ok(rules.above(fired::GAP_GROWS, after / before.max(1.0), MOST_MISTAKEN))
     }
 }
 
