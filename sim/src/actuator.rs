@@ -17,6 +17,7 @@ mod integer_wrap;
 mod load_dependent_friction;
 mod rollout;
 mod stribeck_friction;
+mod unstated_load;
 mod viscous_friction;
 mod voltage_sag;
 
@@ -39,6 +40,7 @@ pub const ACTUATOR: &[&dyn ActuatorEffect] = &[
     &load_dependent_friction::LoadDependentFriction,
     &gear_backlash::GearBacklash,
     &gravity_load::GravityLoad,
+    &unstated_load::UnstatedLoad,
     &constant_torque::ConstantTorque,
     &encoder_offset::EncoderOffset,
 ];
@@ -68,8 +70,18 @@ pub trait ActuatorEffect: Sync {
         false
     }
 
-    /// Whether it moves the joint, and not a reading alone.
-    fn moves(&self) -> bool {
+    /// Whether it is a dry or viscous friction.
+    fn is_friction(&self) -> bool {
+        false
+    }
+
+    /// Whether its size shows best in readings, and is not to be told by where the joint goes.
+    fn is_read(&self) -> bool {
+        false
+    }
+
+    /// Whether it could be, on a joint of which it is stated what it carries, or of which it is not.
+    fn could_be(&self, _load_is_stated: bool) -> bool {
         true
     }
 
@@ -118,6 +130,10 @@ pub struct Plant {
     pub inverse_current_limit_per_a: f64,
     /// Torque on the joint that is always there, N m.
     pub constant_torque_nm: f64,
+    /// Torque of gravity on a load that is not stated, at 90 degrees and at 0, N m.
+    pub unstated_nm: [f64; 2],
+    /// Its inertia, kg m^2.
+    pub unstated_kg_m2: f64,
     /// 1 if negative PWM readings are stored unsigned, 0 if not.
     pub wrap: f64,
 }
@@ -145,6 +161,8 @@ impl Default for Plant {
             derivative_s: 0.0,
             inverse_current_limit_per_a: 0.0,
             constant_torque_nm: 0.0,
+            unstated_nm: [0.0; 2],
+            unstated_kg_m2: 0.0,
             wrap: 0.0,
         }
     }

@@ -5,23 +5,26 @@
 
 mod adequacy;
 mod domain;
+mod experiment;
+mod friction;
 mod open_loop;
 mod report;
 
 use palpate_recording::ServoLog;
 use palpate_reports::DiagnosisReport;
 use palpate_sim::actuator::ACTUATOR;
-use palpate_sim::effects::Effect;
+use palpate_sim::effects::{Effect, Parameter};
 use palpate_sim::job::{Cancel, Progress};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 pub use domain::ActuatorDomain;
+pub use report::mean_interval_95;
 
 use crate::DiagnosisError;
 use crate::engine::{self, Domain, Model, NamingConfig, huber};
-use open_loop::OpenLoop;
+use open_loop::{OpenLoop, Trims};
 
 /// Which logs are kept for the final judgement.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -105,11 +108,11 @@ pub struct ActuatorOutcome {
 pub const ACTUATOR_BAR: f64 = 16.0;
 /// Share of the loss that a named effect removes at least.
 const LEAST_SHARE: f64 = 0.005;
-/// Candidates fitted in a round: all of them, they are few.
-const NUM_FITS: usize = 15;
 /// Steps of the first fit and of each restart.
 const FIT_STEPS: usize = 12;
-
+/// Share of the position error that a model with friction of no name must not exceed, for friction to be what is
+/// missing.
+const MOST_WITHOUT_FRICTION: f64 = 0.5;
 /// Starts of a fit of whole logs: that of windows is near.
 const DEPLOYED_STARTS: usize = 3;
 
@@ -143,7 +146,8 @@ pub fn diagnose_actuator(
         bar,
         kept_bar: bar,
         least_share: LEAST_SHARE,
-        num_fits: NUM_FITS,
+        // All of them, they are few.
+        num_fits: ACTUATOR.len(),
         without: config.without.clone(),
     };
     let (mut naming_config, mut refused) = (naming_config, Vec::new());
@@ -174,12 +178,19 @@ pub fn diagnose_actuator(
     }
     watch(0.9, "fitting whole logs")?;
     let losses = adequacy::losses(&domain, &steps[steps.len() - 1], &fitted)?;
-    let whole = |model: &Model, with_trims| deployed(&domain, model, with_trims, &fitted, config);
+    let whole = |model: &Model, trims| deployed(&domain, model, trims, &fitted, config);
     let deployed: Vec<Model> =
-        steps.iter().map(|step| whole(step, false)).collect::<Result<_, DiagnosisError>>()?;
-    // Beside no name they would stand in for one.
+        steps.iter().map(|step| whole(step, None)).collect::<Result<_, DiagnosisError>>()?;
+    let errors = |model: &Model| report::mean_error(&domain, model, &fitted);
     let trimmed = match &steps[..] {
-        [_, .., last] => Some(whole(last, true)?),
+        [_, .., last] => Some(whole(last, Some(Trims::default()))?),
+        // Beside no name they would stand in for one, unless it is friction that was named and taken back.
+        _ if naming.withheld.iter().any(|withheld| friction::is_friction(&withheld.effect)) => {
+            let [dry_nm, viscous_nm_s_per_rad] = friction::of_no_name(&domain, &steps[0], &fitted)?;
+            let with_friction = whole(&steps[0], Some([dry_nm, viscous_nm_s_per_rad, 0.0]))?;
+            let removes_most = errors(&with_friction)? < MOST_WITHOUT_FRICTION * errors(&deployed[0])?;
+            removes_most.then_some(with_friction)
+        }
         _ => None,
     };
     watch(0.96, "judging on logs that nothing was fitted to")?;
@@ -237,21 +248,26 @@ fn fit_well<D: Domain>(
     Ok(best.map_or_else(|| model.clone(), |(_, fit)| fit))
 }
 
-/// `model` as a simulator drives it: fitted to whole logs, with what every servo has a little of or without.
+/// `model` as a simulator drives it: fitted to whole logs, with what every servo has a little of, from there on, or
+/// without.
 fn deployed(
     domain: &ActuatorDomain<'_>,
     model: &Model,
-    with_trims: bool,
+    trims: Option<Trims>,
     takes: &[usize],
     config: &ActuatorConfig,
 ) -> Result<Model, DiagnosisError> {
     let config = ActuatorConfig { starts: config.starts.min(DEPLOYED_STARTS), ..config.clone() };
-    fit_well(&OpenLoop::new(domain, model, with_trims), &OpenLoop::start(model), takes, &config)
+    let start = OpenLoop::start(model, trims.unwrap_or_default());
+    fit_well(&OpenLoop::new(domain, model, trims.is_some()), &start, takes, &config)
 }
 
 /// Whether a parameter of `effect` ended where it may go no further. Effects that are there or not are, at their end.
 fn at_bound(domain: &ActuatorDomain<'_>, effect: &Effect) -> bool {
-    domain.parameters(effect).iter().any(|parameter| {
+    let parameters = domain.parameters(effect);
+    let is_there = |parameter: &Parameter| effect.parameter(&parameter.name) != parameter.neutral;
+    let some_is_there = parameters.iter().any(is_there);
+    parameters.iter().filter(|parameter| is_there(parameter) || !some_is_there).any(|parameter| {
         let value = effect.parameter(&parameter.name);
         let there_or_not = parameter.dose == parameter.upper - parameter.neutral;
         let margin = 1e-6 * (parameter.upper - parameter.lower);

@@ -33,6 +33,7 @@ mod tests;
 
 pub(crate) use adequacy::{loss_by_unit, share_left};
 pub(crate) use agreement::Contributions;
+pub(crate) use choose::RIVAL_SHARE;
 pub(crate) use fit::{refit, refit_roughly};
 pub use name::name;
 pub(crate) use name::strongest;

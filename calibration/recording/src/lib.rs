@@ -53,7 +53,7 @@ pub use growing::{
 };
 pub use live::LiveTake;
 pub use repair::{Closed, close_partial};
-pub use servo_log::ServoLog;
+pub use servo_log::{RegisterUnits, ServoLog};
 pub use session::{Session, SessionDraft, SessionFile, SessionTake};
 pub use station_io::load_station;
 pub use take::{AxesLog, JointLog, PoseLog, Recovered, Reference, Span, SpanKind, StreamLog, Take, TakeMeta};

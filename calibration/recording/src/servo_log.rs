@@ -30,6 +30,12 @@ pub struct ServoLog {
     pub length_m: f64,
     /// Supply voltage as stated, V; `None` if unknown.
     pub supply_v: Option<f64>,
+    /// Torque per current at the joint as the maker states it, N m / A; `None` if unknown.
+    pub torque_constant_nm_per_a: Option<f64>,
+    /// Resistance of the winding as the maker states it, ohm; `None` if unknown.
+    pub resistance_ohm: Option<f64>,
+    /// What the registers stand for.
+    pub units: RegisterUnits,
     /// Time of each sample since the log's start, s, strictly increasing.
     pub times_s: Vec<f64>,
     /// Measured position, rad, 0 = hanging down.
@@ -38,24 +44,44 @@ pub struct ServoLog {
     pub goals_rad: Vec<f64>,
     /// Whether the torque was on.
     pub torque_on: Vec<bool>,
-    /// PWM as read from the register, full duty being [`ServoLog::FULL_PWM`]; empty where it was not logged.
+    /// PWM as read from the register, full duty being [`RegisterUnits::full_pwm`]; empty where it was not logged.
     pub pwm_register: Vec<f64>,
     /// Measured supply voltage, V; empty where it was not logged.
     pub input_v: Vec<f64>,
 }
 
-impl ServoLog {
-    /// PWM reading at full duty.
-    pub const FULL_PWM: f64 = 885.0;
+/// What the numbers in a servo's registers stand for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegisterUnits {
     /// Encoder counts a turn.
-    pub const COUNTS_PER_TURN: f64 = 4096.0;
+    pub counts_per_turn: f64,
+    /// PWM reading at full duty.
+    pub full_pwm: f64,
+    /// Position gain at which an error of one encoder count gives a PWM of one.
+    pub unit_gain: f64,
+}
+
+impl Default for RegisterUnits {
+    /// Those of a Dynamixel XL330.
+    fn default() -> Self {
+        Self { counts_per_turn: 4096.0, full_pwm: 885.0, unit_gain: 256.0 }
+    }
+}
+
+impl RegisterUnits {
+    /// Duty per position error that the register `gain` stands for, 1/rad.
+    pub fn duty_per_rad(&self, gain: f64) -> f64 {
+        gain * self.counts_per_turn / std::f64::consts::TAU / (self.unit_gain * self.full_pwm)
+    }
+}
+
+impl ServoLog {
     /// Fewest samples that make a log.
     pub const FEWEST_SAMPLES: usize = 100;
 
-    /// Duty per position error that the firmware's register `gain` stands for, 1/rad: PWM counts are
-    /// gain / 256 per encoder count.
-    pub fn duty_per_rad(gain: f64) -> f64 {
-        gain * Self::COUNTS_PER_TURN / std::f64::consts::TAU / (256.0 * Self::FULL_PWM)
+    /// Whether it says what the joint carries.
+    pub fn states_load(&self) -> bool {
+        self.mass_kg > 0.0
     }
 
     /// Reads every `*.json` below `folder`, by name.
@@ -80,8 +106,10 @@ impl ServoLog {
 
     /// Reads a log in the format of BAM's raw recordings (github.com/Rhoban/bam): one JSON object with `mass` (kg),
     /// `length` (m), `kp` (register), `vin` (V), `motor`, `trajectory` and `entries`, each with `timestamp` (s),
-    /// `position` (rad), `goal_position` (rad), `torque_enable`, and optionally `load` (PWM register) and `input_volts` (V).
-    /// A mass of 0 is an unknown load; a PWM that is 0 in every entry was not logged.
+    /// `position` (rad), `goal_position` (rad), `torque_enable`, and optionally `load` (PWM register) and
+    /// `input_volts` (V). A mass of 0 is an unknown load; a PWM that is 0 in every entry was not logged. Servos of
+    /// another make say what they are in `counts_per_turn`, `full_pwm`, `unit_gain`, `torque_constant` (N m / A) and
+    /// `resistance` (ohm).
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
         let bytes = read_file(path, MAX_TAKE_BYTES)?;
         Self::from_bytes(path, &bytes)
@@ -107,6 +135,8 @@ impl ServoLog {
             return Err(RecordingError::content(path, "entries", problem));
         }
         let gain = reader.positive(head, "kp")?;
+        let stated = |name: &str| head.contains_key(name).then(|| reader.positive(head, name)).transpose();
+        let of_make = RegisterUnits::default();
         let mut log = Self {
             id: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
             joint: head.get("motor").and_then(Value::as_str).unwrap_or("servo").to_owned(),
@@ -122,6 +152,13 @@ impl ServoLog {
             mass_kg: reader.not_negative(head, "mass")?,
             length_m: reader.not_negative(head, "length")?,
             supply_v: Some(reader.positive(head, "vin")?),
+            torque_constant_nm_per_a: stated("torque_constant")?,
+            resistance_ohm: stated("resistance")?,
+            units: RegisterUnits {
+                counts_per_turn: stated("counts_per_turn")?.unwrap_or(of_make.counts_per_turn),
+                full_pwm: stated("full_pwm")?.unwrap_or(of_make.full_pwm),
+                unit_gain: stated("unit_gain")?.unwrap_or(of_make.unit_gain),
+            },
             ..Self::default()
         };
         let optional = |name: &str| entries[0].get(name).is_some();
@@ -265,7 +302,25 @@ mod tests {
         assert_eq!(log.fields["trajectory"], "sin");
         assert_eq!(log.pwm_register[..2], [40.0, 65_496.0], "wrapped readings stay what they are");
         assert_eq!(log.times_s.len(), 120);
-        assert!((ServoLog::duty_per_rad(400.0) - 1.1509).abs() < 1e-4);
+        assert!((log.units.duty_per_rad(400.0) - 1.1509).abs() < 1e-4);
+        assert_eq!((log.torque_constant_nm_per_a, log.resistance_ohm), (None, None));
+    }
+
+    #[test]
+    fn a_servo_of_another_make_says_what_its_registers_stand_for() {
+        let mut log: Value = serde_json::from_slice(&text(|_, _| {})).unwrap();
+        for (name, value) in [("counts_per_turn", 1024), ("full_pwm", 1000), ("unit_gain", 64)] {
+            log[name] = value.into();
+        }
+        log["torque_constant"] = 1.2.into();
+        let read = |log: &Value| read(&serde_json::to_vec(log).unwrap());
+        let other = read(&log).unwrap();
+        // 32 / 64 of a PWM of 1 in 1,000 for each of 1,024 counts a turn.
+        assert!((other.units.duty_per_rad(32.0) - 0.5 * 1.024 / std::f64::consts::TAU).abs() < 1e-12);
+        assert_eq!(other.torque_constant_nm_per_a, Some(1.2));
+        log["full_pwm"] = 0.into();
+        let refused = read(&log).unwrap_err().to_string();
+        assert!(refused.contains("full_pwm: expected a number above 0, found 0"), "{refused}");
     }
 
     #[test]

@@ -10,7 +10,7 @@ mod motion;
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::TAU;
 
-use palpate_recording::ServoLog;
+use palpate_recording::{RegisterUnits, ServoLog};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -97,6 +97,10 @@ pub struct ServoTruth {
     pub stuck_encoder_bits: i64,
     /// Share of the full duty that the driver withholds.
     pub duty_withheld: f64,
+    /// What its registers stand for, which the logs say. Gains are set to be those of the default units.
+    pub units: RegisterUnits,
+    /// Whether the logs do not say what the joint carries.
+    pub load_unstated: bool,
 }
 
 /// Records every motion at every gain on the servo that `truth` describes: 15 logs.
@@ -110,8 +114,11 @@ pub fn record_servo(truth: &ServoTruth, seed: u64) -> Vec<ServoLog> {
         resistance_ohm: 3.4 * rng.random_range(0.9..1.15),
         supply_v: SUPPLY_V * rng.random_range(0.97..1.02),
     };
-    let runs: Vec<(f64, Motion)> =
-        GAINS.iter().flat_map(|&gain| Motion::ALL.iter().map(move |&motion| (gain, motion))).collect();
+    let register = RegisterUnits::default().duty_per_rad(1.0) / truth.units.duty_per_rad(1.0);
+    let runs: Vec<(f64, Motion)> = GAINS
+        .iter()
+        .flat_map(|&gain| Motion::ALL.iter().map(move |&motion| (gain * register, motion)))
+        .collect();
     runs.into_par_iter()
         .enumerate()
         .map(|(idx, (gain, motion))| {
@@ -190,9 +197,10 @@ impl<'a> World<'a> {
                 ("motor".to_owned(), "emulated".to_owned()),
             ]),
             position_gain_register: Some(self.gain_register),
-            mass_kg: MASS_KG,
+            mass_kg: if self.truth.load_unstated { 0.0 } else { MASS_KG },
             length_m: LENGTH_M,
             supply_v: Some(SUPPLY_V),
+            units: self.truth.units,
             ..ServoLog::default()
         };
         let mut next_s = 0.0035;
@@ -218,7 +226,7 @@ impl<'a> World<'a> {
         let (goal_rad, on) = self.motion.goal(self.time_s);
         self.queue.push_back((self.time_s + self.truth.latency_s, goal_rad, on));
         let noise_v = SUPPLY_NOISE_V * gauss(&mut self.rng);
-        let pwm = (self.duty * ServoLog::FULL_PWM).round();
+        let pwm = (self.duty * self.truth.units.full_pwm).round();
         log.times_s.push(self.time_s);
         log.goals_rad.push(goal_rad);
         log.torque_on.push(on);
@@ -229,8 +237,8 @@ impl<'a> World<'a> {
 
     /// What the encoder on the joint shows, in whole counts.
     fn encoder_rad(&self) -> f64 {
-        let count_rad = TAU / ServoLog::COUNTS_PER_TURN;
-        let centre = ServoLog::COUNTS_PER_TURN / 2.0;
+        let count_rad = TAU / self.truth.units.counts_per_turn;
+        let centre = self.truth.units.counts_per_turn / 2.0;
         let count = ((self.joint_rad + self.truth.encoder_offset_rad) / count_rad).round() + centre;
         ((count as i64 & !self.truth.stuck_encoder_bits) as f64 - centre) * count_rad
     }
@@ -248,10 +256,11 @@ impl<'a> World<'a> {
         let turned_rad = before_rad.map_or(0.0, |before_rad| shown_rad - before_rad);
         let speed_rad_per_s = turned_rad / (LOOPS_OF_SPEED as f64 * STEPS_PER_LOOP as f64 * STEP_S);
         let error_rad = self.goal_rad - shown_rad - self.truth.derivative_s * speed_rad_per_s;
-        let counts = error_rad * ServoLog::COUNTS_PER_TURN / TAU;
-        let pwm = counts * self.gain_register * (1.0 + self.truth.gain) / 256.0;
+        let units = &self.truth.units;
+        let counts = error_rad * units.counts_per_turn / TAU;
+        let pwm = counts * self.gain_register * (1.0 + self.truth.gain) / units.unit_gain;
         let most = 1.0 - self.truth.duty_withheld;
-        self.duty = if self.torque_on { (pwm / ServoLog::FULL_PWM).clamp(-most, most) } else { 0.0 };
+        self.duty = if self.torque_on { (pwm / units.full_pwm).clamp(-most, most) } else { 0.0 };
     }
 
     fn step(&mut self) {
@@ -370,7 +379,7 @@ mod tests {
             let logs = record_servo(&ServoTruth { wraps, ..ServoTruth::default() }, 1);
             logs.iter().flat_map(|log| log.pwm_register.clone()).fold(f64::MIN, f64::max)
         };
-        assert!(largest(false) <= ServoLog::FULL_PWM);
-        assert!(largest(true) > 65_536.0 - ServoLog::FULL_PWM - 1.0);
+        assert!(largest(false) <= RegisterUnits::default().full_pwm);
+        assert!(largest(true) > 65_536.0 - RegisterUnits::default().full_pwm - 1.0);
     }
 }

@@ -8,6 +8,7 @@ use palpate_recording::{ServoLog, Session};
 use palpate_reports::{DiagnosisReport, wording};
 use palpate_server::Error;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
+use serde::Serialize;
 
 use super::{Outcome, output};
 
@@ -22,9 +23,9 @@ pub(crate) struct DiagnoseArgs {
     /// Folder of servo logs (JSON), or of a session whose takes hold joint commands
     #[arg(long, value_name = "DIR")]
     logs: PathBuf,
-    /// Joint to diagnose, where the folder is a session
-    #[arg(long, value_name = "JOINT")]
-    joint: Option<String>,
+    /// Joints to diagnose, one after the other, where the folder is a session; `all` for every one
+    #[arg(long, value_name = "JOINT,...|all", value_delimiter = ',')]
+    joint: Vec<String>,
     /// Logs that nothing is fitted to, as in kp=400; `auto` keeps those of the middle gain
     #[arg(long, value_name = "FIELD=VALUE|auto|none", default_value = "auto")]
     hold_out: LogHoldOut,
@@ -37,14 +38,14 @@ pub(crate) struct DiagnoseArgs {
     /// Seed of restarts and resampling
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Print the report as JSON
+    /// Print the report as JSON; of several joints, `joints` with a report each
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(command: &ActuatorCommand) -> Outcome {
     let ActuatorCommand::Diagnose(args) = command;
-    let logs = logs(args)?;
+    let of_joints = logs(args)?;
     let default = ActuatorConfig::default();
     let config = ActuatorConfig {
         hold_out: args.hold_out.clone(),
@@ -53,26 +54,46 @@ pub(super) fn run(command: &ActuatorCommand) -> Outcome {
         seed: args.seed,
         ..default
     };
-    let start = Instant::now();
-    let outcome = {
+    let cancel = cancel_on_ctrl_c();
+    let mut reports = Vec::new();
+    for logs in &of_joints {
+        let start = Instant::now();
         let bar = Bar::new();
-        diagnose_actuator(&config, &logs, &bar, &cancel_on_ctrl_c(), &|| start.elapsed().as_secs_f64())?
-    };
-    if args.json {
-        output::json(&outcome.report)?;
-    } else {
-        output::line(&text(&outcome.report))?;
+        let outcome = diagnose_actuator(&config, logs, &bar, &cancel, &|| start.elapsed().as_secs_f64())?;
+        reports.push(OfJoint { joint: logs[0].joint.clone(), report: outcome.report });
+    }
+    match (&reports[..], args.json) {
+        ([one], true) => output::json(&one.report)?,
+        ([one], false) => output::line(&text(&one.report))?,
+        (_, true) => output::json(&Reports { joints: reports })?,
+        (_, false) => {
+            let texts = reports.iter().map(|of| format!("{}\n\n{}", of.joint, text(&of.report)));
+            output::line(&texts.collect::<Vec<_>>().join("\n\n"))?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn logs(args: &DiagnoseArgs) -> Result<Vec<ServoLog>, Error> {
+/// Reports on several joints.
+#[derive(Serialize)]
+struct Reports {
+    joints: Vec<OfJoint>,
+}
+
+#[derive(Serialize)]
+struct OfJoint {
+    joint: String,
+    report: DiagnosisReport,
+}
+
+/// Logs of each joint to diagnose.
+fn logs(args: &DiagnoseArgs) -> Result<Vec<Vec<ServoLog>>, Error> {
     if !args.logs.join("session.toml").is_file() {
-        return Ok(ServoLog::read_folder(&args.logs)?);
+        return Ok(vec![ServoLog::read_folder(&args.logs)?]);
     }
     let session = Session::open(&args.logs)?;
     let takes = session.accepted_takes()?;
-    let mut logs: Vec<ServoLog> = takes.iter().flat_map(ServoLog::from_take).collect();
+    let logs: Vec<ServoLog> = takes.iter().flat_map(ServoLog::from_take).collect();
     if logs.is_empty() {
         return Err(Error::Content(format!(
             "the takes of session {:?} hold no joint commands, so there is nothing to compare positions with; record \
@@ -86,14 +107,25 @@ fn logs(args: &DiagnoseArgs) -> Result<Vec<ServoLog>, Error> {
             joints.push(log.joint.clone());
         }
     }
-    let Some(joint) = &args.joint else {
-        return Err(Error::Argument(format!("--joint: say which joint; there are {}", joints.join(", "))));
+    let there_are = joints.join(", ");
+    let asked = match &args.joint[..] {
+        [] => {
+            return Err(Error::Argument(format!("--joint: say which joint, or all; there are {there_are}")));
+        }
+        [all] if all == "all" => joints,
+        some => some.iter().map(|joint| joint.trim().to_owned()).collect(),
     };
-    if !joints.contains(joint) {
-        return Err(Error::Argument(format!("--joint: no joint {joint:?}; there are {}", joints.join(", "))));
-    }
-    logs.retain(|log| log.joint == *joint);
-    Ok(logs)
+    asked
+        .iter()
+        .map(|joint| {
+            let of_joint: Vec<ServoLog> = logs.iter().filter(|log| log.joint == *joint).cloned().collect();
+            if of_joint.is_empty() {
+                let problem = format!("--joint: no joint {joint:?}; there are {there_are}");
+                return Err(Error::Argument(problem));
+            }
+            Ok(of_joint)
+        })
+        .collect()
 }
 
 fn text(report: &DiagnosisReport) -> String {

@@ -28,6 +28,10 @@ impl ActuatorEffect for CoulombFriction {
         true
     }
 
+    fn is_friction(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.coulomb_nm += effect.parameter("coulomb_nm");
     }

@@ -28,6 +28,10 @@ impl ActuatorEffect for EncoderOffset {
         true
     }
 
+    fn could_be(&self, load_is_stated: bool) -> bool {
+        load_is_stated
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.encoder_offset_rad += effect.parameter("offset_rad");
     }

@@ -29,6 +29,10 @@ impl ActuatorEffect for GravityLoad {
         true
     }
 
+    fn could_be(&self, load_is_stated: bool) -> bool {
+        load_is_stated
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.gravity_factor += effect.parameter("gravity");
     }

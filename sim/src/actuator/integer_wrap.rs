@@ -27,8 +27,8 @@ impl ActuatorEffect for IntegerWrap {
         vec![parameter("wrapped", [0.0, 1.0], 0.1, 1.0)]
     }
 
-    fn moves(&self) -> bool {
-        false
+    fn is_read(&self) -> bool {
+        true
     }
 
     fn apply(&self, effect: &Effect, plant: &mut Plant) {

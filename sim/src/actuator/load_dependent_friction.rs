@@ -24,6 +24,10 @@ impl ActuatorEffect for LoadDependentFriction {
         vec![parameter("load_friction", [0.0, 0.9], 0.03, 0.08)]
     }
 
+    fn is_friction(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.load_friction += effect.parameter("load_friction");
     }

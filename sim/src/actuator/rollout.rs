@@ -95,8 +95,8 @@ struct State {
 
 impl State {
     fn new(plant: &Plant, drive: &Drive<'_>, start: Start) -> Self {
-        let inertia = drive.mass_kg * drive.length_m.powi(2);
-        let carried = inertia * start.acceleration_rad_per_s2 - gravity_nm(plant, drive, start.position_rad);
+        let carried = load_kg_m2(plant, drive) * start.acceleration_rad_per_s2
+            - gravity_nm(plant, drive, start.position_rad);
         Self {
             position_rad: start.position_rad,
             speed_rad_per_s: start.speed_rad_per_s,
@@ -153,7 +153,7 @@ impl State {
         };
         let damping = emf_nm_s + plant.viscous_nm_s_per_rad;
         let gravity_nm = gravity_nm(plant, drive, middle_rad);
-        let load_kg_m2 = drive.mass_kg * drive.length_m.powi(2);
+        let load_kg_m2 = load_kg_m2(plant, drive);
         let before = self.speed_rad_per_s;
         match self.gear {
             Gear::Engaged(flank) => {
@@ -232,7 +232,14 @@ fn limited(plant: &Plant, current_a: f64) -> Option<f64> {
 /// Torque of gravity, and of what is always there, at a measured position, N m.
 fn gravity_nm(plant: &Plant, drive: &Drive<'_>, position_rad: f64) -> f64 {
     let full_nm = plant.gravity_factor * drive.mass_kg * GRAVITY_M_PER_S2 * drive.length_m;
-    plant.constant_torque_nm - full_nm * (position_rad - plant.encoder_offset_rad).sin()
+    let [sine_nm, cosine_nm] = plant.unstated_nm;
+    let (sine, cosine) = (position_rad - plant.encoder_offset_rad).sin_cos();
+    plant.constant_torque_nm - (full_nm + sine_nm) * sine - cosine_nm * cosine
+}
+
+/// Inertia of what the joint carries, kg m^2.
+fn load_kg_m2(plant: &Plant, drive: &Drive<'_>) -> f64 {
+    drive.mass_kg * drive.length_m.powi(2) + plant.unstated_kg_m2
 }
 
 /// Largest torque of dry friction, N m (Stribeck's curve, and the load's share).

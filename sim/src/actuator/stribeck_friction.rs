@@ -29,6 +29,10 @@ impl ActuatorEffect for StribeckFriction {
         vec![parameter("stribeck_nm", [0.0, 0.3], 0.004, 0.01), speed]
     }
 
+    fn is_friction(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.stribeck_nm += effect.parameter("stribeck_nm");
         plant.stribeck_speed_rad_per_s = effect.parameter("stribeck_speed_rad_per_s");

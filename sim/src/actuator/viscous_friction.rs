@@ -28,6 +28,10 @@ impl ActuatorEffect for ViscousFriction {
         true
     }
 
+    fn is_friction(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.viscous_nm_s_per_rad += effect.parameter("viscous_nm_s_per_rad");
     }

@@ -24,6 +24,10 @@ impl ActuatorEffect for VoltageSag {
         vec![parameter("supply_resistance_ohm", [0.0, 5.0], 0.08, 0.2)]
     }
 
+    fn is_read(&self) -> bool {
+        true
+    }
+
     fn apply(&self, effect: &Effect, plant: &mut Plant) {
         plant.supply_resistance_ohm += effect.parameter("supply_resistance_ohm");
     }

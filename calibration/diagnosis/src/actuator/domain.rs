@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
-use palpate_recording::ServoLog;
+use palpate_recording::{RegisterUnits, ServoLog};
 use palpate_robot_model::Place;
 use palpate_sim::actuator::{self, Drive, Plant, Sensed, Start, rollout};
 use palpate_sim::effects::{Effect, Parameter};
@@ -22,7 +22,8 @@ const WINDOW_S: f64 = 0.16;
 const BLOCK_S: f64 = 0.9;
 /// Samples on each side that the state at a window's beginning is smoothed over.
 const SMOOTHING: usize = 5;
-/// Standard deviation of a measured position, rad: an encoder count is 1.5 mrad, and a window's model is no better.
+/// Standard deviation of a measured position, rad, of an encoder of 4,096 counts a turn: a count is 1.5 mrad, and a
+/// window's model is no better.
 pub(super) const POSITION_RAD: f64 = 1.0e-3;
 /// Standard deviation of the position at a window's beginning, rad.
 const START_RAD: f64 = 0.7e-3;
@@ -54,9 +55,9 @@ const SIGNED_MAX: f64 = 32_767.0;
 /// What a sixteen-bit reading wraps at.
 const WRAP: f64 = 65_536.0;
 /// Position gain of a servo as it is delivered, for logs that do not say.
-const DEFAULT_GAIN: f64 = 400.0;
+pub(super) const DEFAULT_GAIN: f64 = 400.0;
 /// Supply that the torque constants assume, V, for logs that do not say.
-const DEFAULT_SUPPLY_V: f64 = 5.0;
+pub(super) const DEFAULT_SUPPLY_V: f64 = 5.0;
 
 /// Servo logs, and the actuator models that predict them.
 ///
@@ -67,6 +68,9 @@ const DEFAULT_SUPPLY_V: f64 = 5.0;
 pub struct ActuatorDomain<'a> {
     logs: Vec<Prepared<'a>>,
     base: Vec<BaseParameter>,
+    /// What is stated of the motor.
+    stated: Plant,
+    load_is_stated: bool,
 }
 
 struct Prepared<'a> {
@@ -88,31 +92,38 @@ impl<'a> ActuatorDomain<'a> {
     /// Prepares `logs`, which share one actuator.
     ///
     /// # Errors
-    /// If there are none, or a log is too short for a window.
+    /// If there are none, a log is too short for a window, or logs state different things of the actuator.
     pub fn new(logs: &'a [ServoLog]) -> Result<Self, DiagnosisError> {
         if logs.is_empty() {
             return Err(DiagnosisError::Input("nothing to diagnose: there is no servo log".to_owned()));
         }
+        let stated = stated(logs)?;
         let prepared = logs.par_iter().map(Prepared::new).collect::<Result<Vec<_>, _>>()?;
         let base =
             |name: &str, lower, upper, dose| BaseParameter { name: name.to_owned(), lower, upper, dose };
+        let load_is_stated = logs[0].states_load();
+        let resistance = if load_is_stated {
+            base("resistance_ohm", 0.5, 40.0, 0.1)
+        } else {
+            // Twice the load on twice the motor moves alike: somebody must say what one of them is.
+            base("resistance_ohm", stated.resistance_ohm, stated.resistance_ohm, 0.1)
+        };
         Ok(Self {
             logs: prepared,
             base: vec![
                 base("torque_constant_nm_per_a", 0.05, 2.0, 0.01),
-                base("resistance_ohm", 0.5, 40.0, 0.1),
+                resistance,
                 base("supply_factor", 0.5, 1.5, 0.01),
             ],
+            stated,
+            load_is_stated,
         })
     }
 
     /// The model that the datasheet describes.
     pub fn nominal(&self) -> Model {
-        let plant = Plant::default();
-        Model {
-            base: vec![plant.torque_constant_nm_per_a, plant.resistance_ohm, plant.supply_factor],
-            effects: Vec::new(),
-        }
+        let Plant { torque_constant_nm_per_a, resistance_ohm, supply_factor, .. } = self.stated;
+        Model { base: vec![torque_constant_nm_per_a, resistance_ohm, supply_factor], effects: Vec::new() }
     }
 
     /// The log `take`.
@@ -212,13 +223,13 @@ impl<'a> Prepared<'a> {
             .collect();
         let gain = log.position_gain_register.unwrap_or(DEFAULT_GAIN);
         let mut prepared =
-            Self { log, gain_per_rad: ServoLog::duty_per_rad(gain), windows, blocks, observed: Vec::new() };
+            Self { log, gain_per_rad: log.units.duty_per_rad(gain), windows, blocks, observed: Vec::new() };
         let measured = |idx: usize| {
             let reading = log.pwm_register.get(idx).copied().unwrap_or(f64::NAN);
             let exceeds = reading > SIGNED_MAX;
             Sensed {
                 position_rad: log.positions_rad[idx],
-                duty: (if exceeds { reading - WRAP } else { reading }) / ServoLog::FULL_PWM,
+                duty: (if exceeds { reading - WRAP } else { reading }) / log.units.full_pwm,
                 supply_v: log.input_v.get(idx).copied().unwrap_or(f64::NAN),
                 carry: if reading.is_nan() { f64::NAN } else { f64::from(u8::from(exceeds)) },
             }
@@ -268,13 +279,41 @@ impl Window {
     fn new(log: &ServoLog, samples: Range<usize>) -> Option<Self> {
         let start_s = log.times_s[samples.start];
         let since: Vec<f64> = samples.clone().map(|idx| log.times_s[idx] - start_s).collect();
+        let position_rad = position_rad(&log.units);
+        // The start is smoothed from positions.
+        let start_rad = START_RAD * position_rad / POSITION_RAD;
         let covariance = DMatrix::from_fn(since.len(), since.len(), |row, column| {
-            let own = if row == column { POSITION_RAD.powi(2) } else { 0.0 };
-            own + START_RAD.powi(2) + START_RAD_PER_S.powi(2) * since[row] * since[column]
+            let own = if row == column { position_rad.powi(2) } else { 0.0 };
+            own + start_rad.powi(2) + START_RAD_PER_S.powi(2) * since[row] * since[column]
         });
         let factor = covariance.cholesky()?.unpack();
         Some(Self { start: smoothed(log, samples.start), samples, factor })
     }
+}
+
+/// What `logs` state of the motor, on which they must agree.
+fn stated(logs: &[ServoLog]) -> Result<Plant, DiagnosisError> {
+    let says =
+        |log: &ServoLog| (log.torque_constant_nm_per_a, log.resistance_ohm, log.units, log.states_load());
+    if let Some(other) = logs.iter().find(|log| says(log) != says(&logs[0])) {
+        return Err(DiagnosisError::Input(format!(
+            "logs {:?} and {:?} differ in what they state of the actuator (torque_constant, resistance, \
+             counts_per_turn, full_pwm, unit_gain, or whether the mass is known); logs of one actuator must state \
+             the same",
+            logs[0].id, other.id
+        )));
+    }
+    let plant = Plant::default();
+    Ok(Plant {
+        torque_constant_nm_per_a: logs[0].torque_constant_nm_per_a.unwrap_or(plant.torque_constant_nm_per_a),
+        resistance_ohm: logs[0].resistance_ohm.unwrap_or(plant.resistance_ohm),
+        ..plant
+    })
+}
+
+/// Standard deviation of a measured position, rad: the coarser the encoder, the larger.
+fn position_rad(units: &RegisterUnits) -> f64 {
+    POSITION_RAD * (RegisterUnits::default().counts_per_turn / units.counts_per_turn).max(1.0)
 }
 
 /// The state at `sample`: a parabola through the positions around it.
@@ -315,6 +354,7 @@ impl Domain for ActuatorDomain<'_> {
         let joint = &self.logs[0].log.joint;
         actuator::ACTUATOR
             .iter()
+            .filter(|kind| kind.could_be(self.load_is_stated))
             .map(|kind| Effect {
                 id: kind.id().to_owned(),
                 place: Place::Joint(joint.clone()),
@@ -353,7 +393,7 @@ impl Domain for ActuatorDomain<'_> {
     /// A pendulum with a heavier rotor moves as one with a lighter load and a higher resistance of the winding does: only
     /// what is stated tells them apart.
     fn strain(&self, model: &Model) -> Result<f64, DiagnosisError> {
-        let (plant, stated) = (self.plant(model)?, Plant::default());
+        let (plant, stated) = (self.plant(model)?, &self.stated);
         let factors = [
             (plant.torque_constant_nm_per_a / stated.torque_constant_nm_per_a, MOTOR_SPREAD),
             (plant.resistance_ohm / stated.resistance_ohm, MOTOR_SPREAD),

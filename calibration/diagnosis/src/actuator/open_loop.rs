@@ -31,6 +31,9 @@ const TRIMS: [Trim; 3] = [
     Trim { effect: "encoder_offset", name: "encoder_offset_rad", bounds: [-0.1, 0.1], dose: 0.002 },
 ];
 
+/// Coulomb friction, N m, viscous friction, N m s / rad, and offset of the encoder, rad.
+pub(super) type Trims = [f64; TRIMS.len()];
+
 /// Whole logs as measurements: the position alone.
 pub(super) struct OpenLoop<'d, 'a> {
     domain: &'d ActuatorDomain<'a>,
@@ -42,8 +45,11 @@ pub(super) struct OpenLoop<'d, 'a> {
 impl<'d, 'a> OpenLoop<'d, 'a> {
     /// For models with the effects of `model`, with trims or without.
     pub(super) fn new(domain: &'d ActuatorDomain<'a>, model: &Model, with_trims: bool) -> Self {
-        let is_none =
-            |trim: &Trim| !with_trims || model.effects.iter().any(|effect| effect.id == trim.effect);
+        let candidates = domain.candidates();
+        let is_none = |trim: &Trim| {
+            let is_named = model.effects.iter().any(|effect| effect.id == trim.effect);
+            !with_trims || is_named || candidates.iter().all(|effect| effect.id != trim.effect)
+        };
         let trims = TRIMS.iter().map(|trim| BaseParameter {
             name: trim.name.to_owned(),
             lower: if is_none(trim) { 0.0 } else { trim.bounds[0] },
@@ -60,10 +66,10 @@ impl<'d, 'a> OpenLoop<'d, 'a> {
         Self { domain, base, blocks }
     }
 
-    /// `model`, which windows were fitted with, with every trim at nothing.
-    pub(super) fn start(model: &Model) -> Model {
+    /// `model`, which windows were fitted with, and trims to begin with.
+    pub(super) fn start(model: &Model, trims: Trims) -> Model {
         let mut start = model.clone();
-        start.base.extend([0.0; TRIMS.len()]);
+        start.base.extend(trims);
         start
     }
 }
@@ -89,10 +95,10 @@ impl Domain for OpenLoop<'_, '_> {
         Vec::new()
     }
 
-    /// Of effects that move the joint: what readings alone tell stays as it is.
+    /// What readings tell best stays as they told it.
     fn parameters(&self, effect: &Effect) -> Vec<Parameter> {
-        let moves = actuator(&effect.id).is_some_and(ActuatorEffect::moves);
-        if moves { self.domain.parameters(effect) } else { Vec::new() }
+        let is_read = actuator(&effect.id).is_some_and(ActuatorEffect::is_read);
+        if is_read { Vec::new() } else { self.domain.parameters(effect) }
     }
 
     fn num_units(&self) -> usize {

@@ -3,26 +3,25 @@
 use std::collections::BTreeMap;
 
 use palpate_reports::{
-    Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, NextExperiment, Purpose, Rival, Unexplained,
-    Verdict, WaterfallStep,
+    Bar, Candidate, Cell, DiagnosisReport, Gap, NamedEffect, Rival, Unexplained, Verdict, WaterfallStep,
 };
 use palpate_sim::actuator;
 use palpate_sim::effects::Effect;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::domain::SIGNAL_NAMES;
+use super::domain::{DEFAULT_GAIN, DEFAULT_SUPPLY_V, SIGNAL_NAMES};
+use super::experiment::{Rivals, Telling};
+use super::friction::{self, FrictionRival};
 use super::{ACTUATOR_BAR, ActuatorConfig, ActuatorDomain, FIT_STEPS, adequacy, at_bound, deployed};
 use crate::DiagnosisError;
-use crate::engine::{Domain as _, Model, Naming, Round, refit};
+use crate::engine::{Model, Naming, Round, refit};
 use crate::steps::{in_doubt, interval};
 
 /// Speed below which a joint holds, rad/s.
 const HOLDING_RAD_PER_S: f64 = 0.05;
 /// Share of the excess that the reported cells hold.
 const CELLS_SHARE: f64 = 0.8;
-/// Difference of two models over a log, in standard deviations, that recording it again would show.
-const LEAST_TELLING: f64 = 4.0;
 /// The step that adds Coulomb friction, viscous friction and an offset of the encoder, which every servo has a little
 /// of.
 const TRIMS_STEP: &str = "constants_of_every_servo";
@@ -39,7 +38,7 @@ pub(super) struct Evidence<'a> {
     pub(super) steps: &'a [Model],
     /// The same, fitted to whole logs.
     pub(super) deployed: &'a [Model],
-    /// The last of these with what every servo has a little of; none without names.
+    /// The last of these with what every servo has a little of; without names none, or with friction of no name.
     pub(super) trimmed: Option<&'a Model>,
     pub(super) fitted: &'a [usize],
     pub(super) confirm: &'a [usize],
@@ -62,17 +61,21 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
         models.iter().map(|model| log_errors(domain, model, judged_on)).collect::<Result<_, _>>()?;
     let fitted_errors: Vec<f64> = [nominal, &deployed[0], models[models.len() - 1]]
         .into_iter()
-        .map(|model| Ok(mean(&log_errors(domain, model, fitted)?)))
+        .map(|model| mean_error(domain, model, fitted))
         .collect::<Result<_, DiagnosisError>>()?;
     let last = errors.len() - 1;
     let gap =
         |gaps: [f64; 3]| Gap { nominal: gaps[0], calibrated: gaps[1], diagnosed: gaps[2], noise_floor: None };
     let held_out = gap([mean(&errors[0]), mean(&errors[1]), mean(&errors[last])]);
-    let effects: Vec<NamedEffect> = steps[steps.len() - 1]
+    let last_step = &steps[steps.len() - 1];
+    let frictions = friction::rivals(domain, last_step, fitted, &config.without)?;
+    let effects: Vec<NamedEffect> = last_step
         .effects
         .iter()
         .enumerate()
-        .map(|(idx, effect)| named(evidence, effect, idx, judged_on, [&errors[idx + 1], &errors[idx + 2]]))
+        .map(|(idx, effect)| {
+            named(evidence, &frictions, effect, idx, judged_on, [&errors[idx + 1], &errors[idx + 2]])
+        })
         .collect::<Result<_, DiagnosisError>>()?;
     let left_in: Vec<&str> = adequacy::left(losses).map(|signal| SIGNAL_NAMES[signal]).collect();
     let left = !left_in.is_empty();
@@ -132,19 +135,41 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
             ));
         }
     }
-    let telling = Telling::new(evidence)?;
-    if let Some(Telling { rivals: [a, b], difference, .. }) = &telling
-        && *difference < LEAST_TELLING
-    {
-        notes.push(format!(
-            "no recorded motion tells {a} from {b}: what is stated of the motor and its load decided between them"
-        ));
+    for effect in &effects {
+        let mut kinds: Vec<&str> = vec![&effect.id];
+        kinds.extend(
+            frictions.iter().filter(|rival| rival.of == effect.id).map(|rival| rival.effect.id.as_str()),
+        );
+        if kinds.len() > 1 {
+            notes.push(format!(
+                "friction is missing, of a kind that these logs do not tell: it may be {}",
+                kinds.join(" or ")
+            ));
+        }
     }
+    notes.extend(assumed(domain));
+    let is_of_no_name = effects.is_empty() && trimmed.is_some();
+    let rivals = if is_of_no_name {
+        friction::likeliest(domain, last_step, fitted, &config.without)?
+    } else {
+        rivals(evidence, &frictions)?
+    };
+    let telling = rivals.map(|rivals| Telling::new(domain, &rivals)).transpose()?.flatten();
+    notes.extend(telling.as_ref().and_then(Telling::note));
     let first = &naming.rounds[0];
     let ids = |takes: &[usize]| takes.iter().map(|&take| domain.log(take).id.clone()).collect::<Vec<_>>();
     Ok(DiagnosisReport {
         verdict,
-        sentence: sentence(verdict, &effects, &held_out),
+        sentence: if is_of_no_name {
+            format!(
+                "Friction is missing from the model, of a kind that these logs do not tell. With dry and viscous \
+                 friction of no name the position error on logs not fitted to is {:.1} mrad instead of {:.1} mrad.",
+                held_out.diagnosed * 1e3,
+                held_out.calibrated * 1e3
+            )
+        } else {
+            sentence(verdict, &effects, &held_out)
+        },
         candidates: first
             .tried
             .iter()
@@ -159,7 +184,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
                 explanation: explain(&tried.effect),
             })
             .collect(),
-        next_experiment: telling.and_then(|telling| telling.next_experiment(domain)),
+        next_experiment: telling.and_then(Telling::next_experiment),
         effects,
         in_doubt: in_doubt(naming),
         cells: cells(domain, &steps[0], judged_on, config)?,
@@ -204,8 +229,56 @@ fn log_errors(
         .collect()
 }
 
+/// Mean absolute position error of open-loop rollouts, mean over `takes`, rad.
+pub(super) fn mean_error(
+    domain: &ActuatorDomain<'_>,
+    model: &Model,
+    takes: &[usize],
+) -> Result<f64, DiagnosisError> {
+    Ok(mean(&log_errors(domain, model, takes)?))
+}
+
+/// What the logs do not state, and what was taken instead.
+fn assumed(domain: &ActuatorDomain<'_>) -> Vec<String> {
+    let log = domain.log(0);
+    let mut notes = Vec::new();
+    if log.position_gain_register.is_none() {
+        notes.push(format!(
+            "the logs state no position gain: {DEFAULT_GAIN:.0} was assumed, and gain_error is what the drive's \
+             differs by"
+        ));
+    }
+    if log.supply_v.is_none() {
+        notes.push(format!("the logs state no supply voltage: {DEFAULT_SUPPLY_V:.0} V were assumed"));
+    }
+    notes
+}
+
+/// Two models that explain the fitted logs alike: those of the first name that has a rival.
+fn rivals(evidence: &Evidence<'_>, frictions: &[FrictionRival]) -> Result<Option<Rivals>, DiagnosisError> {
+    let Evidence { domain, naming, steps, fitted, .. } = *evidence;
+    let is_kept = |round: &Round| {
+        let named = round.named.map(|named| &round.tried[named].effect.id);
+        naming.model.effects.iter().any(|effect| Some(&effect.id) == named)
+    };
+    if let Some(round) = naming.rounds.iter().find(|round| round.class.len() > 1 && is_kept(round)) {
+        let with = |member: usize| {
+            let mut model = round.before.clone();
+            model.effects.push(round.tried[member].effect.clone());
+            refit(domain, &model, fitted, FIT_STEPS)
+        };
+        let ids = [0, 1].map(|member| round.tried[round.class[member]].effect.id.clone());
+        return Ok(Some(Rivals { ids, models: [with(round.class[0])?, with(round.class[1])?] }));
+    }
+    Ok(frictions.first().map(|rival| Rivals {
+        ids: [rival.of.clone(), rival.effect.id.clone()],
+        models: [steps[steps.len() - 1].clone(), rival.model.clone()],
+    }))
+}
+
 fn named(
     evidence: &Evidence<'_>,
+    frictions: &[FrictionRival],
     effect: &Effect,
     idx: usize,
     judged_on: &[usize],
@@ -215,19 +288,24 @@ fn named(
     let round = naming.round_of(effect);
     let (mut class, mut rivals) = (vec![effect.id.clone()], Vec::new());
     let (gap_before, gap_after) = (mean(before), mean(after));
-    if let Some((round, named)) = round {
-        for &member in round.class.iter().filter(|&&member| member != named) {
-            let rival = &round.tried[member];
-            let mut with = steps[idx + 1].clone();
-            with.effects[idx] = rival.effect.clone();
-            let with = deployed(domain, &refit(domain, &with, fitted, FIT_STEPS)?, false, fitted, config)?;
-            class.push(rival.effect.id.clone());
-            rivals.push(Rival {
-                id: rival.effect.id.clone(),
-                place: rival.effect.place.clone(),
-                gap_after: mean(&log_errors(domain, &with, judged_on)?),
-            });
+    let of_round: Vec<&Effect> = round.map_or_else(Vec::new, |(round, named)| {
+        let others = round.class.iter().filter(|&&member| member != named);
+        others.map(|&member| &round.tried[member].effect).collect()
+    });
+    let of_friction = frictions.iter().filter(|rival| rival.of == effect.id).map(|rival| &rival.effect);
+    for rival in of_round.into_iter().chain(of_friction) {
+        if class.contains(&rival.id) {
+            continue;
         }
+        let mut with = steps[idx + 1].clone();
+        with.effects[idx] = rival.clone();
+        let with = deployed(domain, &refit(domain, &with, fitted, FIT_STEPS)?, None, fitted, config)?;
+        class.push(rival.id.clone());
+        rivals.push(Rival {
+            id: rival.id.clone(),
+            place: rival.place.clone(),
+            gap_after: mean_error(domain, &with, judged_on)?,
+        });
     }
     let strength = naming.evidence.get(idx).copied().unwrap_or(0.0);
     let improved = before.iter().zip(after).filter(|(before, after)| after < before).count();
@@ -354,85 +432,19 @@ fn bootstrap(errors: &[f64], config: &ActuatorConfig) -> Option<[f64; 2]> {
     if errors.len() < 4 || config.resamples < 100 {
         return None;
     }
-    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-    let mut means: Vec<f64> = (0..config.resamples)
-        .map(|_| {
-            errors.iter().map(|_| errors[rng.random_range(0..errors.len())]).sum::<f64>()
-                / errors.len() as f64
-        })
-        .collect();
-    means.sort_by(f64::total_cmp);
-    let at = |share: f64| means[((means.len() - 1) as f64 * share).round() as usize];
-    Some([at(0.025), at(0.975)])
+    Some(mean_interval_95(errors, config.resamples, config.seed))
 }
 
-/// Where two effects of one class differ most.
-struct Telling {
-    rivals: [String; 2],
-    take: usize,
-    /// By how much, in standard deviations.
-    difference: f64,
-}
-
-impl Telling {
-    /// The log, among those that were recorded, in which the members of the class of the first ambiguous name differ most,
-    /// each with everything else fitted anew beside it.
-    fn new(evidence: &Evidence<'_>) -> Result<Option<Self>, DiagnosisError> {
-        let Evidence { domain, naming, fitted, .. } = *evidence;
-        let is_kept = |round: &Round| {
-            let named = round.named.map(|named| &round.tried[named].effect.id);
-            naming.model.effects.iter().any(|effect| Some(&effect.id) == named)
-        };
-        let ambiguous = naming.rounds.iter().find(|round| round.class.len() > 1 && is_kept(round));
-        let Some(round) = ambiguous else { return Ok(None) };
-        let with = |member: usize| {
-            let mut model = round.before.clone();
-            model.effects.push(round.tried[member].effect.clone());
-            refit(domain, &model, fitted, FIT_STEPS)
-        };
-        let (a, b) = (with(round.class[0])?, with(round.class[1])?);
-        let rivals = [0, 1].map(|member| round.tried[round.class[member]].effect.id.clone());
-        let mut most: Option<Self> = None;
-        for take in 0..domain.num_takes() {
-            let (of_a, of_b) = (domain.predict(take, &a)?, domain.predict(take, &b)?);
-            let squares = of_a.iter().zip(&of_b).enumerate().map(|(signal, (a, b))| {
-                let weights = domain.weights(take, signal, a);
-                a.iter()
-                    .zip(b.iter())
-                    .zip(weights)
-                    .map(|((a, b), weight)| ((a - b) * weight).powi(2))
-                    .sum::<f64>()
-            });
-            let difference = squares.sum::<f64>().sqrt();
-            if most.as_ref().is_none_or(|most| difference > most.difference) {
-                most = Some(Self { rivals: rivals.clone(), take, difference });
-            }
-        }
-        Ok(most)
-    }
-
-    /// The log again, if that would tell the rivals apart.
-    fn next_experiment(self, domain: &ActuatorDomain<'_>) -> Option<NextExperiment> {
-        if self.difference < LEAST_TELLING {
-            return None;
-        }
-        let log = domain.log(self.take);
-        let field = |name: &str| log.fields.get(name).cloned().unwrap_or_default();
-        let primitive = field("trajectory");
-        let [a, b] = &self.rivals;
-        Some(NextExperiment {
-            sentence: format!(
-                "Record {primitive} at position gain {} again, several times: of the recorded motions it differs most \
-                 between {a} and {b}.",
-                field("kp"),
-            ),
-            primitive,
-            object: String::new(),
-            separates: self.rivals.to_vec(),
-            expected_gain: self.difference,
-            purpose: Purpose::Separate,
-        })
-    }
+/// 95 % interval of the mean from resampling `values`, of which there must be some.
+pub fn mean_interval_95(values: &[f64], resamples: usize, seed: u64) -> [f64; 2] {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut resampled = || {
+        let sum: f64 = values.iter().map(|_| values[rng.random_range(0..values.len())]).sum();
+        sum / values.len() as f64
+    };
+    let mut means: Vec<f64> = (0..resamples.max(1)).map(|_| resampled()).collect();
+    means.sort_unstable_by(f64::total_cmp);
+    [0.025, 0.975].map(|share| means[((means.len() - 1) as f64 * share).round() as usize])
 }
 
 fn mean(values: &[f64]) -> f64 {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use palpate_recording::ServoLog;
+use palpate_recording::{RegisterUnits, ServoLog};
 use palpate_reports::Verdict;
 use palpate_sim::job::{Cancel, NoProgress};
 use palpate_truth::actuator::{ServoTruth, record_servo, servo_cases};
@@ -116,7 +116,8 @@ fn a_heavier_rotor_and_a_lighter_load_are_one_class_that_no_motion_tells_apart()
         assert_eq!(report.effects[0].id, "armature_inertia", "what was weighed is believed: {truth:?}");
         report.effects[0].class.sort();
         assert_eq!(report.effects[0].class, ["armature_inertia", "gravity_load"], "{truth:?}");
-        assert_eq!(report.next_experiment, None, "no motion of a pendulum tells them apart");
+        let next = report.next_experiment.expect("another load, which a rotor is not");
+        assert!(next.sentence.contains("with a load of"), "{}", next.sentence);
         assert!(
             report.notes.iter().any(|note| note.contains("no recorded motion tells")),
             "{:?}",
@@ -147,4 +148,70 @@ fn a_neighbour_that_explains_a_part_is_taken_back() {
     let withheld = &outcome.report.in_doubt;
     let neighbour = withheld.iter().find(|name| name.id == "load_dependent_friction").unwrap();
     assert!(neighbour.doubt[0].measured > neighbour.doubt[0].limit, "{withheld:?}");
+}
+
+#[test]
+fn friction_that_no_kind_accounts_for_is_said_to_be_missing_and_is_in_the_model() {
+    let report = blind("coulomb_friction, strong", &["coulomb_friction"]).report;
+    assert!(report.sentence.starts_with("Friction is missing from the model"), "{}", report.sentence);
+    assert!(report.held_out.diagnosed < 0.1 * report.held_out.calibrated, "{:?}", report.held_out);
+    // What is no friction is not called so.
+    let spot = blind("torque_ripple (outside), strong", &[]).report;
+    assert!(!spot.sentence.contains("Friction"), "{}", spot.sentence);
+}
+
+/// Logs of a servo with friction that grows with its load, of one motion at one gain.
+fn one_motion(motion: &str, gain: &str) -> Vec<ServoLog> {
+    let mut logs = record_servo(&ServoTruth { load_friction: 0.2, ..ServoTruth::default() }, 7);
+    logs.retain(|log| log.fields["trajectory"] == motion && log.fields["kp"] == gain);
+    logs
+}
+
+#[test]
+fn kinds_of_friction_that_one_motion_does_not_tell_apart_ask_for_another_gain_or_load() {
+    let logs = one_motion("square", "400");
+    let config = ActuatorConfig { hold_out: LogHoldOut::None, starts: 2, ..ActuatorConfig::default() };
+    let report = diagnose_actuator(&config, &logs, &NoProgress, &Cancel::default(), &|| 0.0).unwrap().report;
+    assert!(report.sentence.contains("Friction is missing"), "{}", report.sentence);
+    let next = report.next_experiment.expect("an experiment");
+    let mut separates = next.separates.clone();
+    separates.sort();
+    assert_eq!(separates, ["coulomb_friction", "load_dependent_friction"]);
+    assert!(next.sentence.contains("at position gain 800"), "{}", next.sentence);
+}
+
+#[test]
+fn a_servo_of_another_make_is_diagnosed_in_its_own_units() {
+    let units = RegisterUnits { counts_per_turn: 1024.0, full_pwm: 1000.0, unit_gain: 64.0 };
+    let truth = |coulomb_nm| ServoTruth { units, coulomb_nm, ..ServoTruth::default() };
+    let nothing = diagnosed(&truth(0.0), &[]);
+    assert_eq!((ids(&nothing), nothing.report.verdict), (Vec::new(), Verdict::NoDiscrepancy));
+    let friction = diagnosed(&truth(0.02), &[]);
+    assert_eq!((ids(&friction), friction.report.verdict), (vec!["coulomb_friction"], Verdict::Explained));
+
+    let mut logs = record_servo(&truth(0.0), 1);
+    logs[3].torque_constant_nm_per_a = Some(1.1);
+    let refused = ActuatorDomain::new(&logs).err().expect("logs that disagree").to_string();
+    assert!(refused.contains(&logs[3].id) && refused.contains("torque_constant"), "{refused}");
+}
+
+#[test]
+fn a_load_that_nobody_weighed_is_found_beside_friction() {
+    let truth = ServoTruth { load_unstated: true, coulomb_nm: 0.02, ..ServoTruth::default() };
+    let outcome = diagnosed(&truth, &[]);
+    assert_eq!(ids(&outcome), ["unstated_load", "coulomb_friction"]);
+    assert_eq!(outcome.report.verdict, Verdict::Explained);
+    let load = &outcome.report.effects[0].parameters;
+    // As well as the motor is known: its resistance is the datasheet's to 15 % here.
+    assert!((0.4..0.56).contains(&load["sine_nm"]), "m g l is 0.48 N m: {load:?}");
+    assert!((0.004..0.006).contains(&load["inertia_kg_m2"]), "m l^2 is 0.0049 kg m^2: {load:?}");
+    assert!(load["cosine_nm"].abs() < 0.01, "{load:?}");
+}
+
+#[test]
+fn a_sag_keeps_the_size_that_the_voltage_shows() {
+    let truth = ServoTruth { supply_resistance_ohm: 0.6, ..ServoTruth::default() };
+    let outcome = diagnosed(&truth, &[]);
+    let sag = outcome.model.effects.iter().find(|effect| effect.id == "voltage_sag").expect("a sag");
+    assert!((0.45..0.75).contains(&sag.parameter("supply_resistance_ohm")), "{sag:?}");
 }

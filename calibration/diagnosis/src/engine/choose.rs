@@ -9,7 +9,7 @@ use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;
 
 /// Rivals explain at least this share of what the best does.
-const RIVAL_SHARE: f64 = 0.8;
+pub(crate) const RIVAL_SHARE: f64 = 0.8;
 /// Rivals that are fitted along with everything else before one is named.
 const MOST_CONTENDERS: usize = 3;
 /// A fit that removes all but this share of what the best removes is as good.

@@ -46,6 +46,7 @@ const SINGLES: &[(&str, Hide, &[f64])] = &[
     ("derivative_gain", |truth, size| truth.derivative_s = size, &[0.01, 0.02, 0.04]),
     ("current_limit", |truth, size| truth.current_limit_a = size, &[1.2, 0.9, 0.7]),
     ("constant_torque", |truth, size| truth.constant_torque_nm = size, &[0.025, -0.05, 0.1]),
+    ("unstated_load", |truth, size| truth.load_unstated = size > 0.0, &[1.0]),
     ("integer_wrap", |truth, size| truth.wraps = size > 0.0, &[1.0]),
 ];
 
@@ -67,6 +68,7 @@ const PAIRS: &[[&str; 2]] = &[
     ["encoder_offset", "armature_inertia"],
     ["gain_error", "load_dependent_friction"],
     ["derivative_gain", "coulomb_friction"],
+    ["unstated_load", "coulomb_friction"],
 ];
 
 const STRENGTHS: [&str; 3] = ["weak", "medium", "strong"];

@@ -11,12 +11,12 @@ use std::{
 };
 
 use clap::Args;
-use palpate_diagnosis::actuator::{ActuatorConfig, ActuatorDomain, LogHoldOut, diagnose_actuator};
+use palpate_diagnosis::actuator::{
+    ActuatorConfig, ActuatorDomain, LogHoldOut, diagnose_actuator, mean_interval_95,
+};
 use palpate_recording::ServoLog;
 use palpate_server::Error;
 use palpate_terminal::{Bar, cancel_on_ctrl_c};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -174,21 +174,9 @@ fn of_model(model: &str, errors: &Errors, diagnosed: Option<&Errors>, seed: u64)
     let above_diagnosed_rad = diagnosed.map(|diagnosed| {
         let pairs = errors.iter().flatten().zip(diagnosed.iter().flatten());
         let above: Vec<f64> = pairs.map(|(one, other)| one - other).collect();
-        (mean(&above), interval(&above, seed))
+        (mean(&above), mean_interval_95(&above, RESAMPLES, seed))
     });
     OfModel { model: model.to_owned(), mean_rad: mean(&by_fold_rad), by_fold_rad, above_diagnosed_rad }
-}
-
-/// 95 % interval of the mean from resampling `values`.
-fn interval(values: &[f64], seed: u64) -> [f64; 2] {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut resampled = || {
-        let sum: f64 = values.iter().map(|_| values[rng.random_range(0..values.len())]).sum();
-        sum / values.len() as f64
-    };
-    let mut means: Vec<f64> = (0..RESAMPLES).map(|_| resampled()).collect();
-    means.sort_unstable_by(f64::total_cmp);
-    [0.025, 0.975].map(|share| means[((means.len() - 1) as f64 * share).round() as usize])
 }
 
 fn mean(values: &[f64]) -> f64 {
