@@ -4,11 +4,12 @@ use std::{
     fs,
     io::{BufRead as _, BufReader, Read as _, Write as _},
     net::TcpStream,
+    path::Path,
     process::{Command, Stdio},
 };
 
 use palpate_motion::Plan;
-use palpate_recording::Take;
+use palpate_recording::{TactileSampleRef, Take, TakeWriter};
 use serde_json::Value;
 
 use crate::support::{
@@ -199,6 +200,67 @@ fn session_is_diagnosed_and_the_model_replays_with_what_was_named() {
     ] {
         assert!(text.contains(word), "{word:?} is missing in {text}");
     }
+}
+
+#[test]
+fn joints_of_a_session_with_commands_are_diagnosed_one_after_the_other() {
+    let data = Data::with_session();
+    let diagnose = ["actuator", "diagnose", "--logs", arg(data.session()), "--json"];
+    let silent = palpate_refuses(&[&diagnose[..], &["--joint", "all"]].concat());
+    assert!(silent.contains("hold no joint commands"), "{silent}");
+
+    let mut joints = Vec::new();
+    for idx in 1..=NUM_TAKES {
+        let path = data.session().join(format!("take-{idx:02}.mcap"));
+        let take = Take::read(&path).unwrap();
+        joints = take.station.robot.dofs().map(|joint| joint.name.clone()).collect();
+        write_with_commands(&take, &path);
+    }
+    let [first, second, ..] = &joints[..] else { panic!("{joints:?}") };
+    let unsaid = palpate_refuses(&diagnose);
+    assert!(
+        unsaid.contains(&format!("say which joint, or all; there are {}", joints.join(", "))),
+        "{unsaid}"
+    );
+    let unknown = palpate_refuses(&[&diagnose[..], &["--joint", "elbow"]].concat());
+    assert!(unknown.contains("no joint \"elbow\""), "{unknown}");
+
+    let one: Value =
+        serde_json::from_str(&palpate_ok(&[&diagnose[..], &["--joint", first]].concat())).unwrap();
+    let both = format!("{first},{second}");
+    let json = palpate_ok(&[&diagnose[..], &["--joint", &both]].concat());
+    let both: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(both["joints"][0]["joint"], first.as_str());
+    assert_eq!(both["joints"][1]["joint"], second.as_str());
+    assert_eq!(both["joints"][0]["report"]["sentence"], one["sentence"], "one by itself is the report alone");
+    let notes = one["notes"].to_string();
+    assert!(notes.contains("the logs state no position gain"), "{notes}");
+}
+
+/// `take` again, with commands that its joints follow after a frame.
+fn write_with_commands(take: &Take, path: &Path) {
+    let file = fs::File::create(path).unwrap();
+    let mut writer = TakeWriter::new(file, &take.station, &take.meta, take.start_unix_ns).unwrap();
+    let num_dofs = take.station.robot.num_dofs();
+    let rows: Vec<&[f64]> = take.joints.positions.chunks(num_dofs).collect();
+    for (frame, &time_s) in take.joints.times_s.iter().enumerate() {
+        let time_ns = (time_s * 1e9).round() as u64;
+        writer.joints(time_ns, rows[frame]).unwrap();
+        writer.commands(time_ns, rows[(frame + 1).min(rows.len() - 1)]).unwrap();
+    }
+    let widths = take.station.layout.streams.iter().map(|stream| stream.channels.len());
+    for (idx, (stream, width)) in take.streams.iter().zip(widths).enumerate() {
+        for (sample, &time_s) in stream.times_s.iter().enumerate() {
+            let row = sample * width..(sample + 1) * width;
+            let sample = TactileSampleRef {
+                raw: &stream.raw[row.clone()],
+                active: &stream.active[row],
+                device_time_ns: 0,
+            };
+            writer.tactile(idx, (time_s * 1e9).round() as u64, sample).unwrap();
+        }
+    }
+    writer.finish().unwrap();
 }
 
 #[test]
