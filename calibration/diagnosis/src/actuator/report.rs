@@ -160,16 +160,7 @@ pub(super) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let ids = |takes: &[usize]| takes.iter().map(|&take| domain.log(take).id.clone()).collect::<Vec<_>>();
     Ok(DiagnosisReport {
         verdict,
-        sentence: if is_of_no_name {
-            format!(
-                "Friction is missing from the model, of a kind that these logs do not tell. With dry and viscous \
-                 friction of no name the position error on logs not fitted to is {:.1} mrad instead of {:.1} mrad.",
-                held_out.diagnosed * 1e3,
-                held_out.calibrated * 1e3
-            )
-        } else {
-            sentence(verdict, &effects, &held_out)
-        },
+        sentence: sentence(verdict, &effects, is_of_no_name, &held_out, judged_logs(confirm)),
         candidates: first
             .tried
             .iter()
@@ -333,11 +324,31 @@ fn explain(effect: &Effect) -> String {
     actuator::actuator(&effect.id).map_or_else(String::new, |kind| kind.explain(effect))
 }
 
-fn sentence(verdict: Verdict, effects: &[NamedEffect], gap: &Gap) -> String {
+/// What the logs are that figures are from, where these are to confirm.
+fn judged_logs(confirm: &[usize]) -> &'static str {
+    if confirm.is_empty() { "the fitted logs" } else { "logs not fitted to" }
+}
+
+fn sentence(
+    verdict: Verdict,
+    effects: &[NamedEffect],
+    is_friction_of_no_name: bool,
+    gap: &Gap,
+    judged_logs: &str,
+) -> String {
+    if is_friction_of_no_name {
+        return format!(
+            "Friction is missing from the model, of a kind that these logs do not tell. With dry and viscous \
+             friction of no name the position error on {judged_logs} is {:.1} mrad instead of {:.1} mrad.",
+            gap.diagnosed * 1e3,
+            gap.calibrated * 1e3
+        );
+    }
     let removed = if gap.calibrated > 0.0 { 100.0 * (1.0 - gap.diagnosed / gap.calibrated) } else { 0.0 };
     let names: Vec<&str> = effects.iter().map(|effect| effect.id.as_str()).collect();
     let found = format!(
-        "Missing from the model: {}. Position error on logs not fitted to: {:.1} mrad instead of {:.1} mrad ({removed:.0} % less)",
+        "Missing from the model: {}. Position error on {judged_logs}: {:.1} mrad instead of {:.1} mrad \
+         ({removed:.0} % less)",
         names.join(", "),
         gap.diagnosed * 1e3,
         gap.calibrated * 1e3

@@ -173,6 +173,7 @@ fn kinds_of_friction_that_one_motion_does_not_tell_apart_ask_for_another_gain_or
     let config = ActuatorConfig { hold_out: LogHoldOut::None, starts: 2, ..ActuatorConfig::default() };
     let report = diagnose_actuator(&config, &logs, &NoProgress, &Cancel::default(), &|| 0.0).unwrap().report;
     assert!(report.sentence.contains("Friction is missing"), "{}", report.sentence);
+    assert!(report.sentence.contains("on the fitted logs"), "nothing is held out: {}", report.sentence);
     let next = report.next_experiment.expect("an experiment");
     let mut separates = next.separates.clone();
     separates.sort();
