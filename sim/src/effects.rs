@@ -9,10 +9,12 @@
 mod baseline_drift;
 mod chain;
 mod clock_skew;
+mod creep;
 mod dead_channel;
 mod debounce;
 mod elastic_crosstalk;
 mod electrical_crosstalk;
+mod force;
 mod frame;
 mod integer_wrap;
 mod joint_backlash;
@@ -59,6 +61,7 @@ pub const TACTILE: &[&dyn EffectKind] = &[
     &preload::Preload,
     &elastic_crosstalk::ElasticCrosstalk,
     &sensitivity_spread::SensitivitySpread,
+    &creep::Creep,
     &viscoelastic_release::ViscoelasticRelease,
     &low_pass::LowPass,
     &baseline_drift::BaselineDrift,

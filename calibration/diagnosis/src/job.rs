@@ -200,10 +200,12 @@ impl Found<'_> {
         let has_readings = domain.num_raw_takes() > 0;
         let mut naming = self.naming.clone();
         withhold(domain, start, &mut naming, fitted, self.is_cut_short, reference, rules)?;
+        naming.begin_again_without_names(start);
         let mut left = measured(station, domain, &naming.model, fitted, reference)?;
         if has_readings && !self.is_cut_short && rules.has(fired::WEAK_BESIDE_REST) {
             let overdispersion = left.adequacy.overdispersion(&reference.left);
             if withhold_weak(domain, known, &mut naming, fitted, overdispersion, rules)? {
+                naming.begin_again_without_names(start);
                 left = measured(station, domain, &naming.model, fitted, reference)?;
             }
         }

@@ -1,16 +1,18 @@
 //! The sense of touch as a [`Domain`]: events and raw readings of every channel at every joint frame.
 //!
-//! Signals of a channel ([`Signal`]): the event (0 or 1); the raw reading above its reference, in units of the stream's
-//! switching threshold; and the share of the device's samples since the last frame that were on, which is expected of the
-//! readings that were measured, not of simulated ones: it shows what the firmware makes of readings, whatever touched. The
-//! last two are NaN where a take is binary only.
+//! Signals of a channel ([`Signal`]): the event (0 or 1); the raw reading above its reference, in units of the
+//! stream's switching threshold; and the share of the device's samples since the last frame that were on, which is
+//! expected of the readings that were measured, not of simulated ones: it shows what the firmware makes of
+//! readings, whatever touched. The last two are NaN where a take is binary only.
 //!
-//! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a latch
-//! know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a time. Every stream
-//! lags behind by up to some milliseconds, which is fitted along.
+//! Touch is simulated at moments between the joint frames too, near contact: a first touch, a filter of 30 ms and a
+//! latch know nothing of frames that are 100 ms apart. Every limb has moments of its own, since few touch at a
+//! time. Every stream lags behind by up to some milliseconds, which is fitted along.
 //!
-//! A raw reading is taken to be `(load / on_load)^exponent`, so that it crosses the threshold where the event does; the
-//! exponent of each stream is fitted along and stands for everything that is not linear between skin and converter.
+//! A raw reading is taken to be `(load / on_load)^exponent`, bent towards the end of the converter's range
+//! ([`reading::Curve`]), so that it crosses the threshold where the event does; the exponent of each stream is
+//! fitted along and stands for everything that is not linear between skin and converter. A share of the force that
+//! it makes of a load may come late, as soft skins creep.
 
 pub(crate) mod adequacy;
 pub(crate) mod find;
@@ -19,7 +21,9 @@ pub(crate) mod judge;
 mod moments;
 pub(crate) mod next;
 mod observe;
+mod own;
 pub(crate) mod posture;
+mod reading;
 mod switched;
 mod theta;
 mod wander;
@@ -41,6 +45,8 @@ use crate::DiagnosisError;
 use crate::engine::{BaseParameter, Domain, Model, Series};
 use forward::Memory;
 pub(crate) use observe::Observed;
+use own::{CREEP_TIMES_S, MOST_CREEP};
+use reading::{EXPONENTS, KNEES};
 use theta::{Of, holders, shared};
 use wander::Wander;
 
@@ -49,15 +55,19 @@ use wander::Wander;
 enum Base {
     LambdaCon(Of),
     Alpha(Of),
-    /// Logarithm of the pressure threshold in Pa: it is fitted over orders of magnitude, as calibration of takes that lack
-    /// something may leave it far from where it belongs.
+    /// Logarithm of the pressure threshold in Pa: it is fitted over orders of magnitude, as calibration of takes
+    /// that lack something may leave it far from where it belongs.
     LambdaPre(Of),
     Band,
     Softness,
     Width(usize),
     Exponent(usize),
+    /// How far below its ceiling the reading of a stream bends ([`reading::Curve`]).
+    Knee(usize),
     /// What filter and transport of a stream delay its readings by, s.
     Lag(usize),
+    /// Share of a force that a stream feels late, and by which of [`own::CREEP_TIMES_S`].
+    Creep(usize, usize),
     /// Gain of the taxel at this place, in every patch of this set of [`TactileDomain::alike`].
     Pattern(usize, usize),
 }
@@ -115,6 +125,8 @@ impl Signal {
 
 /// Width of the switching curve to begin with, in units of the load at which a channel switches.
 const WIDTH: f64 = 0.2;
+/// Between an amplifier and a divider, to begin with.
+const KNEE: f64 = 0.3;
 /// A delay that is no news: the input filter of a board and its transport.
 const LONGEST_LAG_S: f64 = 0.0075;
 /// Thresholds of pressure that are possible, Pa.
@@ -180,9 +192,20 @@ impl<'a> TactileDomain<'a> {
         for (idx, stream) in station.layout.streams.iter().enumerate() {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
             if raw {
-                add(Base::Exponent(idx), format!("exponent.{}", stream.id), 1.0, [0.3, 3.0], 0.05);
+                // The load of a pad is a depth, with whose square force goes; it is a resistor, often in a divider.
+                let is_pad = stream.kind == SensorKind::Proximity;
+                let exponent = if is_pad { 2.0 } else { 1.0 };
+                add(Base::Exponent(idx), format!("exponent.{}", stream.id), exponent, EXPONENTS, 0.05);
+                if is_pad {
+                    add(Base::Knee(idx), format!("knee.{}", stream.id), KNEE, KNEES, 0.05);
+                }
             }
             add(Base::Lag(idx), format!("lag_s.{}", stream.id), 0.0, [0.0, LONGEST_LAG_S], 0.002);
+            // Events alone do not tell it from a filter.
+            for (time, time_s) in CREEP_TIMES_S.iter().enumerate().filter(|_| raw) {
+                let name = format!("creep_{time_s}_s.{}", stream.id);
+                add(Base::Creep(idx, time), name, 0.0, [0.0, MOST_CREEP], 0.02);
+            }
         }
         let alike = alike(station);
         for (set, patches) in alike.iter().enumerate() {
@@ -194,6 +217,7 @@ impl<'a> TactileDomain<'a> {
         let touched: Vec<&str> = fitted.iter().map(|&take| takes[take].object.id.as_str()).collect();
         let candidates = effects::TACTILE
             .iter()
+            .filter(|kind| kind.id() != own::CREEP)
             .flat_map(|kind| kind.places(station).into_iter().map(move |place| (kind, place)))
             .filter(|(_, place)| !matches!(place, Place::Object(id) if !touched.contains(&id.as_str())))
             .map(|(kind, place)| Effect {
@@ -236,59 +260,6 @@ impl<'a> TactileDomain<'a> {
             memories,
         };
         Ok((domain, Model { base: values, effects: start.effects.clone() }))
-    }
-
-    /// What the model has of its own and effects can say: the lags of streams, and the patterns of patches that are
-    /// alike, as gains of their channels.
-    fn own_effects(&self, model: &Model) -> Vec<Effect> {
-        let mut effects = self.lags(model);
-        effects.extend(self.patterns(model));
-        effects
-    }
-
-    fn lags(&self, model: &Model) -> Vec<Effect> {
-        let of_base = self.kinds.iter().zip(&model.base);
-        let lags = of_base.filter_map(|(kind, &lag_s)| match *kind {
-            Base::Lag(stream) if lag_s > 0.0 => Some(Effect {
-                id: "latency".to_owned(),
-                place: Place::Stream(self.station.layout.streams[stream].id.clone()),
-                parameters: BTreeMap::from([("delay_s".to_owned(), lag_s)]),
-                interval: BTreeMap::new(),
-                takes: Vec::new(),
-            }),
-            _ => None,
-        });
-        lags.collect()
-    }
-
-    fn patterns(&self, model: &Model) -> Vec<Effect> {
-        let layout = &self.station.layout;
-        let mut by_stream: BTreeMap<usize, BTreeMap<String, f64>> = BTreeMap::new();
-        for (kind, &value) in self.kinds.iter().zip(&model.base) {
-            let Base::Pattern(set, taxel) = *kind else { continue };
-            for &patch in &self.alike[set] {
-                let patch = &layout.patches[patch];
-                by_stream
-                    .entry(patch.stream)
-                    .or_default()
-                    .insert(self.gain_names[patch.channels.start + taxel].clone(), value);
-            }
-        }
-        by_stream
-            .into_iter()
-            .map(|(stream, mut parameters)| {
-                for channel in &layout.channels[layout.streams[stream].channels.clone()] {
-                    parameters.entry(format!("gain_{}", channel.id)).or_insert(1.0);
-                }
-                Effect {
-                    id: "sensitivity_spread".to_owned(),
-                    place: Place::Stream(layout.streams[stream].id.clone()),
-                    parameters,
-                    interval: BTreeMap::new(),
-                    takes: Vec::new(),
-                }
-            })
-            .collect()
     }
 
     /// These takes as they would have been recorded if `model` were the whole truth: with noise on joints, readings
@@ -344,7 +315,8 @@ impl<'a> TactileDomain<'a> {
         observe::limbs(&self.station.layout)
     }
 
-    /// The patches of the one limb that `effects` are about; none if they are about several, or about objects or streams.
+    /// The patches of the one limb that `effects` are about; none if they are about several, or about objects or
+    /// streams.
     pub(crate) fn limb_of(&self, effects: &[Effect]) -> Vec<usize> {
         let limbs = self.limbs();
         let reached: BTreeSet<usize> =
@@ -487,9 +459,11 @@ impl Domain for TactileDomain<'_> {
             Base::LambdaCon(_) | Base::Alpha(_) | Base::LambdaPre(_) => {
                 of(&|channel| self.has_number(idx, channel.stream))
             }
-            Base::Width(stream) | Base::Exponent(stream) | Base::Lag(stream) => {
-                of(&|channel| channel.stream == stream)
-            }
+            Base::Width(stream)
+            | Base::Exponent(stream)
+            | Base::Knee(stream)
+            | Base::Lag(stream)
+            | Base::Creep(stream, _) => of(&|channel| channel.stream == stream),
             Base::Pattern(set, taxel) => of(&|channel| {
                 let patch = &layout.patches[channel.patch];
                 self.alike[set].contains(&channel.patch)
@@ -600,8 +574,8 @@ impl Frozen {
 
 /// The effect that recordings show by themselves.
 const SAMPLE_HOLD: &str = "sample_hold";
-/// Share of a frame's samples that may be on or off by chance: readings are rounded, and the moments of samples are a little
-/// uncertain.
+/// Share of a frame's samples that may be on or off by chance: readings are rounded, and the moments of samples are
+/// a little uncertain.
 const SWITCHED_DOUBT: f64 = 0.05;
 /// Variance of an event that the model is sure of.
 const LEAST_DOUBT: f64 = 0.02;
@@ -609,12 +583,6 @@ const LEAST_DOUBT: f64 = 0.02;
 const SHARE: f64 = 0.08;
 /// Raw reading, in units of the threshold, that the depth of contact may be wrong by.
 const DEPTH: f64 = 0.2;
-
-/// Raw reading in units of the threshold for a load in units of that at which the channel switches. Negative loads
-/// (drift) read as they are.
-fn reading(load: f64, exponent: f64) -> f64 {
-    if load > 0.0 { load.powf(exponent) } else { load }
-}
 
 #[cfg(test)]
 mod tests {

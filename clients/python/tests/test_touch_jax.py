@@ -60,7 +60,14 @@ EFFECTS = {
         "where = { channel = 'index_tip.3' }\nparameters = { gain = 1.6 }",
         "where = { channel = 'thumb_tip.1' }\nparameters = { gain = 0.4 }",
     ],
-    "viscoelastic_release": ["where = { stream = 'twintac' }\nparameters = { fraction = 0.4, time_constant_s = 0.3 }"],
+    "creep": [
+        "where = { stream = 'twintac' }\nparameters = { fraction = 0.2, time_constant_s = 0.5, exponent = 1.0 }",
+        "where = { stream = 'fsr' }\nparameters = { fraction = 0.1, time_constant_s = 3.0, exponent = 2.5 }",
+    ],
+    "viscoelastic_release": [
+        "where = { stream = 'twintac' }\nparameters = { fraction = 0.4, time_constant_s = 0.3 }",
+        "where = { stream = 'fsr' }\nparameters = { fraction = 0.3, time_constant_s = 0.2 }",
+    ],
     "low_pass": [
         "where = { stream = 'fsr' }\nparameters = { time_constant_s = 0.15 }",
         "where = { stream = 'twintac' }\nparameters = { time_constant_s = 0.05 }",

@@ -3,17 +3,17 @@
 use palpate_robot_model::{Place, Station};
 
 use super::{
-    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene,
-    low_pass::{FrameLag, Lag},
+    DynFrameEffect, Effect, EffectKind, Load, Parameter, Stage, TakeScene,
+    force::{Force, LateForce, lag_forces},
     places,
 };
 
-/// The standard linear solid in its creep form (a spring in series with a Kelvin-Voigt element; Findley, Lai, Onaran,
-/// "Creep and Relaxation of Nonlinear Viscoelastic Materials", 1976, section 5.4) under one-sided contact: while it is
-/// pressed, the skin is where the object puts it; a share `fraction` of its compliance is strain that creeps after the
-/// load with `time_constant_s`, and once the object retreats that share recovers as slowly. So
-/// `load' = max(load, fraction * z)` with `z' = (load - z) / time_constant_s`: onsets stay, releases come late, later
-/// after longer holds.
+/// The standard linear solid in its creep form (a spring in series with a Kelvin-Voigt element; Findley, Lai,
+/// Onaran, "Creep and Relaxation of Nonlinear Viscoelastic Materials", 1976, section 5.4) under one-sided contact:
+/// while it is pressed, the skin is where the object puts it; a share `fraction` of its compliance is strain that
+/// creeps after the load with `time_constant_s`, and once the object retreats that share recovers as slowly. So
+/// `F' = max(F, fraction * z)` of the force `F` that the skin bears, with `z' = (F - z) / time_constant_s`: onsets
+/// stay, releases come late, later after longer holds.
 pub(super) struct ViscoelasticRelease;
 
 impl EffectKind for ViscoelasticRelease {
@@ -55,36 +55,17 @@ impl EffectKind for ViscoelasticRelease {
         if fraction <= 0.0 || time_constant_s <= 0.0 {
             return;
         }
-        let lag = Lag::new(scene.frame_times_s, time_constant_s);
-        for channel in state.pressed_at(&effect.place, &scene.station.layout) {
-            let strain = lag.of(state.of_channel(channel));
-            let loads = state.of_channel_mut(channel).iter_mut().zip(strain.iter());
-            loads.for_each(|(load, z)| *load = load.max(fraction * z));
-        }
+        let of_channel = |channel| Force::usual(&scene.station.layout, channel);
+        let felt = |force: f64, z| force.max(fraction * z);
+        lag_forces(&effect.place, scene, state, time_constant_s, of_channel, felt);
     }
 
     fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
         let (fraction, time_constant_s) = (effect.parameter("fraction"), effect.parameter("time_constant_s"));
-        let channels = places::channels_of(&effect.place, &station.layout);
         (fraction > 0.0 && time_constant_s > 0.0).then(|| {
-            let strain = FrameLag { channels, time_constant_s };
-            Box::new(Creep { fraction, strain }) as DynFrameEffect
+            let of_channel = |channel| Force::usual(&station.layout, channel);
+            let felt = move |force: f64, z| force.max(fraction * z);
+            LateForce::boxed(&effect.place, station, time_constant_s, of_channel, felt)
         })
-    }
-}
-
-#[derive(Debug)]
-struct Creep {
-    fraction: f64,
-    strain: FrameLag,
-}
-
-impl FrameEffect for Creep {
-    fn memory_len(&self) -> usize {
-        self.strain.memory_len()
-    }
-
-    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], loads: &mut [f64]) {
-        self.strain.step(frame, memory, loads, |load, z| *load = load.max(self.fraction * z));
     }
 }

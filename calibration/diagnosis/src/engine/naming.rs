@@ -123,6 +123,13 @@ impl Naming {
         self.standard_errors.truncate(known);
     }
 
+    /// Goes back to `start` where all names were withheld: what was fitted beside them says nothing without them.
+    pub(crate) fn begin_again_without_names(&mut self, start: &Model) {
+        if self.model.effects.len() == start.effects.len() && !self.withheld.is_empty() {
+            self.model = start.clone();
+        }
+    }
+
     /// Fits the model to the end, and assesses every effect anew: rounds take a few steps each, after the last of which a large
     /// effect may be far from its size still.
     pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {

@@ -23,8 +23,8 @@ pub(crate) struct Screened {
     pub(crate) promised_share: f64,
 }
 
-/// Large doses (of an effect at a place, of one of its parameters, by their number) that made what is left so much worse
-/// when they were last tried that they are not tried again.
+/// Large doses (of an effect at a place, of one of its parameters, by their number) that made what is left so much
+/// worse when they were last tried that they are not tried again.
 #[derive(Default)]
 pub(crate) struct Hopeless(BTreeSet<(String, Place, usize, usize)>);
 
@@ -49,56 +49,72 @@ impl Hopeless {
 /// named first.
 const HOPELESS_SHARE: f64 = 0.1;
 
-/// Screens `candidates` around `linear`, with large doses that are not `hopeless`; `done` hears the fraction of the work and may
-/// stop it.
+/// Screens `candidates` around `linear`, with large doses that are not `hopeless`; `done` hears the fraction of the
+/// work and may stop it.
 ///
 /// One simulation serves every place of an effect that reaches other units: the response is split by unit.
+/// Responses take much memory, so that those of an effect are assessed, and forgotten, before others are computed
+/// on the same core.
 pub(crate) fn screen<D: Domain>(
     linear: &Linear<'_, D>,
     candidates: &[Effect],
     hopeless: &mut Hopeless,
     done: &(dyn Fn(f64) -> Result<(), DiagnosisError> + Sync),
 ) -> Result<Vec<Screened>, DiagnosisError> {
+    let of_effects: Vec<&[Effect]> = candidates.chunk_by(|one, next| one.id == next.id).collect();
+    let known = &*hopeless;
+    let dosed =
+        each(of_effects, |fraction, _| done(fraction), |places| screen_places(linear, places, known))?;
+    let squares = linear.squares_by_unit();
+    let mut screened = Vec::with_capacity(candidates.len());
+    for (one, doses) in dosed.into_iter().flatten() {
+        let reach = linear.domain.reach(&one.effect);
+        for Dosed { dose, removed } in doses {
+            hopeless.hear(&one.effect, 0, dose, removed, within(&squares, &reach));
+        }
+        screened.push(one);
+    }
+    dose_places_largely(linear, &mut screened, &squares, hopeless)?;
+    Ok(screened)
+}
+
+/// One effect at all its `places`, with what became of its large doses; places at which it does nothing are left out.
+fn screen_places<D: Domain>(
+    linear: &Linear<'_, D>,
+    places: &[Effect],
+    hopeless: &Hopeless,
+) -> Result<Vec<(Screened, Vec<Dosed>)>, DiagnosisError> {
     let parameters: Vec<Vec<Parameter>> =
-        candidates.iter().map(|effect| linear.domain.parameters(effect)).collect();
+        places.iter().map(|effect| linear.domain.parameters(effect)).collect();
     let neutrals: Vec<Effect> =
-        candidates.iter().zip(&parameters).map(|(effect, parameters)| neutral(effect, parameters)).collect();
+        places.iter().zip(&parameters).map(|(effect, parameters)| neutral(effect, parameters)).collect();
     let mut columns: Vec<Vec<Column>> = parameters.iter().map(|p| vec![Column::default(); p.len()]).collect();
-    let items: Vec<Item> = neutrals
-        .iter()
-        .zip(&parameters)
-        .enumerate()
-        .flat_map(|(candidate, (effect, parameters))| {
-            parameters.iter().enumerate().map(move |(idx, parameter)| Item {
-                owner: candidate,
-                parameter: idx,
-                dose: 0,
-                effect: dosed(effect, parameter),
-                step: parameter.dose,
-                name: parameter.name.clone(),
-            })
+    let of_places = neutrals.iter().zip(&parameters).enumerate();
+    let items = of_places.flat_map(|(owner, (effect, parameters))| {
+        parameters.iter().enumerate().map(move |(idx, parameter)| Item {
+            owner,
+            parameter: idx,
+            dose: 0,
+            effect: dosed(effect, parameter),
+            step: parameter.dose,
+            name: parameter.name.clone(),
         })
-        .collect();
-    let passes = pack(linear.domain, items);
-    let split = each(
-        passes.iter().collect(),
-        |fraction, _| done(fraction),
-        |pass| {
-            let mut model = linear.model.clone();
-            model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
-            let predicted = predict(linear.domain, &model, &linear.takes)?;
-            let owner = owners(pass.iter().map(|(_, reach)| reach.as_slice()), linear.domain.num_units());
-            let steps: Vec<f64> = pass.iter().map(|(item, _)| item.step).collect();
-            Ok(linear.columns(&linear.predicted, &predicted, &owner, &steps))
-        },
-    )?;
+    });
+    let passes = pack(linear.domain, items.collect());
+    let respond = |pass: &Vec<(Item, Vec<bool>)>| {
+        let mut model = linear.model.clone();
+        model.effects.extend(pass.iter().map(|(item, _)| item.effect.clone()));
+        let predicted = predict(linear.domain, &model, &linear.takes)?;
+        let owner = owners(pass.iter().map(|(_, reach)| reach.as_slice()), linear.domain.num_units());
+        let steps: Vec<f64> = pass.iter().map(|(item, _)| item.step).collect();
+        Ok(linear.columns(&linear.predicted, &predicted, &owner, &steps))
+    };
+    let split: Vec<Vec<Column>> = passes.par_iter().map(respond).collect::<Result<_, DiagnosisError>>()?;
     for (column, (item, _)) in split.into_iter().flatten().zip(passes.iter().flatten()) {
         columns[item.owner][item.parameter] = column;
     }
     let jobs: Vec<_> = neutrals.into_iter().zip(parameters).zip(columns).collect();
-    let known = &*hopeless;
-    let dosed: Vec<(Screened, Vec<Dosed>)> = jobs
-        .into_par_iter()
+    jobs.into_par_iter()
         .filter(|(_, columns)| columns.iter().any(|column| !column.is_empty()))
         .map(|((effect, parameters), columns)| {
             let assessment = linear.assess(&columns, &linear.residual);
@@ -109,23 +125,12 @@ pub(crate) fn screen<D: Domain>(
             let screened = Screened { effect: estimate, parameters, promise, promised_share };
             match &screened.effect.place {
                 Place::Stream(_) if screened.parameters.len() <= FEW => {
-                    dosed_largely(linear, &effect, screened, known)
+                    dosed_largely(linear, &effect, screened, hopeless)
                 }
                 _ => Ok((screened, Vec::new())),
             }
         })
-        .collect::<Result<_, DiagnosisError>>()?;
-    let squares = linear.squares_by_unit();
-    let mut screened = Vec::with_capacity(dosed.len());
-    for (one, doses) in dosed {
-        let reach = linear.domain.reach(&one.effect);
-        for Dosed { dose, removed } in doses {
-            hopeless.hear(&one.effect, 0, dose, removed, within(&squares, &reach));
-        }
-        screened.push(one);
-    }
-    dose_places_largely(linear, &mut screened, &squares, hopeless)?;
-    Ok(screened)
+        .collect()
 }
 
 /// Parameters of an effect that is tried at large doses too.
@@ -176,10 +181,10 @@ fn dosed_largely<D: Domain>(
 /// Large doses of what acts on a patch, an object or a joint, as multiples of the standard one.
 const PLACED_DOSES: [f64; 2] = [2.0, -2.0];
 
-/// Replaces estimates for effects of patches, objects and joints by large doses of one parameter where those remove more
-/// than the estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of which a small
-/// dose knows nothing. One simulation serves all patches, all objects, of which no take has two, and a joint of every
-/// limb; joints that move everything would cost one each and are left out.
+/// Replaces estimates for effects of patches, objects and joints by large doses of one parameter where those remove
+/// more than the estimates promise: a patch that is moved by half a taxel's distance feels with other taxels, of
+/// which a small dose knows nothing. One simulation serves all patches, all objects, of which no take has two, and
+/// a joint of every limb; joints that move everything would cost one each and are left out.
 fn dose_places_largely<D: Domain>(
     linear: &Linear<'_, D>,
     screened: &mut [Screened],

@@ -13,6 +13,7 @@ use palpate_sim::effects::{
 };
 use palpate_sim::{Response, StreamTheta, Theta, Thetas};
 
+use super::reading::Curve;
 use super::{Base, Signal, TactileDomain, WIDTH};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Series};
@@ -78,7 +79,7 @@ struct ChannelLoad {
     /// Of its load, see [`checksum`].
     checksum: u64,
     activations: Recent<6>,
-    readings: Recent<2>,
+    readings: Recent<3>,
 }
 
 impl ChannelLoad {
@@ -182,7 +183,7 @@ impl Memory {
 struct Keys {
     load: Key,
     activation: [u64; 6],
-    reading: [u64; 2],
+    reading: [u64; 3],
 }
 
 impl Keys {
@@ -222,8 +223,8 @@ pub(super) struct Prepared<'m> {
     response: Response,
     /// Width of the switching curve of each stream.
     widths: Vec<f64>,
-    /// Per channel, the load that reads as one, and the exponent of its readings.
-    read_by: Vec<[f64; 2]>,
+    /// Per channel, how a load reads.
+    read_by: Vec<Curve>,
     /// What the model's own parameters amount to.
     own: Vec<Effect>,
     /// Effects of the model.
@@ -268,10 +269,12 @@ impl TactileDomain<'_> {
         let layout = &self.station.layout;
         let mut widths = vec![WIDTH; layout.streams.len()];
         let mut exponents = vec![1.0; layout.streams.len()];
+        let mut knees = vec![0.0; layout.streams.len()];
         for (kind, &value) in self.kinds.iter().zip(&model.base) {
             match *kind {
                 Base::Width(stream) => widths[stream] = value,
                 Base::Exponent(stream) => exponents[stream] = value,
+                Base::Knee(stream) => knees[stream] = value,
                 _ => {}
             }
         }
@@ -282,7 +285,11 @@ impl TactileDomain<'_> {
             SensorKind::Pressure => thetas[stream].lambda_pre_pa,
         };
         let channels = layout.channels.iter();
-        let read_by = channels.map(|channel| [on_load(channel.stream), exponents[channel.stream]]).collect();
+        let read_by = channels.map(|channel| {
+            let stream = channel.stream;
+            Curve { on_load: on_load(stream), exponent: exponents[stream], knee: knees[stream] }
+        });
+        let read_by = read_by.collect();
         let (own, reaching) = (self.own_effects(model), self.reaching(model));
         Prepared { model, theta, streams, response, widths, read_by, own, reaching }
     }
@@ -298,13 +305,18 @@ impl TactileDomain<'_> {
         let observed = &self.takes[take];
         let scene = observed.scene(self.station, limb);
         let switching = chain.switching(&scene);
+        // Firmware switches by readings.
+        let mut by_load = switching.clone();
+        for (off_fraction, curve) in by_load.off_fractions.iter_mut().zip(read_by) {
+            *off_fraction = curve.load_of(*off_fraction);
+        }
         let keys: Vec<(usize, Keys)> = (0..self.limb_of.len())
             .filter(|&channel| self.limb_of[channel] == limb)
             .map(|channel| {
                 let keys = Keys {
                     load: self.load_key(channel, model, reaching),
-                    activation: switching.of_channel(channel).map(f64::to_bits),
-                    reading: read_by[channel].map(f64::to_bits),
+                    activation: by_load.of_channel(channel).map(f64::to_bits),
+                    reading: read_by[channel].key(),
                 };
                 (channel, keys)
             })
@@ -327,15 +339,14 @@ impl TactileDomain<'_> {
             vec![None; wanted.len()]
         };
         let reading = |channel: usize, arrived: &Arrived| -> Series {
-            let [on_load, exponent] = read_by[channel];
-            let (scale, ceiling) = (1.0 / on_load, observed.ceilings[channel]);
+            let read = read_by[channel].up_to(observed.ceilings[channel]);
             // Quiet channels stay where they are, and are most of the work.
             let mut last = (f64::NAN, f64::NAN);
             let loads = arrived.load();
             let at = |&frame: &usize| {
                 let load = loads[frame];
                 if load != last.0 {
-                    last = (load, super::reading(load * scale, exponent).min(ceiling));
+                    last = (load, read(load));
                 }
                 last.1
             };
@@ -356,7 +367,7 @@ impl TactileDomain<'_> {
                 (activation, known_reading) => {
                     let activation = activation.unwrap_or_else(|| {
                         let frames = Some(observed.frames(limb));
-                        switching.activation(channel, &load.arrived, scene.frame_times_s, frames).into()
+                        by_load.activation(channel, &load.arrived, scene.frame_times_s, frames).into()
                     });
                     let reading = known_reading.unwrap_or_else(|| reading(channel, &load.arrived));
                     let made = Arc::make_mut(&mut load);
@@ -411,6 +422,9 @@ impl TactileDomain<'_> {
         // Effects that mix channels depend on whatever any of theirs does.
         let mixed = reaching.iter().any(|one| one.channels[channel] && one.kind.mixes_channels());
         let sized = reaching.iter().any(|one| one.channels[channel] && one.kind.uses_on_loads());
+        let mut of_base = self.kinds.iter().zip(&model.base);
+        let creeps =
+            of_base.any(|(kind, value)| matches!(kind, Base::Creep(of, _) if *of == stream) && *value > 0.0);
         let mut load = Key::with_capacity(16);
         for (idx, (kind, value)) in self.kinds.iter().zip(&model.base).enumerate() {
             let concerns = match (*kind, layout.streams[stream].kind) {
@@ -424,7 +438,8 @@ impl TactileDomain<'_> {
                 (Base::Pattern(set, taxel), _) => {
                     mixed || (taxel == own_taxel && self.alike[set].contains(&patch))
                 }
-                (Base::Lag(lagging), _) => lagging == stream,
+                (Base::Lag(slow) | Base::Creep(slow, _), _) => slow == stream,
+                (Base::Exponent(curved), _) => creeps && curved == stream,
                 _ => false,
             };
             if concerns {

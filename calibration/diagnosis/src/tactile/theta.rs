@@ -78,7 +78,12 @@ impl TactileDomain<'_> {
                 }
                 Base::Band => response.proximity_band_m = value,
                 Base::Softness => response.pad_softness_m = value,
-                Base::Width(_) | Base::Exponent(_) | Base::Lag(_) | Base::Pattern(..) => {}
+                Base::Width(_)
+                | Base::Exponent(_)
+                | Base::Knee(_)
+                | Base::Lag(_)
+                | Base::Creep(..)
+                | Base::Pattern(..) => {}
             }
         }
         (theta, own, response)

@@ -38,6 +38,7 @@ COVERED = frozenset(
         "preload",
         "elastic_crosstalk",
         "sensitivity_spread",
+        "creep",
         "viscoelastic_release",
         "low_pass",
         "baseline_drift",
@@ -140,7 +141,7 @@ class TouchModel:
             start_s=zero,
             before_s=zero,
             joints=tuple(zero for _ in self._of("joint_backlash")),
-            lags=tuple(jnp.zeros((2, len(of.channels))) for of in self._of("viscoelastic_release", "low_pass")),
+            lags=tuple(jnp.zeros((2, len(of.channels))) for of in self._of("creep", "viscoelastic_release", "low_pass")),
             past_times_s=jnp.zeros(self._kept),
             past_loads=jnp.zeros((self._kept, channels)),
             on=jnp.zeros(channels, dtype=jnp.bool_),
@@ -299,13 +300,20 @@ class TouchModel:
             if effect.id == "sensitivity_spread":
                 gains = [parameters.get("gain", parameters.get(f"gain_{self.channels[idx]}")) for idx in channels]
                 loads = loads.at[channels].set(own * jnp.asarray(gains, dtype=float))
-            elif effect.id in ("viscoelastic_release", "low_pass"):
+            elif effect.id == "low_pass":
                 lag = _lag(first, memory[len(kept)], own, gap_s, parameters["time_constant_s"])
                 kept.append(lag)
-                follows = lag[1]
-                if effect.id == "viscoelastic_release":
-                    follows = jnp.maximum(own, parameters["fraction"] * follows)
-                loads = loads.at[channels].set(follows)
+                loads = loads.at[channels].set(lag[1])
+            elif effect.id in ("creep", "viscoelastic_release"):
+                # The load of a pad is a depth, with whose square force goes.
+                exponents = parameters.get("exponent", np.where(self._proximity[channels], 2.0, 1.0))
+                forces = _power(own, exponents)
+                lag = _lag(first, memory[len(kept)], forces, gap_s, parameters["time_constant_s"])
+                kept.append(lag)
+                share = parameters["fraction"]
+                creeps = effect.id == "creep"
+                felt = forces + share * (lag[1] - forces) if creeps else jnp.maximum(forces, share * lag[1])
+                loads = loads.at[channels].set(_power(felt, 1.0 / exponents))
             elif effect.id == "baseline_drift":
                 per_s = parameters["rate_per_s"] * self._on_loads[channels]
                 loads = loads.at[channels].set(own + per_s * elapsed_s)
@@ -423,6 +431,12 @@ def _turn(axis: Floats, angle: Array) -> Array:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     twice: Floats = cross @ cross
     return jnp.eye(3) + jnp.sin(angle) * cross + (1.0 - jnp.cos(angle)) * twice
+
+
+def _power(loads: Array, exponents: ArrayLike) -> Array:
+    """Loads and forces are 0 or more."""
+    # Without the slope of a root at 0, which is infinite.
+    return jnp.where(loads > 0.0, jnp.where(loads > 0.0, loads, 1.0) ** exponents, 0.0)
 
 
 def _lag(first: Array, memory: Array, inputs: Array, gap_s: Array, time_constant_s: float) -> Array:

@@ -401,6 +401,17 @@ fn sensitivity_spread() {
 }
 
 #[test]
+fn creep() {
+    let strengths: [&[_]; 3] = [
+        &[("fraction", 0.15), ("time_constant_s", 0.5)],
+        &[("fraction", 0.25), ("time_constant_s", 2.0)],
+        &[("fraction", 0.4), ("time_constant_s", 5.0), ("exponent", 1.5)],
+    ];
+    let rivals = [("low_pass", stream("twintac")), ("viscoelastic_release", stream("twintac"))];
+    recovers("creep", &stream("twintac"), &strengths, &[("fraction", 0.06)], &rivals);
+}
+
+#[test]
 fn viscoelastic_release() {
     let strengths: [&[_]; 3] = [
         &[("fraction", 0.2), ("time_constant_s", 0.4)],

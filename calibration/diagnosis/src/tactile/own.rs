@@ -1,0 +1,80 @@
+//! What a model has of its own that effects can say: lags of streams, skins that creep, patterns of patches that
+//! are alike.
+
+use std::collections::BTreeMap;
+
+use palpate_robot_model::Place;
+use palpate_sim::effects::Effect;
+
+use super::{Base, TactileDomain};
+use crate::engine::Model;
+
+/// Fitted along and never named: skins that creep by more are told as ones that stay dented (`viscoelastic_release`).
+pub(super) const CREEP: &str = "creep";
+/// Time constants with which a share of a force may come late, s. Soft polymers relax over many decades of time (J. D.
+/// Ferry, "Viscoelastic Properties of Polymers", 1980), of which a take shows three, from a few frames to its length.
+pub(super) const CREEP_TIMES_S: [f64; 3] = [0.3, 3.0, 30.0];
+/// A share that comes late with each of them and is no news: soft skins creep by some per cent of a load.
+pub(super) const MOST_CREEP: f64 = 0.1;
+
+impl TactileDomain<'_> {
+    /// Numbers of `model` as effects.
+    pub(super) fn own_effects(&self, model: &Model) -> Vec<Effect> {
+        let streams = &self.station.layout.streams;
+        let of_stream = |id: &str, stream: usize, parameters: &[(&str, f64)]| Effect {
+            id: id.to_owned(),
+            place: Place::Stream(streams[stream].id.clone()),
+            parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+            interval: BTreeMap::new(),
+            takes: Vec::new(),
+        };
+        let of_base = self.kinds.iter().zip(&model.base).filter(|(_, value)| **value > 0.0);
+        let of_streams = of_base.filter_map(|(kind, &value)| match *kind {
+            Base::Lag(stream) => Some(of_stream("latency", stream, &[("delay_s", value)])),
+            Base::Creep(stream, time) => {
+                let (time_s, exponent) = (CREEP_TIMES_S[time], self.exponent(model, stream));
+                let late = [("fraction", value), ("time_constant_s", time_s), ("exponent", exponent)];
+                Some(of_stream(CREEP, stream, &late))
+            }
+            _ => None,
+        });
+        of_streams.chain(self.patterns(model)).collect()
+    }
+
+    /// Of the loads on `stream`, with which its readings grow, and the forces that creep.
+    fn exponent(&self, model: &Model, stream: usize) -> f64 {
+        let mut of_base = self.kinds.iter().zip(&model.base);
+        of_base.find(|(kind, _)| **kind == Base::Exponent(stream)).map_or(1.0, |(_, value)| *value)
+    }
+
+    /// As gains of the channels of a stream.
+    fn patterns(&self, model: &Model) -> Vec<Effect> {
+        let layout = &self.station.layout;
+        let mut by_stream: BTreeMap<usize, BTreeMap<String, f64>> = BTreeMap::new();
+        for (kind, &value) in self.kinds.iter().zip(&model.base) {
+            let Base::Pattern(set, taxel) = *kind else { continue };
+            for &patch in &self.alike[set] {
+                let patch = &layout.patches[patch];
+                by_stream
+                    .entry(patch.stream)
+                    .or_default()
+                    .insert(self.gain_names[patch.channels.start + taxel].clone(), value);
+            }
+        }
+        by_stream
+            .into_iter()
+            .map(|(stream, mut parameters)| {
+                for channel in &layout.channels[layout.streams[stream].channels.clone()] {
+                    parameters.entry(format!("gain_{}", channel.id)).or_insert(1.0);
+                }
+                Effect {
+                    id: "sensitivity_spread".to_owned(),
+                    place: Place::Stream(layout.streams[stream].id.clone()),
+                    parameters,
+                    interval: BTreeMap::new(),
+                    takes: Vec::new(),
+                }
+            })
+            .collect()
+    }
+}
