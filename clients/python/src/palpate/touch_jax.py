@@ -52,6 +52,9 @@ COVERED = frozenset(
 )
 """Ids of the effects that `TouchModel` computes."""
 
+_LAGGING = ("creep", "viscoelastic_release", "low_pass")
+"""Those that remember what follows a load."""
+
 SHAPES = frozenset({"sphere", "cylinder", "capsule", "box"})
 """Shapes that it knows the distance to."""
 
@@ -141,7 +144,7 @@ class TouchModel:
             start_s=zero,
             before_s=zero,
             joints=tuple(zero for _ in self._of("joint_backlash")),
-            lags=tuple(jnp.zeros((2, len(of.channels))) for of in self._of("creep", "viscoelastic_release", "low_pass")),
+            lags=tuple(jnp.zeros((2, len(of.channels))) for of in self._of(*_LAGGING)),
             past_times_s=jnp.zeros(self._kept),
             past_loads=jnp.zeros((self._kept, channels)),
             on=jnp.zeros(channels, dtype=jnp.bool_),
