@@ -112,6 +112,12 @@ pub trait Domain: Sync {
         self.num_units() * self.num_kinds()
     }
 
+    /// Standard deviation around zero that the parameter `idx` of [`Self::base`] is known to have before anything
+    /// is measured; `None` where nothing is known.
+    fn usual(&self, _idx: usize) -> Option<f64> {
+        None
+    }
+
     /// Which units the parameter `idx` of [`Self::base`] reaches.
     fn base_support(&self, _idx: usize) -> Vec<bool> {
         vec![true; self.num_units()]
@@ -142,8 +148,8 @@ pub trait Domain: Sync {
         takes.par_iter().map(|&take| self.predict(take, model)).collect()
     }
 
-    /// How far `model` is from what is known of it before anything is measured, as a datasheet or a scale has it: squares
-    /// of standard deviations, summed. 0 where nothing is known.
+    /// How far `model` is from what is known of it before anything is measured, as a datasheet or a scale has it:
+    /// squares of standard deviations, summed. 0 where nothing is known.
     fn strain(&self, _model: &Model) -> Result<f64, DiagnosisError> {
         Ok(0.0)
     }
@@ -160,8 +166,8 @@ pub(crate) fn within(inner: &[bool], outer: &[bool]) -> bool {
 /// Hears which fraction of some work is done and what is being done now, and may stop it.
 pub type Watch<'w> = dyn Fn(f64, &str) -> Result<(), DiagnosisError> + Sync + 'w;
 
-/// What `work` makes of each of `items`, in their order, on every core. `begun` hears the fraction of the work that is done
-/// and the item that comes next, and may stop it; what it hears never decreases.
+/// What `work` makes of each of `items`, in their order, on every core. `begun` hears the fraction of the work that
+/// is done and the item that comes next, and may stop it; what it hears never decreases.
 pub(crate) fn each<T: Send, R: Send>(
     items: Vec<T>,
     begun: impl Fn(f64, &T) -> Result<(), DiagnosisError> + Sync,

@@ -10,11 +10,12 @@ use palpate_sim::effects::Effect;
 use palpate_sim::job::{Cancel, Progress};
 
 use crate::config::{DiagnosisConfig, KEPT_EVIDENCE, LEAST_SHARE, NUM_FITS};
-use crate::engine::{self, Model, Naming, NamingConfig};
+use crate::engine::{Model, Naming, NamingConfig};
 use crate::fired::{self, Fired, InForce};
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
 use crate::reference::Reference;
+use crate::search::search;
 use crate::steps::Steps;
 use crate::tactile::TactileDomain;
 use crate::tactile::adequacy::{
@@ -77,7 +78,8 @@ pub fn diagnose(
             &shipped
         }
     };
-    let Prepared { domain, start, calibrated, fitted } = prepare(config, station, takes, nominal, cancel)?;
+    let Prepared { mut domain, mut start, calibrated, fitted } =
+        prepare(config, station, takes, nominal, cancel)?;
     watch(0.1, "looking for what is missing")?;
     let of_station = bar.map_or(NullBar::DEFAULT_EVIDENCE, |bar| bar.evidence);
     let (least_evidence, least_share) = if domain.num_raw_takes() == 0 {
@@ -93,13 +95,10 @@ pub fn diagnose(
         num_fits: NUM_FITS,
         without: config.without.clone(),
     };
-    let mut naming = engine::name(&domain, &start, &fitted, &naming_config, &|fraction, stage| {
+    let naming = search(&mut domain, &mut start, &fitted, &naming_config, &|fraction, stage| {
         watch(0.1 + 0.75 * fraction, stage)
     })?;
     let known = start.effects.len();
-    if naming.model.effects.len() > known {
-        naming.settle(&domain, &fitted)?;
-    }
     let is_cut_short = naming.model.effects.len() - known >= config.max_effects;
     let first_evidence = naming.rounds[0].tried.iter().map(|tried| tried.evidence).fold(0.0, f64::max);
 

@@ -16,6 +16,7 @@ mod prepare;
 mod reference;
 pub mod report;
 pub mod rules;
+mod search;
 mod show;
 mod steps;
 pub mod tactile;

@@ -8,10 +8,10 @@ use palpate_sim::job::{Cancel, Progress};
 
 use crate::DiagnosisError;
 use crate::config::DiagnosisConfig;
-use crate::engine;
 use crate::null::NullBar;
 use crate::prepare::{Prepared, check, prepare};
 use crate::reference::{Measured, Reference};
+use crate::search::search;
 use crate::tactile::adequacy::adequacy;
 use crate::tactile::posture::{Least, with_posture};
 
@@ -50,15 +50,13 @@ pub fn reference(
                 of_first.id
             )));
         }
-        let Prepared { domain, start, fitted, .. } = prepare(config, station, takes, nominal, cancel)?;
-        let (of_all, _) = adequacy(station, &domain, &start, &fitted)?;
-        let bent = with_posture(&domain, &start, &fitted, Least::ANY)?;
+        let Prepared { mut domain, mut start, fitted, .. } =
+            prepare(config, station, takes, nominal, cancel)?;
         let naming = NullBar::naming(config.max_effects + nominal.effects.len());
         let known = start.effects.len();
-        let mut found = engine::name(&domain, &start, &fitted, &naming, &watch)?;
-        if found.model.effects.len() > known {
-            found.settle(&domain, &fitted)?;
-        }
+        let found = search(&mut domain, &mut start, &fitted, &naming, &watch)?;
+        let (of_all, _) = adequacy(station, &domain, &start, &fitted)?;
+        let bent = with_posture(&domain, &start, &fitted, Least::ANY)?;
         measured.push(Measured {
             left: of_all,
             posture: bent.iter().map(|change| change.evidence).fold(0.0, f64::max),

@@ -34,7 +34,7 @@ use std::sync::Mutex;
 
 use nalgebra::Isometry3;
 use palpate_recording::Take;
-use palpate_robot_model::{Place, SensorKind, Station};
+use palpate_robot_model::{JointKind, Place, SensorKind, Station};
 use palpate_sim::effects::{self, Effect, Parameter};
 use palpate_sim::{MOST_SOFTNESS_M, SensorModel, StreamTheta, Theta};
 use rand::SeedableRng;
@@ -68,6 +68,8 @@ enum Base {
     Lag(usize),
     /// Share of a force that a stream feels late, and by which of [`own::CREEP_TIMES_S`].
     Creep(usize, usize),
+    /// How far a joint, by its degree of freedom, stands from where it reports, rad.
+    Zero(usize),
     /// Gain of the taxel at this place, in every patch of this set of [`TactileDomain::alike`].
     Pattern(usize, usize),
 }
@@ -133,6 +135,12 @@ const LONGEST_LAG_S: f64 = 0.0075;
 const PRESSURES_PA: [f64; 2] = [1.0, 1e7];
 /// Softness of pads to begin with, m.
 const SOFTNESS_M: f64 = 2e-4;
+/// Standard deviation of a joint's zero, rad. Hands and arms are zeroed to about a milliradian; neighbouring rows
+/// of a touch are wrong together, so that their loss counts about ten times what as many independent rows would,
+/// and what is known beforehand must count as much to hold its own.
+const USUAL_ZERO_RAD: f64 = 3e-4;
+/// No zero is fitted farther away, rad.
+const MOST_ZERO_RAD: f64 = 1e-2;
 /// Readings without touch vary by at least this, in units of the switching threshold.
 const LEAST_NOISE: f64 = 0.01;
 
@@ -288,6 +296,19 @@ impl<'a> TactileDomain<'a> {
             wander: self.wander.clone(),
             limb_of: self.limb_of.clone(),
         })
+    }
+
+    /// From now on the zero of each joint that moves channels is fitted along; `models` have it where it should be.
+    pub(crate) fn fit_zeros(&mut self, models: [&mut Model; 2]) {
+        for (dof, joint) in self.station.robot.dofs().enumerate() {
+            if joint.kind == JointKind::Revolute && self.moves[dof].contains(&true) {
+                self.kinds.push(Base::Zero(dof));
+                let name = format!("zero_rad.{}", joint.name);
+                let [lower, upper] = [-MOST_ZERO_RAD, MOST_ZERO_RAD];
+                self.base.push(BaseParameter { name, lower, upper, dose: USUAL_ZERO_RAD });
+            }
+        }
+        models.into_iter().for_each(|model| model.base.resize(self.base.len(), 0.0));
     }
 
     /// Number of takes with raw readings.
@@ -448,6 +469,10 @@ impl Domain for TactileDomain<'_> {
         Signal::COUNT
     }
 
+    fn usual(&self, idx: usize) -> Option<f64> {
+        matches!(self.kinds[idx], Base::Zero(_)).then_some(USUAL_ZERO_RAD)
+    }
+
     fn base_support(&self, idx: usize) -> Vec<bool> {
         let layout = &self.station.layout;
         let of = |holds: &dyn Fn(&palpate_robot_model::Channel) -> bool| {
@@ -464,6 +489,7 @@ impl Domain for TactileDomain<'_> {
             | Base::Knee(stream)
             | Base::Lag(stream)
             | Base::Creep(stream, _) => of(&|channel| channel.stream == stream),
+            Base::Zero(dof) => self.moves[dof].clone(),
             Base::Pattern(set, taxel) => of(&|channel| {
                 let patch = &layout.patches[channel.patch];
                 self.alike[set].contains(&channel.patch)

@@ -42,9 +42,10 @@ const PROFILES_KEPT: usize = 2;
 
 /// A trial of an effect with the model's own parameters fitted anew, after its first step.
 ///
-/// It is tried at large doses of its first parameter, and as it is, each time with those of the model's own parameters
-/// fitted anew that reach all that it reaches. Thresholds fitted to delayed touches account for most of the delay: beside
-/// them it is worth little, and only beside thresholds of its own does it show what it explains.
+/// It is tried at large doses of its first parameter, and as it is, each time with those of the model's own
+/// parameters fitted anew that reach all that it reaches and of which nothing is known beforehand. Thresholds
+/// fitted to delayed touches account for most of the delay: beside them it is worth little, and only beside
+/// thresholds of its own does it show what it explains.
 pub(crate) struct Profile<'l, 'a, D: Domain> {
     linear: &'l Linear<'a, D>,
     /// Which of the model's own parameters are fitted.
@@ -72,7 +73,7 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         let Some(first) = parameters.first() else { return Ok(None) };
         let domain = linear.domain;
         let reach = domain.support(effect, &first.name);
-        let covers = |&idx: &usize| within(&reach, &domain.base_support(idx));
+        let covers = |&idx: &usize| domain.usual(idx).is_none() && within(&reach, &domain.base_support(idx));
         let free = (0..domain.base().len()).filter(covers).collect();
         let mut profile = Self { linear, free, begun: Vec::new() };
         let mut starts = vec![effect.clone()];
@@ -282,8 +283,8 @@ pub(crate) fn refit<D: Domain>(
     gauss_newton(domain, model, takes, steps, 1)
 }
 
-/// As [`refit`] with [`ROUGH_STEPS`] that go by the responses of the `model` it starts from, for half of the time: to see what
-/// becomes of a model that was fitted with an effect more, or less.
+/// As [`refit`] with [`ROUGH_STEPS`] that go by the responses of the `model` it starts from, for half of the time:
+/// to see what becomes of a model that was fitted with an effect more, or less.
 pub(crate) fn refit_roughly<D: Domain>(
     domain: &D,
     model: &Model,
@@ -306,7 +307,7 @@ fn gauss_newton<D: Domain>(
     let mut columns = Vec::new();
     for idx in 0..steps {
         if idx % steps_each == 0 {
-            columns = linear.nuisance_columns()?;
+            columns = linear.columns_near(&columns)?;
         }
         let assessment = linear.assess(&columns, &linear.residual);
         let free = Free::all(domain, &linear.model);

@@ -1,9 +1,11 @@
 //! The surroundings of a model to first order.
 
+mod responses;
+
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
-use palpate_sim::effects::{Effect, Parameter};
+use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use super::normal::inverse;
@@ -11,6 +13,7 @@ use super::rows::{Column, Rows};
 use super::segment::{Segment, square};
 use super::{Domain, Model, Series, huber};
 use crate::DiagnosisError;
+pub(crate) use responses::inside;
 
 /// A model over some takes: residuals, and the responses to parameters that are no news (the nuisances).
 ///
@@ -24,9 +27,12 @@ pub(crate) struct Linear<'a, D: Domain> {
     pub(crate) predicted: Vec<Vec<Series>>,
     rows: Arc<Rows>,
     segments: Vec<Arc<Segment>>,
-    /// Huber's loss of the residuals.
+    /// Huber's loss of the residuals, and [`Self::unusual`].
     pub(crate) loss: f64,
-    /// The same by take and by kind of row, `[take * num_kinds + kind]`.
+    /// How far the model is from what is known of its own parameters beforehand: squares of standard deviations,
+    /// summed.
+    unusual: f64,
+    /// Huber's loss of the residuals by take and by kind of row, `[take * num_kinds + kind]`.
     losses: Vec<f64>,
     nuisances: Nuisances,
     /// Of this model, with the nuisances projected out.
@@ -179,12 +185,14 @@ impl<'a, D: Domain> Linear<'a, D> {
             along_nuisances: vec![DVector::zeros(0); rows.takes.len()],
             squares: squares.clone(),
         };
+        let unusual = unusual(domain, &model).map(|(_, loss)| loss).sum::<f64>();
         Self {
             domain,
             model,
             takes: takes.to_vec(),
             predicted,
-            loss: losses.iter().sum(),
+            loss: losses.iter().sum::<f64>() + unusual,
+            unusual,
             losses,
             nuisances: Nuisances::none(rows.takes.len(), squares),
             residual,
@@ -203,16 +211,16 @@ impl<'a, D: Domain> Linear<'a, D> {
         pairs.filter(|(_, (before, after))| !Arc::ptr_eq(before, after)).map(|(idx, (a, b))| (idx, a, b))
     }
 
-    /// Minus twice the logarithm of the likelihood, up to a constant: Huber's loss plus the logarithms of the variances
-    /// that the model allows its rows. Models compare by this and not by [`Self::loss`], in which a model that allows
-    /// more wins.
+    /// Minus twice the logarithm of the posterior, up to a constant: [`Self::loss`] plus the logarithms of the
+    /// variances that the model allows its rows. Models compare by this and not by [`Self::loss`], in which a model
+    /// that allows more wins.
     pub(crate) fn deviance(&self) -> f64 {
         let of_segment = |(idx, segment): (usize, &Arc<Segment>)| {
             segment.deviance(self.domain, self.takes[self.rows.take(idx)], self.rows.signal(idx))
         };
         // Summed in one order, whatever the number of threads.
         let of_segments: Vec<f64> = self.segments.par_iter().enumerate().map(of_segment).collect();
-        of_segments.iter().sum()
+        of_segments.iter().sum::<f64>() + self.unusual
     }
 
     /// Loss by take.
@@ -220,11 +228,16 @@ impl<'a, D: Domain> Linear<'a, D> {
         self.losses.chunks_exact(self.rows.num_kinds).map(|of_take| of_take.iter().sum()).collect()
     }
 
-    /// Loss by unit.
+    /// Loss by unit; what is known of a parameter counts at the first unit that it reaches.
     pub(crate) fn loss_by_unit(&self) -> Vec<f64> {
         let mut losses = vec![0.0; self.domain.num_units()];
         for (idx, segment) in self.segments.iter().enumerate() {
             losses[self.rows.unit(idx)] += segment.loss;
+        }
+        for (idx, loss) in unusual(self.domain, &self.model) {
+            if let Some(unit) = self.domain.base_support(idx).iter().position(|reached| *reached) {
+                losses[unit] += loss;
+            }
         }
         losses
     }
@@ -237,9 +250,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         self.losses.chunks_exact(kinds.len()).map(of_take).sum()
     }
 
-    /// Loss of `predicted` by take and kind of row, as [`Self::loss_by_take`] has it for this model, with the weights of
-    /// this model's predictions: what a model is unsure of weighs less, so that losses with weights of their own do not
-    /// compare.
+    /// Loss of `predicted` by take and kind of row, as [`Self::loss_by_take`] has it for this model, with the
+    /// weights of this model's predictions: what a model is unsure of weighs less, so that losses with weights of
+    /// their own do not compare.
     pub(crate) fn losses_of(&self, predicted: &[Vec<Series>]) -> Vec<Vec<f64>> {
         let mut losses = vec![vec![0.0; self.rows.num_kinds]; self.takes.len()];
         for (idx, segment) in self.segments.iter().enumerate() {
@@ -282,97 +295,6 @@ impl<'a, D: Domain> Linear<'a, D> {
         reached
     }
 
-    /// Responses to the parameters `which` of the model's own.
-    pub(crate) fn base_columns(&self, which: &[usize]) -> Result<Vec<Column>, DiagnosisError> {
-        which
-            .par_iter()
-            .map(|&idx| {
-                let (model, step) = self.base_stepped(idx);
-                self.response(&model, step)
-            })
-            .collect()
-    }
-
-    /// The model with its own parameter `idx` moved by its dose, and by how much.
-    fn base_stepped(&self, idx: usize) -> (Model, f64) {
-        let (parameter, value) = (&self.domain.base()[idx], self.model.base[idx]);
-        let step = if value + parameter.dose <= parameter.upper { parameter.dose } else { -parameter.dose };
-        let mut model = self.model.clone();
-        model.base[idx] += step;
-        (model, step)
-    }
-
-    /// Responses to the parameters of the model's effect `idx`, around their values.
-    pub(crate) fn effect_columns(&self, idx: usize) -> Result<Vec<Column>, DiagnosisError> {
-        let effect = &self.model.effects[idx];
-        let of_parameter = |parameter: Parameter| {
-            let value = effect.parameter(&parameter.name);
-            let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);
-            let mut model = self.model.clone();
-            model.effects[idx].parameters.insert(parameter.name, value + step);
-            self.response(&model, step)
-        };
-        self.domain.parameters(effect).into_par_iter().map(of_parameter).collect()
-    }
-
-    /// Responses to the model's own parameters and to those of its effects.
-    pub(crate) fn nuisance_columns(&self) -> Result<Vec<Column>, DiagnosisError> {
-        let mut variants: Vec<(Model, f64)> =
-            (0..self.model.base.len()).map(|idx| self.base_stepped(idx)).collect();
-        for (effect_idx, effect) in self.model.effects.iter().enumerate() {
-            for parameter in self.domain.parameters(effect) {
-                let value = effect.parameter(&parameter.name);
-                let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);
-                let mut model = self.model.clone();
-                model.effects[effect_idx].parameters.insert(parameter.name.clone(), value + step);
-                variants.push((model, step));
-            }
-        }
-        variants.par_iter().map(|(model, step)| self.response(model, *step)).collect()
-    }
-
-    /// Weighted difference between the predictions of `model` and of this one, over `step`.
-    fn response(&self, model: &Model, step: f64) -> Result<Column, DiagnosisError> {
-        let predicted = predict(self.domain, model, &self.takes)?;
-        let owner = vec![0; self.domain.num_units()];
-        let mut columns = self.columns(&self.predicted, &predicted, &owner, &[step]);
-        Ok(columns.pop().unwrap_or_default())
-    }
-
-    /// Weighted differences between `after` and `before` (predictions by take), split by unit: `owner` says which of
-    /// the columns a unit belongs to (`usize::MAX`: none), `steps` by what each is divided.
-    pub(crate) fn columns(
-        &self,
-        before: &[Vec<Series>],
-        after: &[Vec<Series>],
-        owner: &[usize],
-        steps: &[f64],
-    ) -> Vec<Column> {
-        let mut columns = vec![Column::default(); steps.len()];
-        for (idx, before, after) in self.changed(before, after) {
-            let owner = owner[self.rows.unit(idx)];
-            if owner == usize::MAX {
-                continue;
-            }
-            let (column, step) = (&mut columns[owner], steps[owner]);
-            let first = column.rows.len();
-            column.rows.reserve(before.len());
-            column.values.reserve(before.len());
-            let changes = before.iter().zip(after.iter()).zip(&self.segments[idx].weights);
-            for (sample, ((before, after), weight)) in changes.enumerate() {
-                let change = (after - before) * weight;
-                if change.abs() > SMALLEST_RESPONSE {
-                    column.rows.push((self.rows.starts[idx] + sample) as u32);
-                    column.values.push((change / step) as f32);
-                }
-            }
-            if column.rows.len() > first {
-                column.parts.push((idx, first..column.rows.len()));
-            }
-        }
-        columns
-    }
-
     /// Makes `columns` the nuisances and projects them out of the residual.
     pub(crate) fn project(&mut self, columns: &[Column]) {
         let count = columns.len();
@@ -387,6 +309,15 @@ impl<'a, D: Domain> Linear<'a, D> {
         let of_takes: Vec<Vec<(DMatrix<f64>, DVector<f64>)>> =
             (0..self.takes.len()).into_par_iter().map(|take| self.normals_of(&nuisances, take)).collect();
         (nuisances.by_block, nuisances.along) = of_takes.into_iter().flatten().unzip();
+        if let (Some(normal), Some(along)) = (nuisances.by_block.last_mut(), nuisances.along.last_mut()) {
+            for (idx, column) in columns.iter().enumerate() {
+                normal[(idx, idx)] += column.known.precision;
+                along[idx] += column.known.score;
+            }
+        }
+        if let Some(square) = nuisances.squares.last_mut() {
+            *square += self.unusual;
+        }
         let mut normal = DMatrix::zeros(count, count);
         for (of_block, &take) in nuisances.by_block.iter().zip(&self.rows.takes) {
             normal += of_block;
@@ -502,8 +433,8 @@ impl<'a, D: Domain> Linear<'a, D> {
         self.projected(values, along, squares)
     }
 
-    /// The residual `values` (by segment) with the nuisances projected out, given `along = N'r` by block and the squares
-    /// of `r` by take.
+    /// The residual `values` (by segment) with the nuisances projected out, given `along = N'r` by block and the
+    /// squares of `r` by take.
     fn projected(
         &self,
         values: Vec<Arc<[f64]>>,
@@ -563,6 +494,12 @@ impl<'a, D: Domain> Linear<'a, D> {
                 column.each_common(other, |row, product| normals[blocks[row] as usize][(i, j)] += product);
             }
         }
+        if let (Some(normal), Some(score)) = (normals.last_mut(), scores.last_mut()) {
+            for (i, column) in columns.iter().enumerate() {
+                normal[(i, i)] += column.known.precision;
+                score[i] += column.known.score;
+            }
+        }
         for normal in &mut normals {
             normal.fill_upper_triangle_with_lower_triangle();
         }
@@ -582,7 +519,12 @@ impl<'a, D: Domain> Linear<'a, D> {
         let h_inverse = inverse(&h);
         let step = &h_inverse * &s;
         let mut v = DMatrix::zeros(k, k);
-        for (score, normal) in projected_scores.iter().zip(&projected_normals) {
+        for (block, (score, normal)) in projected_scores.iter().zip(&projected_normals).enumerate() {
+            if block + 1 == num_blocks {
+                // What is known beforehand has the variance that is known.
+                v += normal;
+                continue;
+            }
             let left = score - normal * &step;
             v += &left * left.transpose();
         }
@@ -598,7 +540,9 @@ impl<'a, D: Domain> Linear<'a, D> {
             of_fold.iter().map(|(score, normal)| inverse(&(&h - normal)) * (&s - score)).collect();
         let mut held_out_gains = vec![0.0; self.takes.len()];
         for (block, take) in self.rows.takes.iter().enumerate() {
-            let step = &steps[folds[block]];
+            // What is known beforehand is held out of no fit.
+            let is_known = block + 1 == num_blocks;
+            let step = if is_known { &step } else { &steps[folds[block]] };
             held_out_gains[*take] +=
                 2.0 * projected_scores[block].dot(step) - step.dot(&(&projected_normals[block] * step));
         }
@@ -647,8 +591,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         }
     }
 
-    /// Which blocks are judged together by a fit to all others, and the number of such folds: those of a take; or, where
-    /// so few takes see what is fitted that a fit without one of them would know nothing, every [`FEW_FOLDS`]-th block.
+    /// Which blocks are judged together by a fit to all others, and the number of such folds: those of a take; or,
+    /// where so few takes see what is fitted that a fit without one of them would know nothing, every
+    /// [`FEW_FOLDS`]-th block.
     fn folds(&self, normals: &[DMatrix<f64>]) -> (Vec<usize>, usize) {
         let mut seen = vec![0.0; self.takes.len()];
         for (take, normal) in self.rows.takes.iter().zip(normals) {
@@ -669,8 +614,12 @@ impl<'a, D: Domain> Linear<'a, D> {
     }
 }
 
-/// Responses to a whole dose below this many standard deviations are left out.
-const SMALLEST_RESPONSE: f64 = 5e-4;
+/// The model's own parameters of which something is known beforehand, with the squares of the standard deviations that
+/// `model` has them away from it.
+fn unusual<D: Domain>(domain: &D, model: &Model) -> impl Iterator<Item = (usize, f64)> {
+    let of = |(idx, value): (usize, &f64)| Some((idx, (value / domain.usual(idx)?).powi(2)));
+    model.base.iter().enumerate().filter_map(of)
+}
 
 /// Changes of fewer standard deviations are not noticed.
 const NOTICEABLE: f64 = 0.05;
@@ -682,9 +631,4 @@ pub(crate) fn predict<D: Domain>(
     takes: &[usize],
 ) -> Result<Vec<Vec<Series>>, DiagnosisError> {
     domain.predict_takes(takes, model)
-}
-
-/// `step`, or its opposite where that would leave the bounds.
-pub(crate) fn inside(value: f64, step: f64, lower: f64, upper: f64) -> f64 {
-    if (lower..=upper).contains(&(value + step)) { step } else { -step }
 }

@@ -17,8 +17,8 @@ const SETTLE_STEPS: usize = 8;
 pub(super) const SIMILAR_COUNT: usize = 7;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
 pub(super) const FEW: usize = 2;
-/// An effect of many parameters must remove this share of all that it removes in at least a third as many units as it has
-/// parameters that the data sees.
+/// An effect of many parameters must remove this share of all that it removes in at least a third as many units as
+/// it has parameters that the data sees.
 const NEARLY_ALL: f64 = 0.8;
 
 /// How to name.
@@ -29,10 +29,11 @@ pub struct NamingConfig {
     /// Evidence that an effect must reach: how far its estimate lies beyond the smallest size that matters, in standard
     /// errors, squared.
     pub bar: f64,
-    /// Evidence that it must have beside all others in the end: what is barely founded while others are still missing is
-    /// often a part of them.
+    /// Evidence that it must have beside all others in the end: what is barely founded while others are still
+    /// missing is often a part of them.
     pub kept_bar: f64,
-    /// Share of the loss, in the kinds of rows that an effect changes, that it must remove on takes it was not fitted to.
+    /// Share of the loss, in the kinds of rows that an effect changes, that it must remove on takes it was not
+    /// fitted to.
     pub least_share: f64,
     /// Candidates that are fitted in each round.
     pub num_fits: usize,
@@ -104,8 +105,8 @@ pub struct Naming {
 }
 
 impl Naming {
-    /// The last round that named `effect`, and the index of its name there. A second look may have given that round, and no
-    /// earlier one, another name and class.
+    /// The last round that named `effect`, and the index of its name there. A second look may have given that
+    /// round, and no earlier one, another name and class.
     pub(crate) fn round_of(&self, effect: &Effect) -> Option<(&Round, usize)> {
         self.rounds.iter().rev().find_map(|round| {
             let named = round.named?;
@@ -130,12 +131,37 @@ impl Naming {
         }
     }
 
-    /// Fits the model to the end, and assesses every effect anew: rounds take a few steps each, after the last of which a large
-    /// effect may be far from its size still.
+    /// Fits the model to the end, and assesses every effect anew: rounds take a few steps each, after the last of
+    /// which a large effect may be far from its size still.
     pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {
         self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
         (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
         Ok(())
+    }
+
+    /// [`Self::settle`] without the effects beyond the first `known` that have no more evidence than `bar` then.
+    pub(crate) fn weigh_again<D: Domain>(
+        &mut self,
+        domain: &D,
+        known: usize,
+        takes: &[usize],
+        bar: f64,
+    ) -> Result<(), DiagnosisError> {
+        loop {
+            self.settle(domain, takes)?;
+            let beyond = self.evidence.iter().enumerate().skip(known);
+            let weakest = beyond.min_by(|(_, one), (_, other)| one.total_cmp(other));
+            let Some((idx, _)) = weakest.filter(|(_, evidence)| **evidence < bar) else { return Ok(()) };
+            self.dropped.push(self.model.effects.remove(idx));
+        }
+    }
+
+    /// What a search found that began with what this one had found.
+    pub(crate) fn go_on(&mut self, again: Self) {
+        let Self { model, standard_errors, evidence, rounds, dropped, .. } = again;
+        (self.model, self.standard_errors, self.evidence) = (model, standard_errors, evidence);
+        self.rounds.extend(rounds);
+        self.dropped.extend(dropped);
     }
 
     /// Takes the name of the effect `idx` back; the others stay as they were fitted and assessed beside it.
@@ -165,7 +191,8 @@ pub(super) fn key(effect: &Effect) -> (String, Place) {
     (effect.id.clone(), effect.place.clone())
 }
 
-/// Whether an effect of many parameters does what it does in few places only: it then stands in for one that acts there.
+/// Whether an effect of many parameters does what it does in few places only: it then stands in for one that acts
+/// there.
 pub(super) fn stands_in(fitted: &Fitted) -> bool {
     if fitted.parameters.len() <= SIMILAR_COUNT {
         return false;
@@ -214,10 +241,10 @@ pub(super) fn joint_evidence<D: Domain>(
     Ok((all, errors))
 }
 
-/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. For an effect of
-/// many parameters it is the geometric mean over the strongest third of those that the data sees: where fewer are out there it
-/// stands in for one that acts in fewer places. None for an effect that is driven to the end of its range: it stands in for
-/// one of another kind.
+/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. For an
+/// effect of many parameters it is the geometric mean over the strongest third of those that the data sees: where
+/// fewer are out there it stands in for one that acts in fewer places. None for an effect that is driven to the end
+/// of its range: it stands in for one of another kind.
 pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
     let at_end = |parameter: &Parameter| {
         let value = effect.parameter(&parameter.name);

@@ -11,6 +11,17 @@ pub(crate) struct Column {
     pub(super) parts: Vec<(usize, Range<usize>)>,
     pub(super) rows: Vec<u32>,
     pub(super) values: Vec<f32>,
+    /// What is known of the parameter beforehand.
+    pub(super) known: Known,
+}
+
+/// What is known of a parameter before anything is measured, as one more row: 0 where nothing is.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Known {
+    /// One over its variance.
+    pub(super) precision: f64,
+    /// The precision times how far the parameter would have to go.
+    pub(super) score: f64,
 }
 
 impl Column {
@@ -46,7 +57,7 @@ pub(super) struct Rows {
     pub(super) starts: Vec<usize>,
     /// Block of each row.
     pub(super) blocks: Vec<u32>,
-    /// Per block, the index of its take.
+    /// Per block, the index of its take. The last block has no rows: it is what is known beforehand.
     pub(super) takes: Vec<usize>,
 }
 
@@ -67,6 +78,7 @@ impl Rows {
                 starts.push(blocks.len());
             }
         }
+        take_of_block.extend(take_of_block.last().copied());
         Self { num_signals, num_kinds: domain.num_kinds(), starts, blocks, takes: take_of_block }
     }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Mutex;
 
+use nalgebra::{Matrix2, Vector2};
 use palpate_robot_model::Place;
 use palpate_sim::effects::{Effect, Parameter};
 use proptest::prelude::*;
@@ -11,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::linear::{Linear, predict};
-use super::{BaseParameter, Contributions, Domain, Model, Naming, NamingConfig, Series, each, name};
+use super::{BaseParameter, Contributions, Domain, Model, Naming, NamingConfig, Series, each, name, refit};
 use crate::DiagnosisError;
 
 const ROWS: usize = 400;
@@ -27,6 +28,8 @@ struct Sines {
     shapes: &'static [&'static str],
     /// What the level is known to be.
     level: Option<f64>,
+    /// Standard deviation that the second number of the base is known to have.
+    usual: Option<f64>,
 }
 
 const SHAPES: [&str; 4] = ["slow", "fast", "nearly_fast", "square"];
@@ -93,6 +96,7 @@ impl Sines {
             base: LEVELS[..1].to_vec(),
             shapes: &SHAPES,
             level: None,
+            usual: None,
         }
     }
 
@@ -132,6 +136,10 @@ impl Domain for Sines {
 
     fn base(&self) -> &[BaseParameter] {
         &self.base
+    }
+
+    fn usual(&self, idx: usize) -> Option<f64> {
+        self.usual.filter(|_| idx == 1)
     }
 
     fn candidates(&self) -> Vec<Effect> {
@@ -220,6 +228,52 @@ fn what_the_model_takes_up_is_no_news_as_far_as_its_range_goes() {
     assert!(named(0.08).is_empty());
     let beyond = named(0.3);
     assert!(beyond.len() == 1 && beyond[0] > 0.15, "{beyond:?}");
+}
+
+#[test]
+fn what_is_known_beforehand_counts_as_one_more_row() {
+    let (hidden, usual) = (0.3, 0.01);
+    let mut sines = Sines::new(&[("slow", hidden)], 5);
+    sines.base = LEVELS.to_vec();
+    sines.usual = Some(usual);
+    let start = Model { base: vec![0.7, 0.0], effects: Vec::new() };
+    let Model { base, .. } = refit(&sines, &start, &[0, 1, 2, 3], 8).unwrap();
+    // The normal equations of the level and the shape, by hand.
+    let rows = || sines.observed.iter().flat_map(|take| take.iter().enumerate());
+    let weight = NOISE.powi(-2);
+    let sum = |of: &dyn Fn(usize, f64) -> f64| weight * rows().map(|(row, &y)| of(row, y)).sum::<f64>();
+    let slow = |row| shape("slow", row);
+    let normal = Matrix2::new(
+        sum(&|_, _| 1.0),
+        sum(&|row, _| slow(row)),
+        sum(&|row, _| slow(row)),
+        sum(&|row, _| slow(row).powi(2)) + usual.powi(-2),
+    );
+    let right = Vector2::new(sum(&|_, y| y), sum(&|row, y| slow(row) * y));
+    let expected = normal.try_inverse().unwrap() * right;
+    // Rows beyond what Huber's loss takes for squares weigh less.
+    let off = [0, 1].map(|idx| (base[idx] - expected[idx]).abs());
+    assert!(off.iter().all(|off| *off < 2e-3), "{base:?} instead of {expected}");
+    assert!(base[1] < 0.95 * hidden, "{base:?} is as far as the rows alone would have it");
+}
+
+#[test]
+fn a_name_that_usual_sizes_account_for_as_well_is_dropped() {
+    let left = |hidden: f64| {
+        let mut sines = Sines::new(&[("slow", hidden), ("square", 0.2)], 5);
+        let mut naming = sines.name(&config());
+        let mut named = ids(&naming);
+        named.sort_unstable();
+        assert_eq!(named, ["slow", "square"]);
+        sines.base = LEVELS.to_vec();
+        sines.usual = Some(0.05);
+        naming.model.base.push(0.0);
+        naming.weigh_again(&sines, 0, &[0, 1, 2, 3], config().kept_bar).unwrap();
+        assert_eq!(naming.evidence.len(), naming.model.effects.len());
+        ids(&naming).into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(left(0.1), ["square"]);
+    assert_eq!(left(0.5).len(), 2);
 }
 
 #[test]

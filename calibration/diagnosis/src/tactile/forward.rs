@@ -3,6 +3,7 @@
 //! A channel's readings depend on some of the model's numbers only. Those make its key; a channel whose key was seen lately
 //! has its series from then. Whatever is remembered has the bits that computing it again would give.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -195,7 +196,7 @@ impl Keys {
 
 /// An effect, and whom it concerns.
 struct Reaching<'e> {
-    effect: &'e Effect,
+    effect: Cow<'e, Effect>,
     kind: &'static dyn EffectKind,
     /// Position in the order of the chain.
     order: u64,
@@ -248,8 +249,8 @@ impl TactileDomain<'_> {
     ) -> Result<Vec<Series>, DiagnosisError> {
         let Prepared { theta, streams, response, widths, own, reaching, .. } = prepared;
         let reaching: Vec<&Reaching<'_>> =
-            reaching.iter().filter(|one| self.reaches_take(one.effect, take)).collect();
-        let effects = own.iter().chain(reaching.iter().map(|one| one.effect));
+            reaching.iter().filter(|one| self.reaches_take(&one.effect, take)).collect();
+        let effects = own.iter().chain(reaching.iter().map(|one| &*one.effect));
         let chain = Chain::new(Thetas::new(*theta, streams), response, effects, widths);
         let concerning = Concerning { prepared, chain, reaching };
         let mut signals: Vec<Option<Series>> = vec![None; self.num_signals()];
@@ -402,13 +403,14 @@ impl TactileDomain<'_> {
 
     /// The effects of `model`, with whom they concern.
     fn reaching<'e>(&self, model: &'e Model) -> Vec<Reaching<'e>> {
-        let reaching = model.effects.iter().filter_map(|effect| {
+        let zeros = self.zeros(model).into_iter().map(Cow::Owned);
+        let reaching = zeros.chain(model.effects.iter().map(Cow::Borrowed)).filter_map(|effect| {
             let order = effects::TACTILE.iter().position(|kind| kind.id() == effect.id)?;
             Some(Reaching {
-                effect,
                 kind: effects::TACTILE[order],
                 order: order as u64,
-                channels: self.reach(effect),
+                channels: self.reach(&effect),
+                effect,
             })
         });
         reaching.collect()

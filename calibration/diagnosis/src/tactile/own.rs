@@ -41,6 +41,23 @@ impl TactileDomain<'_> {
         of_streams.chain(self.patterns(model)).collect()
     }
 
+    /// Where joints of `model` stand from where they report, as effects.
+    pub(super) fn zeros(&self, model: &Model) -> Vec<Effect> {
+        let names: Vec<&str> = self.station.robot.dofs().map(|joint| joint.name.as_str()).collect();
+        let of_base = self.kinds.iter().zip(&model.base).filter(|(_, value)| **value != 0.0);
+        let zeros = of_base.filter_map(|(kind, &value)| match *kind {
+            Base::Zero(dof) => Some(Effect {
+                id: "joint_offset".to_owned(),
+                place: Place::Joint(names[dof].to_owned()),
+                parameters: [("offset_rad".to_owned(), value)].into(),
+                interval: BTreeMap::new(),
+                takes: Vec::new(),
+            }),
+            _ => None,
+        });
+        zeros.collect()
+    }
+
     /// Of the loads on `stream`, with which its readings grow, and the forces that creep.
     fn exponent(&self, model: &Model, stream: usize) -> f64 {
         let mut of_base = self.kinds.iter().zip(&model.base);

@@ -83,6 +83,7 @@ impl TactileDomain<'_> {
                 | Base::Knee(_)
                 | Base::Lag(_)
                 | Base::Creep(..)
+                | Base::Zero(_)
                 | Base::Pattern(..) => {}
             }
         }
