@@ -114,7 +114,7 @@ pub trait Domain: Sync {
 
     /// Standard deviation around zero that the parameter `idx` of [`Self::base`] is known to have before anything
     /// is measured; `None` where nothing is known.
-    fn usual(&self, _idx: usize) -> Option<f64> {
+    fn prior_standard_deviation(&self, _idx: usize) -> Option<f64> {
         None
     }
 
@@ -161,6 +161,11 @@ pub trait Domain: Sync {
 /// Whether all units of `inner` are in `outer`.
 pub(crate) fn within(inner: &[bool], outer: &[bool]) -> bool {
     inner.iter().zip(outer).all(|(inner, outer)| !inner || *outer)
+}
+
+/// Share of a `loss` that a `gain` is; none of no loss, where what is gained is gained elsewhere.
+fn share(gain: f64, loss: f64) -> f64 {
+    if loss > 0.0 { gain / loss } else { 0.0 }
 }
 
 /// Hears which fraction of some work is done and what is being done now, and may stop it.

@@ -20,6 +20,8 @@ mod search;
 mod show;
 mod steps;
 pub mod tactile;
+#[cfg(test)]
+mod testing;
 mod withhold;
 
 pub use config::DiagnosisConfig;

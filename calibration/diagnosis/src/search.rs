@@ -1,19 +1,20 @@
-//! The search of a session: names first, and then what of them stands beside small errors of every joint.
+//! The search of a session: names first, and then what of them stands beside what every station has a little of.
 
 use crate::DiagnosisError;
 use crate::engine::{self, Model, Naming, NamingConfig, Watch};
 use crate::tactile::TactileDomain;
 
-/// Steps of the fit of the zeros beside the `start`.
-const ZERO_STEPS: usize = 6;
-/// Share of the work before zeros are fitted.
+/// Steps of the fit of what is fitted along beside the `start`.
+const ALONG_STEPS: usize = 6;
+/// Share of the work before that.
 const FIRST_SHARE: f64 = 0.7;
 
-/// Names what `start` lacks on `takes`. Zeros of joints are fitted along from then on, in `start` too.
+/// Names what `start` lacks on `takes`. Zeros of joints, and of events alone how skins creep, are fitted along from then
+/// on, in `start` too.
 ///
-/// A hidden offset of one joint would be shared out among the zeros of all if these were fitted first. So names
-/// come first, those that small errors of all joints account for as well are dropped, and where any were, what they
-/// stood in the way of is looked for.
+/// A hidden offset of one joint would be shared out among the zeros of all if these were fitted first, and a filter
+/// among times of creep. So names come first, those that are not founded beside them are dropped, and where any were,
+/// what they stood in the way of is looked for.
 pub(crate) fn search(
     domain: &mut TactileDomain<'_>,
     start: &mut Model,
@@ -28,43 +29,39 @@ pub(crate) fn search(
     if naming.model.effects.len() > known {
         naming.settle(domain, takes)?;
     }
-    progress(FIRST_SHARE, "fitting the zeros of joints")?;
-    domain.fit_zeros([start, &mut naming.model]);
-    *start = engine::refit(domain, start, takes, ZERO_STEPS)?;
+    progress(FIRST_SHARE, "fitting zeros of joints along")?;
+    domain.fit_along([start, &mut naming.model]);
+    *start = engine::refit(domain, start, takes, ALONG_STEPS)?;
     let num_names = naming.model.effects.len();
-    naming.weigh_again(domain, known, takes, config.kept_bar)?;
+    let bar = config.bar.max(config.kept_bar);
+    naming.weigh_again(domain, known, takes, bar)?;
     if naming.model.effects.len() < num_names {
         let again = engine::name(domain, &naming.model, takes, config, &|fraction, stage| {
             progress(FIRST_SHARE + (1.0 - FIRST_SHARE) * fraction, stage)
         })?;
         naming.go_on(again);
-        naming.weigh_again(domain, known, takes, config.kept_bar)?;
+        naming.weigh_again(domain, known, takes, bar)?;
     }
     Ok(naming)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use palpate_sim::SensorModel;
-    use palpate_truth::Stage;
+    use palpate_recording::Take;
 
     use super::*;
     use crate::engine::Domain as _;
+    use crate::testing::{Session, session};
 
     #[test]
     fn small_errors_of_every_joint_are_fitted_along() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
-        let takes = stage.record(&[], 1).unwrap();
-        let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+        let Session { stage, takes, nominal } = session("small");
         let every_take: Vec<usize> = (0..takes.len()).collect();
         let (mut domain, mut start) =
             TactileDomain::new(stage.station(), &takes, &every_take, &nominal).unwrap();
         let num_others = start.base.len();
         let mut off = start.clone();
-        domain.fit_zeros([&mut start, &mut off]);
+        domain.fit_along([&mut start, &mut off]);
         assert!(
             start.base.len() > num_others + 16 && start.base[num_others..].iter().all(|zero| *zero == 0.0)
         );
@@ -75,7 +72,7 @@ mod tests {
         let loss = |model: &Model| -> f64 {
             engine::loss_by_unit(&recorded, model, &every_take).unwrap().into_iter().sum()
         };
-        let fitted = engine::refit(&recorded, &start, &every_take, ZERO_STEPS).unwrap();
+        let fitted = engine::refit(&recorded, &start, &every_take, ALONG_STEPS).unwrap();
         let mut without = fitted.clone();
         without.base[num_others..].fill(0.0);
         assert!(loss(&fitted) < 0.8 * loss(&start), "{} of {}", loss(&fitted), loss(&start));
@@ -83,5 +80,32 @@ mod tests {
         let most = fitted.base[num_others..].iter().fold(0.0_f64, |most, zero| most.max(zero.abs()));
         assert!(most < 3e-3, "{most}");
         assert_eq!(recorded.base().len(), fitted.base.len());
+    }
+    #[test]
+    fn of_events_alone_creep_is_fitted_along_too() {
+        let Session { stage, mut takes, nominal } = session("small");
+        takes.truncate(1);
+        let num_streams = stage.station().layout.streams.len();
+        let num_creeps = |takes: &[Take]| {
+            let (mut domain, mut start) = TactileDomain::new(stage.station(), takes, &[0], &nominal).unwrap();
+            let num = |domain: &TactileDomain<'_>| -> usize {
+                domain.base().iter().filter(|number| number.name.starts_with("creep_")).count()
+            };
+            let before = num(&domain);
+            domain.fit_along([&mut start.clone(), &mut start]);
+            let mut creeping = start.clone();
+            for (value, number) in creeping.base.iter_mut().zip(domain.base()) {
+                *value += if number.name.starts_with("creep_") { number.upper } else { 0.0 };
+            }
+            assert!(domain.predict(0, &creeping).unwrap() != domain.predict(0, &start).unwrap());
+            [before, num(&domain)]
+        };
+        assert_eq!(num_creeps(&takes), [3 * num_streams; 2]);
+        for log in &mut takes[0].streams {
+            log.raw.clear();
+            log.reference.clear();
+            log.later_references.clear();
+        }
+        assert_eq!(num_creeps(&takes), [0, 3 * num_streams]);
     }
 }

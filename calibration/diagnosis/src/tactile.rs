@@ -45,8 +45,7 @@ use crate::DiagnosisError;
 use crate::engine::{BaseParameter, Domain, Model, Series};
 use forward::Memory;
 pub(crate) use observe::Observed;
-use own::{CREEP_TIMES_S, MOST_CREEP};
-use reading::{EXPONENTS, KNEES};
+use reading::KNEES;
 use theta::{Of, holders, shared};
 use wander::Wander;
 
@@ -135,10 +134,13 @@ const LONGEST_LAG_S: f64 = 0.0075;
 const PRESSURES_PA: [f64; 2] = [1.0, 1e7];
 /// Softness of pads to begin with, m.
 const SOFTNESS_M: f64 = 2e-4;
+/// A stream that stands still now and then shows in the noise of its readings, which events do not have: of events alone
+/// it stands in for whatever comes late.
+const FREEZE: &str = "sample_hold";
 /// Standard deviation of a joint's zero, rad. Hands and arms are zeroed to about a milliradian; neighbouring rows
 /// of a touch are wrong together, so that their loss counts about ten times what as many independent rows would,
 /// and what is known beforehand must count as much to hold its own.
-const USUAL_ZERO_RAD: f64 = 3e-4;
+const ZERO_DEVIATION_RAD: f64 = 3e-4;
 /// No zero is fitted farther away, rad.
 const MOST_ZERO_RAD: f64 = 1e-2;
 /// Readings without touch vary by at least this, in units of the switching threshold.
@@ -200,19 +202,16 @@ impl<'a> TactileDomain<'a> {
         for (idx, stream) in station.layout.streams.iter().enumerate() {
             add(Base::Width(idx), format!("width.{}", stream.id), WIDTH, [0.03, 1.0], 0.03);
             if raw {
-                // The load of a pad is a depth, with whose square force goes; it is a resistor, often in a divider.
-                let is_pad = stream.kind == SensorKind::Proximity;
-                let exponent = if is_pad { 2.0 } else { 1.0 };
-                add(Base::Exponent(idx), format!("exponent.{}", stream.id), exponent, EXPONENTS, 0.05);
-                if is_pad {
+                let (kind, exponent, value) = own::exponent(station, idx);
+                add(kind, exponent.name, value, [exponent.lower, exponent.upper], exponent.dose);
+                // A pad is a resistor, often in a divider.
+                if stream.kind == SensorKind::Proximity {
                     add(Base::Knee(idx), format!("knee.{}", stream.id), KNEE, KNEES, 0.05);
                 }
             }
             add(Base::Lag(idx), format!("lag_s.{}", stream.id), 0.0, [0.0, LONGEST_LAG_S], 0.002);
-            // Events alone do not tell it from a filter.
-            for (time, time_s) in CREEP_TIMES_S.iter().enumerate().filter(|_| raw) {
-                let name = format!("creep_{time_s}_s.{}", stream.id);
-                add(Base::Creep(idx, time), name, 0.0, [0.0, MOST_CREEP], 0.02);
+            for (kind, creep) in own::creeps(station, idx).filter(|_| raw) {
+                add(kind, creep.name, 0.0, [creep.lower, creep.upper], creep.dose);
             }
         }
         let alike = alike(station);
@@ -225,7 +224,7 @@ impl<'a> TactileDomain<'a> {
         let touched: Vec<&str> = fitted.iter().map(|&take| takes[take].object.id.as_str()).collect();
         let candidates = effects::TACTILE
             .iter()
-            .filter(|kind| kind.id() != own::CREEP)
+            .filter(|kind| kind.id() != own::CREEP && (raw || kind.id() != FREEZE))
             .flat_map(|kind| kind.places(station).into_iter().map(move |place| (kind, place)))
             .filter(|(_, place)| !matches!(place, Place::Object(id) if !touched.contains(&id.as_str())))
             .map(|(kind, place)| Effect {
@@ -298,17 +297,32 @@ impl<'a> TactileDomain<'a> {
         })
     }
 
-    /// From now on the zero of each joint that moves channels is fitted along; `models` have it where it should be.
-    pub(crate) fn fit_zeros(&mut self, models: [&mut Model; 2]) {
-        for (dof, joint) in self.station.robot.dofs().enumerate() {
-            if joint.kind == JointKind::Revolute && self.moves[dof].contains(&true) {
-                self.kinds.push(Base::Zero(dof));
-                let name = format!("zero_rad.{}", joint.name);
-                let [lower, upper] = [-MOST_ZERO_RAD, MOST_ZERO_RAD];
-                self.base.push(BaseParameter { name, lower, upper, dose: USUAL_ZERO_RAD });
+    /// From now on what may stand in for names is fitted along: the zero of each joint that moves channels, and of
+    /// events alone how skins creep, and with which power of a load forces grow, which creep. `models` have none of it
+    /// yet.
+    pub(crate) fn fit_along(&mut self, models: [&mut Model; 2]) {
+        let has_raw = self.num_raw_takes() > 0;
+        let mut values = Vec::new();
+        let mut add = |kind, parameter, value| {
+            self.kinds.push(kind);
+            self.base.push(parameter);
+            values.push(value);
+        };
+        if !has_raw {
+            for stream in 0..self.station.layout.streams.len() {
+                let (kind, parameter, value) = own::exponent(self.station, stream);
+                add(kind, parameter, value);
+                own::creeps(self.station, stream).for_each(|(kind, parameter)| add(kind, parameter, 0.0));
             }
         }
-        models.into_iter().for_each(|model| model.base.resize(self.base.len(), 0.0));
+        for (dof, joint) in self.station.robot.dofs().enumerate() {
+            if joint.kind == JointKind::Revolute && self.moves[dof].contains(&true) {
+                let name = format!("zero_rad.{}", joint.name);
+                let [lower, upper] = [-MOST_ZERO_RAD, MOST_ZERO_RAD];
+                add(Base::Zero(dof), BaseParameter { name, lower, upper, dose: ZERO_DEVIATION_RAD }, 0.0);
+            }
+        }
+        models.into_iter().for_each(|model| model.base.extend(&values));
     }
 
     /// Number of takes with raw readings.
@@ -469,8 +483,8 @@ impl Domain for TactileDomain<'_> {
         Signal::COUNT
     }
 
-    fn usual(&self, idx: usize) -> Option<f64> {
-        matches!(self.kinds[idx], Base::Zero(_)).then_some(USUAL_ZERO_RAD)
+    fn prior_standard_deviation(&self, idx: usize) -> Option<f64> {
+        matches!(self.kinds[idx], Base::Zero(_)).then_some(ZERO_DEVIATION_RAD)
     }
 
     fn base_support(&self, idx: usize) -> Vec<bool> {
@@ -612,19 +626,13 @@ const DEPTH: f64 = 0.2;
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use palpate_truth::Stage;
-
     use super::*;
+    use crate::testing::{Session, session};
 
     #[test]
     fn takes_that_are_kept_for_judging_change_nothing_of_what_is_fitted() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
+        let Session { stage, mut takes, nominal } = session("small");
         let station = stage.station();
-        let nominal = SensorModel::from_toml("nominal", &station.nominal_model_toml).unwrap();
-        let mut takes = stage.record(&[], 1).unwrap();
         takes.truncate(1);
         let mut confirm = takes[0].clone();
         confirm.id = "confirm".to_owned();

@@ -51,14 +51,15 @@ pub(crate) struct Profile<'l, 'a, D: Domain> {
     /// Which of the model's own parameters are fitted.
     free: Vec<usize>,
     /// Trials at several sizes, the best first.
-    begun: Vec<Begun<'a, D>>,
+    begun: Vec<Begun>,
 }
 
-/// A fit that was begun.
-struct Begun<'a, D: Domain> {
+/// A fit that was begun. It has the model alone: many profiles wait for one another, and what a model predicts for a
+/// long session takes much memory.
+struct Begun {
     /// Loss that it removes.
     gained: f64,
-    tried: Linear<'a, D>,
+    model: Model,
     /// Whether more steps would gain nothing worth while.
     is_done: bool,
 }
@@ -73,7 +74,9 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         let Some(first) = parameters.first() else { return Ok(None) };
         let domain = linear.domain;
         let reach = domain.support(effect, &first.name);
-        let covers = |&idx: &usize| domain.usual(idx).is_none() && within(&reach, &domain.base_support(idx));
+        let covers = |&idx: &usize| {
+            domain.prior_standard_deviation(idx).is_none() && within(&reach, &domain.base_support(idx))
+        };
         let free = (0..domain.base().len()).filter(covers).collect();
         let mut profile = Self { linear, free, begun: Vec::new() };
         let mut starts = vec![effect.clone()];
@@ -87,7 +90,7 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         }
         let start = |start: Effect| {
             let tried = linear.moved_to(linear.with(start))?;
-            Ok(Begun { gained: profile.gained(&tried), tried, is_done: false })
+            Ok(Begun { gained: profile.gained(&tried), model: tried.model, is_done: false })
         };
         let started = starts.into_par_iter().map(start).collect::<Result<_, DiagnosisError>>()?;
         let begun = best_of(started, PROFILES_BEGUN).into_par_iter().map(|begun| profile.stepped(begun, 1));
@@ -107,8 +110,8 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
         let Some(best) = best_of(ended.collect::<Result<_, DiagnosisError>>()?, 1).pop() else {
             return Ok(None);
         };
-        let best = self.resized(best)?;
-        Ok(Some(Profiled { held_out_gains: self.held_out_gains(&best.tried)?, model: best.tried.model }))
+        let tried = self.linear.moved_to(self.resized(best)?.model)?;
+        Ok(Some(Profiled { held_out_gains: self.held_out_gains(&tried)?, model: tried.model }))
     }
 
     /// [`Self::gains`], less what each take loses when the parameters are fitted to the others: a step from where all
@@ -127,15 +130,15 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
     }
 
     /// `ended`, or what it becomes at a size between the doses.
-    fn resized(&self, ended: Begun<'a, D>) -> Result<Begun<'a, D>, DiagnosisError> {
-        let model = &ended.tried.model;
+    fn resized(&self, ended: Begun) -> Result<Begun, DiagnosisError> {
+        let model = &ended.model;
         let Some((effect, others)) = model.effects.split_last() else { return Ok(ended) };
         let parameters = self.linear.domain.parameters(effect);
         let resize = |scale: &f64| {
             let mut effects = others.to_vec();
             effects.push(scaled(effect, &parameters[..1], *scale));
             let tried = self.linear.moved_to(Model { base: model.base.clone(), effects })?;
-            Ok(Begun { gained: self.gained(&tried), tried, is_done: false })
+            Ok(Begun { gained: self.gained(&tried), model: tried.model, is_done: false })
         };
         let resized = BETWEEN_DOSES.par_iter().map(resize).collect::<Result<_, DiagnosisError>>()?;
         match best_of(resized, 1).pop() {
@@ -156,8 +159,12 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
     }
 
     /// `begun` after up to so many further `steps`.
-    fn stepped(&self, begun: Begun<'a, D>, steps: usize) -> Result<Begun<'a, D>, DiagnosisError> {
-        let Begun { mut tried, mut is_done, .. } = begun;
+    fn stepped(&self, begun: Begun, steps: usize) -> Result<Begun, DiagnosisError> {
+        if begun.is_done {
+            return Ok(begun);
+        }
+        let mut tried = self.linear.moved_to(begun.model)?;
+        let mut is_done = false;
         let base = self.linear.domain.base();
         for _ in 0..steps {
             if is_done {
@@ -176,12 +183,12 @@ impl<'l, 'a, D: Domain> Profile<'l, 'a, D> {
             is_done = lower.as_ref().is_none_or(|lower| lower.is_done);
             tried = lower.map_or(tried, |lower| lower.linear);
         }
-        Ok(Begun { gained: self.gained(&tried), tried, is_done })
+        Ok(Begun { gained: self.gained(&tried), model: tried.model, is_done })
     }
 }
 
 /// The `most` that gained most, the best first.
-fn best_of<'a, D: Domain>(mut fits: Vec<Begun<'a, D>>, most: usize) -> Vec<Begun<'a, D>> {
+fn best_of(mut fits: Vec<Begun>, most: usize) -> Vec<Begun> {
     fits.sort_by(|one, other| other.gained.total_cmp(&one.gained));
     fits.truncate(most);
     fits

@@ -9,7 +9,7 @@ use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use super::normal::inverse;
-use super::rows::{Column, Rows};
+use super::rows::{Column, Rows, add_priors};
 use super::segment::{Segment, square};
 use super::{Domain, Model, Series, huber};
 use crate::DiagnosisError;
@@ -27,11 +27,11 @@ pub(crate) struct Linear<'a, D: Domain> {
     pub(crate) predicted: Vec<Vec<Series>>,
     rows: Arc<Rows>,
     segments: Vec<Arc<Segment>>,
-    /// Huber's loss of the residuals, and [`Self::unusual`].
+    /// Huber's loss of the residuals, and [`Self::prior_loss`].
     pub(crate) loss: f64,
     /// How far the model is from what is known of its own parameters beforehand: squares of standard deviations,
     /// summed.
-    unusual: f64,
+    prior_loss: f64,
     /// Huber's loss of the residuals by take and by kind of row, `[take * num_kinds + kind]`.
     losses: Vec<f64>,
     nuisances: Nuisances,
@@ -61,7 +61,7 @@ struct Nuisances {
     count: usize,
     /// Per row, where its values start; `u32::MAX` if all are zero.
     index: Vec<u32>,
-    values: Vec<f64>,
+    values: Vec<f32>,
     /// Inverse of the normal matrix.
     inverse: DMatrix<f64>,
     /// Normal matrix of each block.
@@ -89,7 +89,7 @@ impl Nuisances {
     }
 
     /// Values of `row`; `None` if all are zero.
-    fn of_row(&self, row: usize) -> Option<&[f64]> {
+    fn of_row(&self, row: usize) -> Option<&[f32]> {
         let start = *self.index.get(row)?;
         (start != u32::MAX).then(|| &self.values[start as usize..start as usize + self.count])
     }
@@ -185,14 +185,14 @@ impl<'a, D: Domain> Linear<'a, D> {
             along_nuisances: vec![DVector::zeros(0); rows.takes.len()],
             squares: squares.clone(),
         };
-        let unusual = unusual(domain, &model).map(|(_, loss)| loss).sum::<f64>();
+        let prior_loss = prior_losses(domain, &model).map(|(_, loss)| loss).sum::<f64>();
         Self {
             domain,
             model,
             takes: takes.to_vec(),
             predicted,
-            loss: losses.iter().sum::<f64>() + unusual,
-            unusual,
+            loss: losses.iter().sum::<f64>() + prior_loss,
+            prior_loss,
             losses,
             nuisances: Nuisances::none(rows.takes.len(), squares),
             residual,
@@ -220,7 +220,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         };
         // Summed in one order, whatever the number of threads.
         let of_segments: Vec<f64> = self.segments.par_iter().enumerate().map(of_segment).collect();
-        of_segments.iter().sum::<f64>() + self.unusual
+        of_segments.iter().sum::<f64>() + self.prior_loss
     }
 
     /// Loss by take.
@@ -234,7 +234,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         for (idx, segment) in self.segments.iter().enumerate() {
             losses[self.rows.unit(idx)] += segment.loss;
         }
-        for (idx, loss) in unusual(self.domain, &self.model) {
+        for (idx, loss) in prior_losses(self.domain, &self.model) {
             if let Some(unit) = self.domain.base_support(idx).iter().position(|reached| *reached) {
                 losses[unit] += loss;
             }
@@ -309,14 +309,9 @@ impl<'a, D: Domain> Linear<'a, D> {
         let of_takes: Vec<Vec<(DMatrix<f64>, DVector<f64>)>> =
             (0..self.takes.len()).into_par_iter().map(|take| self.normals_of(&nuisances, take)).collect();
         (nuisances.by_block, nuisances.along) = of_takes.into_iter().flatten().unzip();
-        if let (Some(normal), Some(along)) = (nuisances.by_block.last_mut(), nuisances.along.last_mut()) {
-            for (idx, column) in columns.iter().enumerate() {
-                normal[(idx, idx)] += column.known.precision;
-                along[idx] += column.known.score;
-            }
-        }
+        add_priors(columns, &mut nuisances.by_block, &mut nuisances.along);
         if let Some(square) = nuisances.squares.last_mut() {
-            *square += self.unusual;
+            *square += self.prior_loss;
         }
         let mut normal = DMatrix::zeros(count, count);
         for (of_block, &take) in nuisances.by_block.iter().zip(&self.rows.takes) {
@@ -330,7 +325,7 @@ impl<'a, D: Domain> Linear<'a, D> {
     }
 
     /// The values of `columns` row by row: where those of each row start (`u32::MAX` if all are zero), and the values.
-    fn by_row(&self, columns: &[Column]) -> (Vec<u32>, Vec<f64>) {
+    fn by_row(&self, columns: &[Column]) -> (Vec<u32>, Vec<f32>) {
         let mut index = vec![u32::MAX; self.rows.blocks.len()];
         columns.iter().flat_map(|column| &column.rows).for_each(|&row| index[row as usize] = 0);
         let mut end = 0;
@@ -338,10 +333,10 @@ impl<'a, D: Domain> Linear<'a, D> {
             *start = end;
             end += columns.len() as u32;
         }
-        let mut values = vec![0.0; end as usize];
+        let mut values = vec![0.0_f32; end as usize];
         for (idx, column) in columns.iter().enumerate() {
             for (&row, &value) in column.rows.iter().zip(&column.values) {
-                values[index[row as usize] as usize + idx] = f64::from(value);
+                values[index[row as usize] as usize + idx] = value;
             }
         }
         (index, values)
@@ -358,10 +353,11 @@ impl<'a, D: Domain> Linear<'a, D> {
             for (row, residual) in (start..).zip(segment.residual.iter()) {
                 let Some(values) = nuisances.of_row(row) else { continue };
                 let (normal, along) = &mut of_blocks[self.rows.blocks[row] as usize - first];
-                for (i, a) in values.iter().enumerate().filter(|(_, a)| **a != 0.0) {
+                for (i, &a) in values.iter().enumerate().filter(|(_, a)| **a != 0.0) {
+                    let a = f64::from(a);
                     along[i] += a * residual;
                     let mut below = normal.view_mut((i, i), (count - i, 1));
-                    below.iter_mut().zip(&values[i..]).for_each(|(sum, b)| *sum += a * b);
+                    below.iter_mut().zip(&values[i..]).for_each(|(sum, &b)| *sum += a * f64::from(b));
                 }
             }
         }
@@ -424,7 +420,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                     }
                     if let Some(values) = self.nuisances.of_row(row) {
                         let sums = along[self.rows.blocks[row] as usize].iter_mut();
-                        sums.zip(values).for_each(|(sum, value)| *sum += value * change);
+                        sums.zip(values).for_each(|(sum, &value)| *sum += f64::from(value) * change);
                     }
                 }
             }
@@ -480,9 +476,10 @@ impl<'a, D: Domain> Linear<'a, D> {
                     normals[block][(i, i)] += value * value;
                     if let Some(values) = self.nuisances.of_row(row) {
                         let mut with = nuisances_with[block].column_mut(i);
-                        for ((nuisance, coefficient), with) in
+                        for ((&nuisance, coefficient), with) in
                             values.iter().zip(coefficients.iter()).zip(with.iter_mut())
                         {
+                            let nuisance = f64::from(nuisance);
                             left -= nuisance * coefficient;
                             *with += value * nuisance;
                         }
@@ -494,12 +491,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                 column.each_common(other, |row, product| normals[blocks[row] as usize][(i, j)] += product);
             }
         }
-        if let (Some(normal), Some(score)) = (normals.last_mut(), scores.last_mut()) {
-            for (i, column) in columns.iter().enumerate() {
-                normal[(i, i)] += column.known.precision;
-                score[i] += column.known.score;
-            }
-        }
+        add_priors(columns, &mut normals, &mut scores);
         for normal in &mut normals {
             normal.fill_upper_triangle_with_lower_triangle();
         }
@@ -568,10 +560,10 @@ impl<'a, D: Domain> Linear<'a, D> {
         let mut along = DVector::zeros(self.nuisances.count);
         for (&row, &value) in column.rows.iter().zip(&column.values) {
             values[row as usize] = f64::from(value);
-            for (sum, nuisance) in
+            for (sum, &nuisance) in
                 along.iter_mut().zip(self.nuisances.of_row(row as usize).unwrap_or_default())
             {
-                *sum += nuisance * f64::from(value);
+                *sum += f64::from(nuisance) * f64::from(value);
             }
         }
         let of_column = &self.nuisances.inverse * along;
@@ -580,7 +572,8 @@ impl<'a, D: Domain> Linear<'a, D> {
             for (row, residual) in (self.rows.starts[segment]..).zip(residual.iter()) {
                 let (mut value, mut left) = (values[row], *residual);
                 let nuisances = self.nuisances.of_row(row).unwrap_or_default();
-                for (idx, nuisance) in nuisances.iter().enumerate() {
+                for (idx, &nuisance) in nuisances.iter().enumerate() {
+                    let nuisance = f64::from(nuisance);
                     value -= nuisance * of_column[idx];
                     left -= nuisance * self.residual.coefficients[idx];
                 }
@@ -616,8 +609,9 @@ impl<'a, D: Domain> Linear<'a, D> {
 
 /// The model's own parameters of which something is known beforehand, with the squares of the standard deviations that
 /// `model` has them away from it.
-fn unusual<D: Domain>(domain: &D, model: &Model) -> impl Iterator<Item = (usize, f64)> {
-    let of = |(idx, value): (usize, &f64)| Some((idx, (value / domain.usual(idx)?).powi(2)));
+fn prior_losses<D: Domain>(domain: &D, model: &Model) -> impl Iterator<Item = (usize, f64)> {
+    let of =
+        |(idx, value): (usize, &f64)| Some((idx, (value / domain.prior_standard_deviation(idx)?).powi(2)));
     model.base.iter().enumerate().filter_map(of)
 }
 

@@ -5,7 +5,7 @@ use palpate_sim::effects::{Effect, Parameter};
 
 use super::fit::{Fitted, refit};
 use super::linear::Linear;
-use super::{Domain, Model};
+use super::{Domain, Model, share};
 use crate::DiagnosisError;
 use crate::fired::{Fired, Withheld};
 
@@ -68,7 +68,7 @@ impl Tried {
             base: model.base.clone(),
             evidence,
             held_out_gain,
-            share: held_out_gain / loss.max(f64::MIN_POSITIVE),
+            share: share(held_out_gain, loss),
             takes_improved: gains.iter().filter(|gain| **gain > 0.0).count(),
         }
     }

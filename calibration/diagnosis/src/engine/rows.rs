@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use nalgebra::{DMatrix, DVector};
+
 use super::Domain;
 
 /// The response of all rows to one unit of a parameter, where it is not zero.
@@ -12,12 +14,12 @@ pub(crate) struct Column {
     pub(super) rows: Vec<u32>,
     pub(super) values: Vec<f32>,
     /// What is known of the parameter beforehand.
-    pub(super) known: Known,
+    pub(super) prior: Prior,
 }
 
 /// What is known of a parameter before anything is measured, as one more row: 0 where nothing is.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Known {
+pub(super) struct Prior {
     /// One over its variance.
     pub(super) precision: f64,
     /// The precision times how far the parameter would have to go.
@@ -45,6 +47,17 @@ impl Column {
 
     pub(super) fn is_empty(&self) -> bool {
         self.rows.is_empty()
+    }
+}
+
+/// Adds what is known of the parameters of `columns` to the last block, which has no rows: to its normal matrix, and to the
+/// products of its responses with what is left.
+pub(super) fn add_priors(columns: &[Column], normals: &mut [DMatrix<f64>], scores: &mut [DVector<f64>]) {
+    if let (Some(normal), Some(score)) = (normals.last_mut(), scores.last_mut()) {
+        for (idx, column) in columns.iter().enumerate() {
+            normal[(idx, idx)] += column.prior.precision;
+            score[idx] += column.prior.score;
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::linear::{Linear, inside, predict};
 use super::rows::Column;
-use super::{Domain, Series, each, neutral};
+use super::{Domain, Series, each, neutral, share};
 use crate::DiagnosisError;
 
 /// A candidate, to first order.
@@ -121,7 +121,7 @@ fn screen_places<D: Domain>(
             let estimate = stepped(&effect, &parameters, assessment.step.as_slice());
             let promise = assessment.held_out_gains.iter().sum::<f64>();
             let loss = linear.loss_in(&linear.kinds_in(&columns));
-            let promised_share = promise / loss.max(f64::MIN_POSITIVE);
+            let promised_share = share(promise, loss);
             let screened = Screened { effect: estimate, parameters, promise, promised_share };
             match &screened.effect.place {
                 Place::Stream(_) if screened.parameters.len() <= FEW => {

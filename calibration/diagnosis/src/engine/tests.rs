@@ -12,6 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::linear::{Linear, predict};
+use super::naming::Tried;
 use super::{BaseParameter, Contributions, Domain, Model, Naming, NamingConfig, Series, each, name, refit};
 use crate::DiagnosisError;
 
@@ -29,7 +30,7 @@ struct Sines {
     /// What the level is known to be.
     level: Option<f64>,
     /// Standard deviation that the second number of the base is known to have.
-    usual: Option<f64>,
+    prior: Option<f64>,
 }
 
 const SHAPES: [&str; 4] = ["slow", "fast", "nearly_fast", "square"];
@@ -96,7 +97,7 @@ impl Sines {
             base: LEVELS[..1].to_vec(),
             shapes: &SHAPES,
             level: None,
-            usual: None,
+            prior: None,
         }
     }
 
@@ -138,8 +139,8 @@ impl Domain for Sines {
         &self.base
     }
 
-    fn usual(&self, idx: usize) -> Option<f64> {
-        self.usual.filter(|_| idx == 1)
+    fn prior_standard_deviation(&self, idx: usize) -> Option<f64> {
+        self.prior.filter(|_| idx == 1)
     }
 
     fn candidates(&self) -> Vec<Effect> {
@@ -232,10 +233,10 @@ fn what_the_model_takes_up_is_no_news_as_far_as_its_range_goes() {
 
 #[test]
 fn what_is_known_beforehand_counts_as_one_more_row() {
-    let (hidden, usual) = (0.3, 0.01);
+    let (hidden, prior) = (0.3, 0.01);
     let mut sines = Sines::new(&[("slow", hidden)], 5);
     sines.base = LEVELS.to_vec();
-    sines.usual = Some(usual);
+    sines.prior = Some(prior);
     let start = Model { base: vec![0.7, 0.0], effects: Vec::new() };
     let Model { base, .. } = refit(&sines, &start, &[0, 1, 2, 3], 8).unwrap();
     // The normal equations of the level and the shape, by hand.
@@ -247,7 +248,7 @@ fn what_is_known_beforehand_counts_as_one_more_row() {
         sum(&|_, _| 1.0),
         sum(&|row, _| slow(row)),
         sum(&|row, _| slow(row)),
-        sum(&|row, _| slow(row).powi(2)) + usual.powi(-2),
+        sum(&|row, _| slow(row).powi(2)) + prior.powi(-2),
     );
     let right = Vector2::new(sum(&|_, y| y), sum(&|row, y| slow(row) * y));
     let expected = normal.try_inverse().unwrap() * right;
@@ -266,7 +267,7 @@ fn a_name_that_usual_sizes_account_for_as_well_is_dropped() {
         named.sort_unstable();
         assert_eq!(named, ["slow", "square"]);
         sines.base = LEVELS.to_vec();
-        sines.usual = Some(0.05);
+        sines.prior = Some(0.05);
         naming.model.base.push(0.0);
         naming.weigh_again(&sines, 0, &[0, 1, 2, 3], config().kept_bar).unwrap();
         assert_eq!(naming.evidence.len(), naming.model.effects.len());
@@ -274,6 +275,14 @@ fn a_name_that_usual_sizes_account_for_as_well_is_dropped() {
     };
     assert_eq!(left(0.1), ["square"]);
     assert_eq!(left(0.5).len(), 2);
+}
+
+#[test]
+fn nothing_is_a_share_of_no_loss() {
+    let effect = sized("slow", Place::Stream("all".to_owned()), 0.3);
+    let model = Model { base: Vec::new(), effects: Vec::new() };
+    let tried = |loss: f64| Tried::new(effect.clone(), &model, 0.0, &[2.0, 1.0], loss).share;
+    assert_eq!([tried(12.0), tried(0.0)], [0.25, 0.0]);
 }
 
 #[test]

@@ -90,6 +90,14 @@ impl ChannelLoad {
         Self { arrived: Arc::new(arrived), checksum, activations, readings }
     }
 
+    /// What it takes in memory, bytes.
+    fn num_bytes(&self) -> usize {
+        let Arrived { present, past, .. } = &*self.arrived;
+        let made = self.activations.0.iter().map(|(_, series)| series);
+        let made = made.chain(self.readings.0.iter().map(|(_, series)| series));
+        made.chain(past).chain([present]).map(|series| size_of_val(&series[..])).sum()
+    }
+
     /// Whether its load has the bits of that of `other`.
     fn is(&self, other: &Self) -> bool {
         let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
@@ -132,6 +140,8 @@ impl<const N: usize> Recent<N> {
 /// What is remembered of a limb in a take.
 pub(super) struct Memory {
     channels: Vec<Kept<Arc<ChannelLoad>>>,
+    /// The most that `channels` may take, bytes.
+    channels_bytes: usize,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
     /// The most that `patches` may take, bytes.
     patches_bytes: usize,
@@ -154,11 +164,14 @@ const MOTIONS_KEPT: usize = 80;
 /// What the geometries of patches that are remembered may take over all limbs and takes, bytes: long sessions remember fewer.
 /// Eight times as much makes a session of nine takes 1 % faster.
 const MOTIONS_BYTES: usize = 1 << 29;
+/// The same of the loads of channels.
+const LOADS_BYTES: usize = 1 << 28;
 
 impl Memory {
     /// One of `num_memories` that share the room.
     pub(super) fn new(num_channels: usize, num_patches: usize, num_memories: usize) -> Mutex<Self> {
         Mutex::new(Self {
+            channels_bytes: LOADS_BYTES / num_memories.max(1),
             patches_bytes: MOTIONS_BYTES / num_memories.max(1),
             channels: (0..num_channels).map(|_| Kept::new(LOADS_KEPT)).collect(),
             switched: vec![Recent(Vec::new()); num_channels],
@@ -166,6 +179,25 @@ impl Memory {
             geometries: Kept::new(GEOMETRIES_KEPT),
             touches: Kept::new(GEOMETRIES_KEPT),
         })
+    }
+
+    /// Forgets the oldest loads of channels of which most are remembered, as far as they take more than they may.
+    fn forget_loads(&mut self) {
+        // Numbers that make no difference to a channel leave it one load under several keys.
+        let of_channel = |kept: &Kept<Arc<ChannelLoad>>| -> usize {
+            let is_first = |idx: usize, load: &Arc<ChannelLoad>| {
+                kept.entries[..idx].iter().all(|(_, other)| !Arc::ptr_eq(other, load))
+            };
+            let entries = kept.entries.iter().enumerate().filter(|(idx, (_, load))| is_first(*idx, load));
+            entries.map(|(_, (_, load))| load.num_bytes()).sum()
+        };
+        let mut num_bytes: Vec<usize> = self.channels.iter().map(of_channel).collect();
+        while num_bytes.iter().sum::<usize>() > self.channels_bytes {
+            let longest = (0..num_bytes.len()).max_by_key(|&idx| self.channels[idx].entries.len());
+            let Some(idx) = longest.filter(|&idx| self.channels[idx].entries.len() > 1) else { return };
+            self.channels[idx].entries.remove(0);
+            num_bytes[idx] = of_channel(&self.channels[idx]);
+        }
     }
 
     /// Forgets the oldest geometries of patches of which most are remembered, as far as they take more than they may.
@@ -354,6 +386,7 @@ impl TactileDomain<'_> {
             observed.frames(limb).iter().map(at).collect()
         };
         let mut signals = Vec::with_capacity(keys.len());
+        let mut is_more_remembered = false;
         for ((channel, keys), known) in keys.into_iter().zip(known) {
             let load = known.clone().or_else(|| {
                 let arrived = arrived[channel].take()?;
@@ -375,10 +408,14 @@ impl TactileDomain<'_> {
                     made.activations.put(keys.activation, &activation);
                     made.readings.put(keys.reading, &reading);
                     self.memory(take, limb).channels[channel].put(keys.load, load);
+                    is_more_remembered = true;
                     (activation, reading)
                 }
             };
             signals.push((channel, [activation, reading, self.switched(take, limb, channel, &switching)]));
+        }
+        if is_more_remembered {
+            self.memory(take, limb).forget_loads();
         }
         Ok(signals)
     }
@@ -548,25 +585,19 @@ fn add_place(key: &mut Key, place: &Place) {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use palpate_sim::SensorModel;
-    use palpate_truth::Stage;
-
     use super::*;
+    use crate::testing::{Session, session};
 
     #[test]
     fn what_is_remembered_has_the_bits_of_what_is_new() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
-        let takes = stage.record(&[], 1).unwrap();
-        let nominal = SensorModel::from_toml("nominal", &stage.station().nominal_model_toml).unwrap();
+        let Session { stage, takes, nominal } = session("small");
         let every_take: Vec<usize> = (0..takes.len()).collect();
         let new = || TactileDomain::new(stage.station(), &takes, &every_take, &nominal).unwrap();
         let (remembering, start) = new();
         let (forgetting, _) = new();
         for memory in forgetting.memories.iter().flatten() {
-            memory.lock().unwrap().patches_bytes = 0;
+            let mut memory = memory.lock().unwrap();
+            (memory.patches_bytes, memory.channels_bytes) = (0, 0);
         }
         remembering.predict(0, &start).unwrap();
         let mut models = Vec::new();

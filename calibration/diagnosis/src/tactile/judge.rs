@@ -305,20 +305,16 @@ pub(crate) fn set_thresholds(
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use nalgebra::Isometry3;
     use palpate_robot_model::Place;
     use palpate_sim::effects::Effect;
-    use palpate_truth::Stage;
 
     use super::*;
+    use crate::testing::{Session, session};
 
     #[test]
     fn every_pair_of_a_planned_session_repeats_a_motion_within_a_frame_of_its_marks() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/blind_tune.toml"));
-        let stage = Stage::read(truth).unwrap();
-        let takes = stage.record(&[], 1).unwrap();
+        let Session { stage, takes, .. } = session("blind_tune");
         let mut num_pairs = 0;
         for take in &takes {
             let observed = Observed::new(stage.station(), take).unwrap();
@@ -373,12 +369,9 @@ mod tests {
 
     #[test]
     fn only_what_is_on_by_chance_flickers() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
+        let Session { stage, takes, nominal: mut model } = session("small");
         let station = stage.station();
-        let takes = stage.record(&[], 1).unwrap();
         let observed = Observed::new(station, &takes[0]).unwrap();
-        let mut model = SensorModel::from_toml("nominal", &station.nominal_model_toml).unwrap();
         let channels = &station.layout.channels;
         for (id, channel) in [("integer_wrap", 0), ("stuck_channel", 1)] {
             model.effects.push(Effect {

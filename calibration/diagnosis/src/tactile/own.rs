@@ -3,19 +3,42 @@
 
 use std::collections::BTreeMap;
 
-use palpate_robot_model::Place;
+use palpate_robot_model::{Place, SensorKind, Station};
 use palpate_sim::effects::Effect;
 
+use super::reading::EXPONENTS;
 use super::{Base, TactileDomain};
-use crate::engine::Model;
+use crate::engine::{BaseParameter, Model};
 
 /// Fitted along and never named: skins that creep by more are told as ones that stay dented (`viscoelastic_release`).
 pub(super) const CREEP: &str = "creep";
 /// Time constants with which a share of a force may come late, s. Soft polymers relax over many decades of time (J. D.
 /// Ferry, "Viscoelastic Properties of Polymers", 1980), of which a take shows three, from a few frames to its length.
-pub(super) const CREEP_TIMES_S: [f64; 3] = [0.3, 3.0, 30.0];
+const CREEP_TIMES_S: [f64; 3] = [0.3, 3.0, 30.0];
 /// A share that comes late with each of them and is no news: soft skins creep by some per cent of a load.
-pub(super) const MOST_CREEP: f64 = 0.1;
+const MOST_CREEP: f64 = 0.1;
+
+/// Power of the loads on a stream of `station` with which readings and forces grow, and what it is to begin with: the load
+/// of a pad is a depth.
+pub(super) fn exponent(station: &Station, stream: usize) -> (Base, BaseParameter, f64) {
+    let stream_of = &station.layout.streams[stream];
+    let [lower, upper] = EXPONENTS;
+    let name = format!("exponent.{}", stream_of.id);
+    let value = match stream_of.kind {
+        SensorKind::Proximity => 2.0,
+        SensorKind::Pressure => 1.0,
+    };
+    (Base::Exponent(stream), BaseParameter { name, lower, upper, dose: 0.05 }, value)
+}
+
+/// How the skin of a stream of `station` may creep.
+pub(super) fn creeps(station: &Station, stream: usize) -> impl Iterator<Item = (Base, BaseParameter)> {
+    let id = &station.layout.streams[stream].id;
+    CREEP_TIMES_S.iter().enumerate().map(move |(time, time_s)| {
+        let name = format!("creep_{time_s}_s.{id}");
+        (Base::Creep(stream, time), BaseParameter { name, lower: 0.0, upper: MOST_CREEP, dose: 0.02 })
+    })
+}
 
 impl TactileDomain<'_> {
     /// Numbers of `model` as effects.

@@ -106,21 +106,15 @@ impl TactileDomain<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use palpate_truth::Stage;
-
     use super::*;
     use crate::engine::Domain as _;
+    use crate::testing::{Session, session};
 
     #[test]
     fn what_streams_have_of_their_own_is_fitted_and_kept_for_them() {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
+        let Session { stage, mut takes, nominal: shared } = session("small");
         let station = stage.station();
-        let mut takes = stage.record(&[], 1).unwrap();
         takes.truncate(1);
-        let shared = SensorModel::from_toml("nominal", &station.nominal_model_toml).unwrap();
         let mut own = shared.clone();
         for stream in &station.layout.streams {
             own.streams.insert(stream.id.clone(), StreamTheta::of_kind(stream.kind, &shared.theta));

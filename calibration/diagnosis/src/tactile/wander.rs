@@ -128,23 +128,20 @@ fn median(values: Vec<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use palpate_recording::Take;
     use palpate_robot_model::Station;
-    use palpate_truth::Stage;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::testing::{Session, session};
 
     /// What is told of the first stream of an emulated station to whose readings `shift` adds so many thresholds, by
     /// time in s.
     fn wander(mut shift: impl FnMut(f64) -> f64) -> Wander {
-        let truth = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/truth/small.toml"));
-        let stage = Stage::read(truth).unwrap();
+        let Session { stage, mut takes, .. } = session("small");
         let station = stage.station();
-        let mut take: Take = stage.record(&[], 1).unwrap().remove(0);
+        let mut take = takes.remove(0);
         let (log, width) = (&mut take.streams[0], station.layout.streams[0].channels.len());
         for (sample, time_s) in log.raw.chunks_exact_mut(width).zip(&log.times_s) {
             let shift = shift(*time_s) * station.streams[0].on_threshold;

@@ -3,7 +3,7 @@
 use palpate_sim::effects::Parameter;
 use rayon::prelude::*;
 
-use super::super::rows::{Column, Known};
+use super::super::rows::{Column, Prior};
 use super::super::{Domain, Model, Series};
 use super::{Linear, predict};
 use crate::DiagnosisError;
@@ -18,7 +18,7 @@ impl<D: Domain> Linear<'_, D> {
             .par_iter()
             .map(|&idx| {
                 let (model, step) = self.base_stepped(idx);
-                Ok(Column { known: self.known(idx), ..self.response(&model, step)? })
+                Ok(Column { prior: self.prior(idx), ..self.response(&model, step)? })
             })
             .collect()
     }
@@ -54,7 +54,7 @@ impl<D: Domain> Linear<'_, D> {
     /// little respond as they did there.
     pub(crate) fn columns_near(&self, before: &[Column]) -> Result<Vec<Column>, DiagnosisError> {
         let of_base = self.model.base.len();
-        let stays = |idx: usize| idx < before.len() && self.domain.usual(idx).is_some();
+        let stays = |idx: usize| idx < before.len() && self.domain.prior_standard_deviation(idx).is_some();
         let mut variants: Vec<Option<(Model, f64)>> =
             (0..of_base).map(|idx| (!stays(idx)).then(|| self.base_stepped(idx))).collect();
         for (effect_idx, effect) in self.model.effects.iter().enumerate() {
@@ -71,16 +71,17 @@ impl<D: Domain> Linear<'_, D> {
                 Some((model, step)) => self.response(model, *step)?,
                 None => before[idx].clone(),
             };
-            let known = if idx < of_base { self.known(idx) } else { Known::default() };
-            Ok(Column { known, ..column })
+            let prior = if idx < of_base { self.prior(idx) } else { Prior::default() };
+            Ok(Column { prior, ..column })
         };
         variants.par_iter().enumerate().map(column).collect()
     }
 
     /// What is known of the model's own parameter `idx`.
-    fn known(&self, idx: usize) -> Known {
-        let precision = self.domain.usual(idx).map_or(0.0, |usual| usual.powi(-2));
-        Known { precision, score: -precision * self.model.base[idx] }
+    fn prior(&self, idx: usize) -> Prior {
+        let deviation = self.domain.prior_standard_deviation(idx);
+        let precision = deviation.map_or(0.0, |deviation| deviation.powi(-2));
+        Prior { precision, score: -precision * self.model.base[idx] }
     }
 
     /// Weighted difference between the predictions of `model` and of this one, over `step`.
@@ -121,6 +122,11 @@ impl<D: Domain> Linear<'_, D> {
             if column.rows.len() > first {
                 column.parts.push((idx, first..column.rows.len()));
             }
+        }
+        // They grew by doubling, and some are kept for long.
+        for column in &mut columns {
+            column.rows.shrink_to_fit();
+            column.values.shrink_to_fit();
         }
         columns
     }
