@@ -65,7 +65,7 @@ enum Base {
     Knee(usize),
     /// What filter and transport of a stream delay its readings by, s.
     Lag(usize),
-    /// Share of a force that a stream feels late, and by which of [`own::CREEP_TIMES_S`].
+    /// Share of a force that a stream feels late, and by which of the times it creeps with.
     Creep(usize, usize),
     /// How far a joint, by its degree of freedom, stands from where it reports, rad.
     Zero(usize),
