@@ -25,6 +25,7 @@ mod name;
 mod naming;
 mod normal;
 mod reconsider;
+mod robust;
 mod rows;
 mod screen;
 mod segment;

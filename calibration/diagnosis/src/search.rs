@@ -81,6 +81,29 @@ mod tests {
         assert!(most < 3e-3, "{most}");
         assert_eq!(recorded.base().len(), fitted.base.len());
     }
+
+    /// Takes raw readings away, and leaves events.
+    fn take_readings_away(take: &mut Take) {
+        for log in &mut take.streams {
+            log.raw.clear();
+            log.reference.clear();
+            log.later_references.clear();
+        }
+    }
+
+    #[test]
+    fn a_stream_that_stands_still_is_looked_for_in_readings_alone() {
+        let Session { stage, mut takes, nominal } = session("small");
+        takes.truncate(1);
+        let looked_for = |takes: &[Take]| {
+            let (domain, _) = TactileDomain::new(stage.station(), takes, &[0], &nominal).unwrap();
+            domain.candidates().iter().any(|candidate| candidate.id == "sample_hold")
+        };
+        assert!(looked_for(&takes));
+        takes.iter_mut().for_each(take_readings_away);
+        assert!(!looked_for(&takes));
+    }
+
     #[test]
     fn of_events_alone_creep_is_fitted_along_too() {
         let Session { stage, mut takes, nominal } = session("small");
@@ -101,11 +124,7 @@ mod tests {
             [before, num(&domain)]
         };
         assert_eq!(num_creeps(&takes), [3 * num_streams; 2]);
-        for log in &mut takes[0].streams {
-            log.raw.clear();
-            log.reference.clear();
-            log.later_references.clear();
-        }
+        take_readings_away(&mut takes[0]);
         assert_eq!(num_creeps(&takes), [0, 3 * num_streams]);
     }
 }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::descend::{Free, descend};
 use super::linear::{Assessment, Linear, Residual, predict};
+use super::robust::Blocks;
 use super::screen::{responses, stepped};
 use super::{Domain, Model, Series, within};
 use crate::DiagnosisError;
@@ -228,7 +229,8 @@ pub(crate) fn fit<D: Domain>(
         Ok(Attempt { left: linear.residual_of(&predicted), predicted, effect })
     };
     let assessed = |tried: &Attempt| -> Result<Assessment, DiagnosisError> {
-        Ok(linear.assess(&responses(linear, &tried.effect, parameters, &tried.predicted)?, &tried.left))
+        let columns = responses(linear, &tried.effect, parameters, &tried.predicted)?;
+        Ok(linear.assess_with_errors(&columns, &tried.left, columns.len(), Blocks::Many))
     };
     // A dose response flattens out: where an effect is large, its estimate from a small dose falls short.
     let mut best = tried(start.clone())?;

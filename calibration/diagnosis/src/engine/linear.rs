@@ -9,6 +9,7 @@ use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use super::normal::inverse;
+use super::robust::{Blocks, standard_errors};
 use super::rows::{Column, Rows, add_priors};
 use super::segment::{Segment, square};
 use super::{Domain, Model, Series, huber};
@@ -104,7 +105,7 @@ pub(crate) struct Assessment {
     pub(crate) normal: DMatrix<f64>,
     /// R~'r.
     pub(crate) score: DVector<f64>,
-    /// Standard error of each, robust against dependence within blocks.
+    /// Standard errors of the last parameters, as many as were asked for, robust against dependence within blocks.
     pub(crate) standard_errors: Vec<f64>,
     /// Loss that steps fitted to the other takes remove, by take; to other blocks, where few takes see them. The
     /// nuisances are projected out with their coefficients of all takes.
@@ -117,8 +118,6 @@ const FEW_TAKES: usize = 3;
 const LEAST_TAKE_SHARE: f64 = 0.02;
 /// Folds of blocks.
 const FEW_FOLDS: usize = 5;
-/// Share of the variance that independent rows of standard weight would give a parameter, below which none is believed.
-const LEAST_SPREAD: f64 = 0.01;
 
 impl<'a, D: Domain> Linear<'a, D> {
     /// Linearises `model` over `takes`; its own parameters and those of its effects become nuisances.
@@ -454,9 +453,19 @@ impl<'a, D: Domain> Linear<'a, D> {
 
     /// What `columns` can do about `residual` (as [`Self::residual`] or [`Self::residual_of`]).
     ///
-    /// With R the responses and N the nuisances, R~ = R - N (N'N)^-1 N'R; the step is (R~'R~)^-1 R~'r, its covariance
-    /// the sandwich over blocks.
+    /// With R the responses and N the nuisances, R~ = R - N (N'N)^-1 N'R; the step is (R~'R~)^-1 R~'r.
     pub(crate) fn assess(&self, columns: &[Column], residual: &Residual) -> Assessment {
+        self.assess_with_errors(columns, residual, 0, Blocks::Many)
+    }
+
+    /// The same, with standard errors (of the sandwich over blocks) of the last `num_errors` parameters.
+    pub(crate) fn assess_with_errors(
+        &self,
+        columns: &[Column],
+        residual: &Residual,
+        num_errors: usize,
+        taken: Blocks,
+    ) -> Assessment {
         let coefficients = &residual.coefficients;
         let k = columns.len();
         let Nuisances { count: m, inverse: p, by_block, .. } = &self.nuisances;
@@ -510,17 +519,8 @@ impl<'a, D: Domain> Linear<'a, D> {
         let s = projected_scores.iter().fold(DVector::zeros(k), |sum, part| sum + part);
         let h_inverse = inverse(&h);
         let step = &h_inverse * &s;
-        let mut v = DMatrix::zeros(k, k);
-        for (block, (score, normal)) in projected_scores.iter().zip(&projected_normals).enumerate() {
-            if block + 1 == num_blocks {
-                // What is known beforehand has the variance that is known.
-                v += normal;
-                continue;
-            }
-            let left = score - normal * &step;
-            v += &left * left.transpose();
-        }
-        let covariance = &h_inverse * v * &h_inverse;
+        let standard_errors =
+            standard_errors(&h_inverse, (num_errors, taken), &step, &projected_scores, &projected_normals);
 
         let (folds, num_folds) = self.folds(&projected_normals);
         let mut of_fold = vec![(DVector::<f64>::zeros(k), DMatrix::<f64>::zeros(k, k)); num_folds];
@@ -538,19 +538,7 @@ impl<'a, D: Domain> Linear<'a, D> {
             held_out_gains[*take] +=
                 2.0 * projected_scores[block].dot(step) - step.dot(&(&projected_normals[block] * step));
         }
-        Assessment {
-            // What explains its rows perfectly leaves no spread to judge by, but no row is measured without error.
-            standard_errors: covariance
-                .diagonal()
-                .iter()
-                .zip(h_inverse.diagonal().iter())
-                .map(|(robust, of_rows)| robust.max(LEAST_SPREAD * of_rows).max(0.0).sqrt())
-                .collect(),
-            step,
-            normal: h,
-            score: s,
-            held_out_gains,
-        }
+        Assessment { standard_errors, step, normal: h, score: s, held_out_gains }
     }
 
     /// Calls `visit` with the take, the value of `column` and the residual of every row, both with the nuisances

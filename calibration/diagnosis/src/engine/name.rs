@@ -14,6 +14,7 @@ use super::naming::{
     FEW, Naming, NamingConfig, REFIT_STEPS, Round, Tried, evidence, joint_evidence, key, stands_in,
 };
 use super::reconsider::reconsider;
+use super::robust::Blocks;
 use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
@@ -133,7 +134,7 @@ pub fn name<D: Domain>(
     }
     reconsider(domain, &mut model, known, &mut rounds, takes, config.bar)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
-    let (evidence, standard_errors) = joint_evidence(domain, &model, takes)?;
+    let (evidence, standard_errors) = joint_evidence(domain, &model, takes, Blocks::Counted)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
 }
 
@@ -329,7 +330,7 @@ fn finish<D: Domain>(
 ) -> Result<(), DiagnosisError> {
     while model.effects.len() > known {
         let after = Linear::without_nuisances(domain, model, takes)?;
-        let (evidence, _) = joint_evidence(domain, model, takes)?;
+        let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
         if let Some(unfounded) = (known..evidence.len()).find(|&idx| evidence[idx] < bar) {
             dropped.push(model.effects.remove(unfounded));
             *model = refit(domain, model, takes, REFIT_STEPS)?;
@@ -366,7 +367,7 @@ fn drop_one<D: Domain>(
     dropped: &mut Vec<Effect>,
 ) -> Result<(), DiagnosisError> {
     while model.effects.len() > known + 1 {
-        let (evidence, _) = joint_evidence(domain, model, takes)?;
+        let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
         let weakest = (known..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
         let Some(weakest) = weakest.filter(|&idx| evidence[idx] < 0.5 * bar) else { break };
         dropped.push(model.effects.remove(weakest));

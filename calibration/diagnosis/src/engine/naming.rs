@@ -5,6 +5,8 @@ use palpate_sim::effects::{Effect, Parameter};
 
 use super::fit::{Fitted, refit};
 use super::linear::Linear;
+use super::robust::Blocks;
+use super::rows::Column;
 use super::{Domain, Model, share};
 use crate::DiagnosisError;
 use crate::fired::{Fired, Withheld};
@@ -135,7 +137,7 @@ impl Naming {
     /// which a large effect may be far from its size still.
     pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {
         self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
+        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes, Blocks::Counted)?;
         Ok(())
     }
 
@@ -181,7 +183,7 @@ impl Naming {
     ) -> Result<(), DiagnosisError> {
         self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
         self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes)?;
+        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes, Blocks::Counted)?;
         Ok(())
     }
 }
@@ -217,19 +219,32 @@ pub(super) fn founded<D: Domain>(
     takes: &[usize],
     bar: f64,
 ) -> Result<bool, DiagnosisError> {
-    let (evidence, _) = joint_evidence(domain, model, takes)?;
+    let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
     Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
 }
 
-/// Evidence for each effect of `model` beside all others, and the standard errors of their parameters.
+/// Evidence for each effect of `model` beside all others, and the standard errors of their parameters. Where blocks are
+/// counted, errors are no smaller than where they are taken for many.
 pub(super) fn joint_evidence<D: Domain>(
     domain: &D,
     model: &Model,
     takes: &[usize],
+    blocks: Blocks,
 ) -> Result<(Vec<f64>, Vec<Vec<f64>>), DiagnosisError> {
     let linear = Linear::without_nuisances(domain, model, takes)?;
-    let assessment = linear.assess(&linear.nuisance_columns()?, &linear.residual);
-    let mut rest = &assessment.standard_errors[model.base.len()..];
+    let mut columns = linear.nuisance_columns()?;
+    let num_errors = columns.len() - model.base.len();
+    let standard_errors = |columns: &[Column], blocks| {
+        linear.assess_with_errors(columns, &linear.residual, num_errors, blocks).standard_errors
+    };
+    let mut of_parameters = standard_errors(&columns, Blocks::Many);
+    if blocks == Blocks::Counted {
+        // Beside what is known to be small a parameter is told by what little is left of it: what is known is held.
+        columns.retain(|column| !column.is_known());
+        let counted = standard_errors(&columns, Blocks::Counted);
+        of_parameters.iter_mut().zip(counted).for_each(|(error, counted)| *error = error.max(counted));
+    }
+    let mut rest = of_parameters.as_slice();
     let (mut all, mut errors) = (Vec::new(), Vec::new());
     for effect in &model.effects {
         let parameters = domain.parameters(effect);

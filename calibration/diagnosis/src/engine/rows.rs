@@ -48,6 +48,11 @@ impl Column {
     pub(super) fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
+
+    /// Whether anything is known of the parameter beforehand.
+    pub(super) fn is_known(&self) -> bool {
+        self.prior.precision > 0.0
+    }
 }
 
 /// Adds what is known of the parameters of `columns` to the last block, which has no rows: to its normal matrix, and to the

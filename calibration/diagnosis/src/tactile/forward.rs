@@ -626,5 +626,11 @@ mod tests {
             assert!(remembering.predict(0, &model).unwrap() == made, "{model:?}");
             assert!(forgetting.predict(0, &model).unwrap() == made, "forgetting, {model:?}");
         }
+        // Without room what was made last is left, of each channel and each patch.
+        for memory in forgetting.memories.iter().flatten() {
+            let memory = memory.lock().unwrap();
+            assert!(memory.channels.iter().all(|kept| kept.entries.len() <= 1));
+            assert!(memory.patches.iter().all(|kept| kept.entries.len() <= 1));
+        }
     }
 }

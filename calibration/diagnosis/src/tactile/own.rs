@@ -21,10 +21,10 @@ const MOST_CREEP: f64 = 0.1;
 /// Power of the loads on a stream of `station` with which readings and forces grow, and what it is to begin with: the load
 /// of a pad is a depth.
 pub(super) fn exponent(station: &Station, stream: usize) -> (Base, BaseParameter, f64) {
-    let stream_of = &station.layout.streams[stream];
+    let described = &station.layout.streams[stream];
     let [lower, upper] = EXPONENTS;
-    let name = format!("exponent.{}", stream_of.id);
-    let value = match stream_of.kind {
+    let name = format!("exponent.{}", described.id);
+    let value = match described.kind {
         SensorKind::Proximity => 2.0,
         SensorKind::Pressure => 1.0,
     };
