@@ -7,6 +7,7 @@
 //! - [`screen`]: every candidate by its dose response
 //! - [`descend`]: steps of a fit
 //! - [`fit`]: candidates and whole models, fitted for real
+//! - [`evidence`]: what speaks for an effect beside all others
 //! - [`agreement`]: whether names are of one size in all takes, and of different things
 //! - [`adequacy`]: whether names account for what is there
 //! - [`choose`]: what to name of what was tried
@@ -18,6 +19,7 @@ mod adequacy;
 mod agreement;
 mod choose;
 mod descend;
+mod evidence;
 mod fit;
 mod linear;
 mod merge;

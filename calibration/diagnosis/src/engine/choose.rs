@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::fit::refit;
+use super::evidence::{SIMILAR_COUNT, founded};
+use super::fit::{REFIT_STEPS, refit};
 use super::linear::Linear;
-use super::naming::{REFIT_STEPS, Round, SIMILAR_COUNT, Tried, founded};
+use super::naming::{Round, Tried};
 use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;
 

@@ -3,12 +3,16 @@
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
-use super::descend::{Free, descend};
+use super::descend::{Free, Lower, descend};
 use super::linear::{Assessment, Linear, Residual, predict};
 use super::robust::Blocks;
+use super::rows::Column;
 use super::screen::{responses, stepped};
 use super::{Domain, Model, Series, within};
 use crate::DiagnosisError;
+
+/// Steps of a full fit after an addition.
+pub(super) const REFIT_STEPS: usize = 3;
 
 /// A candidate, fitted.
 pub(crate) struct Fitted {
@@ -230,6 +234,7 @@ pub(crate) fn fit<D: Domain>(
     };
     let assessed = |tried: &Attempt| -> Result<Assessment, DiagnosisError> {
         let columns = responses(linear, &tried.effect, parameters, &tried.predicted)?;
+        let columns: Vec<&Column> = columns.iter().collect();
         Ok(linear.assess_with_errors(&columns, &tried.left, columns.len(), Blocks::Many))
     };
     // A dose response flattens out: where an effect is large, its estimate from a small dose falls short.
@@ -304,6 +309,24 @@ pub(crate) fn refit_roughly<D: Domain>(
 
 const ROUGH_STEPS: usize = 2;
 
+/// As [`refit_roughly`] by the `responses` of the model of `from` to the parameters of `model`, which is nearby: for hardly
+/// more than its predictions take.
+pub(super) fn refit_nearby<D: Domain>(
+    from: &Linear<'_, D>,
+    model: Model,
+    responses: &[&Column],
+) -> Result<Model, DiagnosisError> {
+    let mut linear = from.moved_to(model)?;
+    for _ in 0..ROUGH_STEPS {
+        let Some(lower) = lower(&linear, responses)? else { break };
+        linear = lower.linear;
+        if lower.is_done {
+            break;
+        }
+    }
+    Ok(linear.model)
+}
+
 /// Takes up to so many `steps`, with responses that serve `steps_each`.
 fn gauss_newton<D: Domain>(
     domain: &D,
@@ -318,17 +341,23 @@ fn gauss_newton<D: Domain>(
         if idx % steps_each == 0 {
             columns = linear.columns_near(&columns)?;
         }
-        let assessment = linear.assess(&columns, &linear.residual);
-        let free = Free::all(domain, &linear.model);
-        let lower =
-            descend(&linear, &assessment, &free, |step| moved(domain, &linear.model, step.as_slice()))?;
-        let Some(lower) = lower else { break };
+        let Some(lower) = lower(&linear, &columns.iter().collect::<Vec<_>>())? else { break };
         linear = lower.linear;
         if lower.is_done {
             break;
         }
     }
     Ok(linear.model)
+}
+
+/// What a step of all parameters of the model of `linear`, which responds to them with `columns`, lowers the loss to.
+fn lower<'a, D: Domain>(
+    linear: &Linear<'a, D>,
+    columns: &[&Column],
+) -> Result<Option<Lower<'a, D>>, DiagnosisError> {
+    let assessment = linear.assess(columns, &linear.residual);
+    let free = Free::all(linear.domain, &linear.model);
+    descend(linear, &assessment, &free, |step| moved(linear.domain, &linear.model, step.as_slice()))
 }
 
 fn moved<D: Domain>(domain: &D, model: &Model, step: &[f64]) -> Model {

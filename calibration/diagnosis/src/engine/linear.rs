@@ -2,6 +2,7 @@
 
 mod responses;
 
+use std::borrow::Borrow;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
@@ -271,6 +272,13 @@ impl<'a, D: Domain> Linear<'a, D> {
         losses
     }
 
+    /// Loss of `model`, with the weights of this model's predictions.
+    pub(crate) fn loss_of(&self, model: &Model) -> Result<f64, DiagnosisError> {
+        let losses = self.losses_of(&predict(self.domain, model, &self.takes)?);
+        let of_priors: f64 = prior_losses(self.domain, model).map(|(_, loss)| loss).sum();
+        Ok(losses.iter().flatten().sum::<f64>() + of_priors)
+    }
+
     /// Which kinds of rows `predicted` (by take) has otherwise than this model.
     pub(crate) fn kinds_changed(&self, predicted: &[Vec<Series>]) -> Vec<bool> {
         let mut changed = vec![false; self.rows.num_kinds];
@@ -308,7 +316,7 @@ impl<'a, D: Domain> Linear<'a, D> {
         let of_takes: Vec<Vec<(DMatrix<f64>, DVector<f64>)>> =
             (0..self.takes.len()).into_par_iter().map(|take| self.normals_of(&nuisances, take)).collect();
         (nuisances.by_block, nuisances.along) = of_takes.into_iter().flatten().unzip();
-        add_priors(columns, &mut nuisances.by_block, &mut nuisances.along);
+        add_priors(columns.iter(), &mut nuisances.by_block, &mut nuisances.along);
         if let Some(square) = nuisances.squares.last_mut() {
             *square += self.prior_loss;
         }
@@ -454,17 +462,18 @@ impl<'a, D: Domain> Linear<'a, D> {
     /// What `columns` can do about `residual` (as [`Self::residual`] or [`Self::residual_of`]).
     ///
     /// With R the responses and N the nuisances, R~ = R - N (N'N)^-1 N'R; the step is (R~'R~)^-1 R~'r.
-    pub(crate) fn assess(&self, columns: &[Column], residual: &Residual) -> Assessment {
-        self.assess_with_errors(columns, residual, 0, Blocks::Many)
+    pub(crate) fn assess<C: Borrow<Column>>(&self, columns: &[C], residual: &Residual) -> Assessment {
+        let columns: Vec<&Column> = columns.iter().map(Borrow::borrow).collect();
+        self.assess_with_errors(&columns, residual, 0, Blocks::Many)
     }
 
     /// The same, with standard errors (of the sandwich over blocks) of the last `num_errors` parameters.
     pub(crate) fn assess_with_errors(
         &self,
-        columns: &[Column],
+        columns: &[&Column],
         residual: &Residual,
         num_errors: usize,
-        taken: Blocks,
+        taken_for: Blocks,
     ) -> Assessment {
         let coefficients = &residual.coefficients;
         let k = columns.len();
@@ -500,7 +509,7 @@ impl<'a, D: Domain> Linear<'a, D> {
                 column.each_common(other, |row, product| normals[blocks[row] as usize][(i, j)] += product);
             }
         }
-        add_priors(columns, &mut normals, &mut scores);
+        add_priors(columns.iter().copied(), &mut normals, &mut scores);
         for normal in &mut normals {
             normal.fill_upper_triangle_with_lower_triangle();
         }
@@ -519,8 +528,13 @@ impl<'a, D: Domain> Linear<'a, D> {
         let s = projected_scores.iter().fold(DVector::zeros(k), |sum, part| sum + part);
         let h_inverse = inverse(&h);
         let step = &h_inverse * &s;
-        let standard_errors =
-            standard_errors(&h_inverse, (num_errors, taken), &step, &projected_scores, &projected_normals);
+        let standard_errors = standard_errors(
+            &h_inverse,
+            (num_errors, taken_for),
+            &step,
+            &projected_scores,
+            &projected_normals,
+        );
 
         let (folds, num_folds) = self.folds(&projected_normals);
         let mut of_fold = vec![(DVector::<f64>::zeros(k), DMatrix::<f64>::zeros(k, k)); num_folds];

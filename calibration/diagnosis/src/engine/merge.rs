@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 
 use palpate_sim::effects::Effect;
 
-use super::fit::{fit, refit, refit_roughly};
+use super::evidence::founded;
+use super::fit::{REFIT_STEPS, fit, refit, refit_roughly};
 use super::linear::Linear;
-use super::naming::{REFIT_STEPS, founded, stands_in};
+use super::naming::stands_in;
 use super::screen::{Hopeless, screen};
 use super::{Domain, Model, NamingConfig, within};
 use crate::DiagnosisError;

@@ -7,14 +7,12 @@ use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use super::choose::{apart, choose};
-use super::fit::{Profile, fit, refit, refit_roughly};
+use super::evidence::{Judged, evidence, joint_evidence};
+use super::fit::{Profile, REFIT_STEPS, fit, refit, refit_roughly};
 use super::linear::{Linear, predict};
 use super::merge::merge;
-use super::naming::{
-    FEW, Naming, NamingConfig, REFIT_STEPS, Round, Tried, evidence, joint_evidence, key, stands_in,
-};
+use super::naming::{FEW, Naming, NamingConfig, Round, Tried, key, stands_in};
 use super::reconsider::reconsider;
-use super::robust::Blocks;
 use super::screen::{Hopeless, Screened, screen};
 use super::{Domain, Model, Watch, each};
 use crate::DiagnosisError;
@@ -134,7 +132,7 @@ pub fn name<D: Domain>(
     }
     reconsider(domain, &mut model, known, &mut rounds, takes, config.bar)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
-    let (evidence, standard_errors) = joint_evidence(domain, &model, takes, Blocks::Counted)?;
+    let Judged { evidence, standard_errors, .. } = Judged::new(domain, &model, takes)?;
     Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
 }
 
@@ -330,7 +328,7 @@ fn finish<D: Domain>(
 ) -> Result<(), DiagnosisError> {
     while model.effects.len() > known {
         let after = Linear::without_nuisances(domain, model, takes)?;
-        let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
+        let evidence = joint_evidence(domain, model, takes)?;
         if let Some(unfounded) = (known..evidence.len()).find(|&idx| evidence[idx] < bar) {
             dropped.push(model.effects.remove(unfounded));
             *model = refit(domain, model, takes, REFIT_STEPS)?;
@@ -367,7 +365,7 @@ fn drop_one<D: Domain>(
     dropped: &mut Vec<Effect>,
 ) -> Result<(), DiagnosisError> {
     while model.effects.len() > known + 1 {
-        let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
+        let evidence = joint_evidence(domain, model, takes)?;
         let weakest = (known..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
         let Some(weakest) = weakest.filter(|&idx| evidence[idx] < 0.5 * bar) else { break };
         dropped.push(model.effects.remove(weakest));

@@ -1,22 +1,16 @@
-//! Candidates and names, and the evidence for them.
+//! Candidates and names.
 
 use palpate_robot_model::Place;
-use palpate_sim::effects::{Effect, Parameter};
+use palpate_sim::effects::Effect;
 
-use super::fit::{Fitted, refit};
-use super::linear::Linear;
-use super::robust::Blocks;
-use super::rows::Column;
+use super::evidence::{Judged, SIMILAR_COUNT, num_seen};
+use super::fit::{Fitted, REFIT_STEPS, refit};
 use super::{Domain, Model, share};
 use crate::DiagnosisError;
 use crate::fired::{Fired, Withheld};
 
-/// Steps of a full fit after an addition.
-pub(super) const REFIT_STEPS: usize = 3;
 /// Steps of the last fit, which ends where one gains little.
 const SETTLE_STEPS: usize = 8;
-/// Numbers of parameters up to this many apart count as equally simple.
-pub(super) const SIMILAR_COUNT: usize = 7;
 /// Parameters of an effect of a whole stream that is tried beside thresholds of its own.
 pub(super) const FEW: usize = 2;
 /// An effect of many parameters must remove this share of all that it removes in at least a third as many units as
@@ -137,11 +131,16 @@ impl Naming {
     /// which a large effect may be far from its size still.
     pub(crate) fn settle<D: Domain>(&mut self, domain: &D, takes: &[usize]) -> Result<(), DiagnosisError> {
         self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes, Blocks::Counted)?;
+        self.assess(Judged::new(domain, &self.model, takes)?);
         Ok(())
     }
 
-    /// [`Self::settle`] without the effects beyond the first `known` that have no more evidence than `bar` then.
+    fn assess<D: Domain>(&mut self, judged: Judged<'_, D>) {
+        (self.evidence, self.standard_errors) = (judged.evidence, judged.standard_errors);
+    }
+
+    /// [`Self::settle`] without the effects beyond the first `known` that have no more evidence than `bar` then, or
+    /// without which another fit is nearly as good ([`Judged::founded`]).
     pub(crate) fn weigh_again<D: Domain>(
         &mut self,
         domain: &D,
@@ -150,10 +149,12 @@ impl Naming {
         bar: f64,
     ) -> Result<(), DiagnosisError> {
         loop {
-            self.settle(domain, takes)?;
-            let beyond = self.evidence.iter().enumerate().skip(known);
-            let weakest = beyond.min_by(|(_, one), (_, other)| one.total_cmp(other));
-            let Some((idx, _)) = weakest.filter(|(_, evidence)| **evidence < bar) else { return Ok(()) };
+            self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
+            let judged = Judged::new(domain, &self.model, takes)?;
+            let founded = judged.founded(known, bar)?;
+            self.assess(judged);
+            let weakest = (known..).zip(founded).min_by(|(_, one), (_, other)| one.total_cmp(other));
+            let Some((idx, _)) = weakest.filter(|(_, founded)| *founded < bar) else { return Ok(()) };
             self.dropped.push(self.model.effects.remove(idx));
         }
     }
@@ -183,7 +184,7 @@ impl Naming {
     ) -> Result<(), DiagnosisError> {
         self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
         self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
-        (self.evidence, self.standard_errors) = joint_evidence(domain, &self.model, takes, Blocks::Counted)?;
+        self.assess(Judged::new(domain, &self.model, takes)?);
         Ok(())
     }
 }
@@ -210,83 +211,4 @@ pub(super) fn stands_in(fitted: &Fitted) -> bool {
         before < nearly_all
     });
     carriers.count() < num_seen(&fitted.assessment.standard_errors) / 3
-}
-
-/// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
-pub(super) fn founded<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
-    bar: f64,
-) -> Result<bool, DiagnosisError> {
-    let (evidence, _) = joint_evidence(domain, model, takes, Blocks::Many)?;
-    Ok(evidence.last().is_some_and(|evidence| *evidence > bar))
-}
-
-/// Evidence for each effect of `model` beside all others, and the standard errors of their parameters. Where blocks are
-/// counted, errors are no smaller than where they are taken for many.
-pub(super) fn joint_evidence<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
-    blocks: Blocks,
-) -> Result<(Vec<f64>, Vec<Vec<f64>>), DiagnosisError> {
-    let linear = Linear::without_nuisances(domain, model, takes)?;
-    let mut columns = linear.nuisance_columns()?;
-    let num_errors = columns.len() - model.base.len();
-    let standard_errors = |columns: &[Column], blocks| {
-        linear.assess_with_errors(columns, &linear.residual, num_errors, blocks).standard_errors
-    };
-    let mut of_parameters = standard_errors(&columns, Blocks::Many);
-    if blocks == Blocks::Counted {
-        // Beside what is known to be small a parameter is told by what little is left of it: what is known is held.
-        columns.retain(|column| !column.is_known());
-        let counted = standard_errors(&columns, Blocks::Counted);
-        of_parameters.iter_mut().zip(counted).for_each(|(error, counted)| *error = error.max(counted));
-    }
-    let mut rest = of_parameters.as_slice();
-    let (mut all, mut errors) = (Vec::new(), Vec::new());
-    for effect in &model.effects {
-        let parameters = domain.parameters(effect);
-        let (own, others) = rest.split_at(parameters.len());
-        all.push(evidence(effect, &parameters, own));
-        errors.push(own.to_vec());
-        rest = others;
-    }
-    Ok((all, errors))
-}
-
-/// How far the strongest parameter lies beyond the smallest size that matters, in standard errors, squared. For an
-/// effect of many parameters it is the geometric mean over the strongest third of those that the data sees: where
-/// fewer are out there it stands in for one that acts in fewer places. None for an effect that is driven to the end
-/// of its range: it stands in for one of another kind.
-pub(crate) fn evidence(effect: &Effect, parameters: &[Parameter], standard_errors: &[f64]) -> f64 {
-    let at_end = |parameter: &Parameter| {
-        let value = effect.parameter(&parameter.name);
-        value != parameter.neutral && (value == parameter.lower || value == parameter.upper)
-    };
-    if parameters.iter().any(|parameter| parameter.is_size() && at_end(parameter)) {
-        return 0.0;
-    }
-    let mut strengths: Vec<f64> = parameters
-        .iter()
-        .zip(standard_errors)
-        .map(|(parameter, &error)| {
-            let size = (effect.parameter(&parameter.name) - parameter.neutral).abs();
-            let beyond = (size - parameter.smallest).max(0.0);
-            if error > 0.0 { (beyond / error).powi(2) } else { 0.0 }
-        })
-        .collect();
-    strengths.sort_unstable_by(|a, b| b.total_cmp(a));
-    if strengths.len() <= SIMILAR_COUNT {
-        return strengths.first().copied().unwrap_or(0.0);
-    }
-    let third = (num_seen(standard_errors) / 3).max(1);
-    let logarithms = strengths[..third].iter().map(|strength| strength.ln());
-    (logarithms.sum::<f64>() / third as f64).exp()
-}
-
-/// How many parameters the data sees: an error of nothing is that of a direction that it does not see.
-pub(super) fn num_seen(standard_errors: &[f64]) -> usize {
-    standard_errors.iter().filter(|error| **error > 0.0).count()
 }

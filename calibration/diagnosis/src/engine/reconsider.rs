@@ -6,10 +6,10 @@ use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use super::choose::with_base_of;
-use super::fit::{BETWEEN_DOSES, refit, scaled};
+use super::evidence::joint_evidence;
+use super::fit::{BETWEEN_DOSES, REFIT_STEPS, refit, scaled};
 use super::linear::Linear;
-use super::naming::{FEW, REFIT_STEPS, Round, Tried, joint_evidence};
-use super::robust::Blocks;
+use super::naming::{FEW, Round, Tried};
 use super::{Domain, Model};
 use crate::DiagnosisError;
 
@@ -39,7 +39,7 @@ pub(super) fn reconsider<D: Domain>(
             let mut with = with_base_of(domain, model, tried);
             with.effects[idx] = scaled(&tried.effect, &domain.parameters(&tried.effect)[..1], scale);
             let with = refit(domain, &with, takes, REFIT_STEPS)?;
-            let (evidence, _) = joint_evidence(domain, &with, takes, Blocks::Many)?;
+            let evidence = joint_evidence(domain, &with, takes)?;
             let deviance = Linear::without_nuisances(domain, &with, takes)?.deviance();
             Ok((evidence[idx] > bar).then_some(Rival { deviance, model: with, of_trial }))
         };

@@ -57,9 +57,13 @@ impl Column {
 
 /// Adds what is known of the parameters of `columns` to the last block, which has no rows: to its normal matrix, and to the
 /// products of its responses with what is left.
-pub(super) fn add_priors(columns: &[Column], normals: &mut [DMatrix<f64>], scores: &mut [DVector<f64>]) {
+pub(super) fn add_priors<'c>(
+    columns: impl Iterator<Item = &'c Column>,
+    normals: &mut [DMatrix<f64>],
+    scores: &mut [DVector<f64>],
+) {
     if let (Some(normal), Some(score)) = (normals.last_mut(), scores.last_mut()) {
-        for (idx, column) in columns.iter().enumerate() {
+        for (idx, column) in columns.enumerate() {
             normal[(idx, idx)] += column.prior.precision;
             score[idx] += column.prior.score;
         }

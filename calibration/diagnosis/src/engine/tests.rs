@@ -41,12 +41,21 @@ fn shape(id: &str, row: usize) -> f64 {
         "slow" => phase.sin(),
         // With another level not to be told from the one above.
         "slow_and_raised" => phase.sin() + 1.0,
-        "fast" => (3.0 * phase).sin(),
+        "fast" | "wound" => (3.0 * phase).sin(),
         // Hardly to be told from the one above.
         "nearly_fast" => (3.0 * phase).sin() + 0.05 * (7.0 * phase).sin(),
         "square" => (0.7 * phase).sin().signum(),
         _ => 0.0,
     }
+}
+
+/// Twice pi of this size, and what is wound is as it was.
+const TURNS: f64 = 10.0;
+
+/// By how much an effect multiplies its shape.
+fn strength(effect: &Effect) -> f64 {
+    let size = effect.parameter("size");
+    if effect.id == "wound" { 0.3 * (TURNS * size).sin() } else { size }
 }
 
 fn effect(id: &str, size: f64) -> Effect {
@@ -163,7 +172,7 @@ impl Domain for Sines {
         let of_row = |row: usize| -> f64 {
             let effects = model.effects.iter();
             let expected = model.base.get(1).map_or(0.0, |size| size * shape("slow", row));
-            model.base[0] + expected + effects.map(|e| e.parameter("size") * shape(&e.id, row)).sum::<f64>()
+            model.base[0] + expected + effects.map(|e| strength(e) * shape(&e.id, row)).sum::<f64>()
         };
         Ok(vec![(0..ROWS).map(of_row).collect()])
     }
@@ -190,6 +199,28 @@ fn two_hidden_shapes_are_named_with_their_sizes() {
 }
 
 #[test]
+fn what_is_told_sharply_where_nothing_is_gained_is_no_name() {
+    let domain = Sines::new(&[("slow", 0.3)], 11);
+    let once_around = std::f64::consts::TAU / TURNS;
+    let effects = vec![effect("slow", 0.3), effect("wound", once_around)];
+    let model = Model { base: vec![0.7], effects };
+    let mut naming = Naming {
+        model,
+        standard_errors: Vec::new(),
+        evidence: Vec::new(),
+        rounds: Vec::new(),
+        dropped: Vec::new(),
+        withheld: Vec::new(),
+    };
+    let takes = [0, 1, 2, 3];
+    naming.settle(&domain, &takes).unwrap();
+    assert!(naming.evidence.iter().all(|evidence| *evidence > 1000.0), "{:?}", naming.evidence);
+    naming.weigh_again(&domain, 0, &takes, 25.0).unwrap();
+    assert_eq!(ids(&naming), ["slow"]);
+    assert_eq!(naming.dropped[0].id, "wound");
+}
+
+#[test]
 fn an_effect_of_many_parameters_needs_a_third_of_those_that_the_data_sees() {
     let parameters: Vec<Parameter> = (0..12)
         .map(|idx| Parameter {
@@ -208,7 +239,7 @@ fn an_effect_of_many_parameters_needs_a_third_of_those_that_the_data_sees() {
         let effect =
             Effect { parameters: sizes.collect(), ..sized("many", Place::Stream("all".to_owned()), 0.0) };
         let errors: Vec<f64> = (0..12).map(|idx| if idx < 12 - unseen { 0.01 } else { 0.0 }).collect();
-        super::naming::evidence(&effect, &parameters, &errors)
+        super::evidence::evidence(&effect, &parameters, &errors)
     };
     assert!((of(4, 0) - 100.0).abs() < 1e-9 && (of(12, 0) - 100.0).abs() < 1e-9);
     assert_eq!(of(3, 0), 0.0, "one of the strongest third is nothing");

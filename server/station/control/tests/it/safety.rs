@@ -18,6 +18,8 @@ const MS: u64 = 1_000_000;
 const LAG_NS: u64 = 150 * MS;
 /// Bus, emulation, and a machine that has something else to do.
 const SLACK_NS: u64 = 200 * MS;
+/// How many times a stop is measured at most, where the computer stands still meanwhile.
+const MOST_MEASURED: usize = 3;
 
 /// Starts a motion that would take seconds, and waits until it goes.
 fn set_in_motion(bench: &Bench, operator: &Operator) {
@@ -99,13 +101,29 @@ fn anybody_stops_and_the_stop_is_confirmed_and_latched() {
 
 #[test]
 fn a_flood_of_requests_holds_up_no_stop() {
-    let bench = Bench::new();
-    let operator = Operator::armed(&bench, 1);
-    set_in_motion(&bench, &operator);
+    for _ in 0..MOST_MEASURED {
+        let bench = Bench::new();
+        let left_out_ns = bench.emulated.snapshot().left_out_ns;
+        let limp_after_ns = limp_after_a_stop_in_a_flood_ns(&bench);
+        if limp_after_ns <= 100 * MS + SLACK_NS {
+            return;
+        }
+        // Where the emulation itself stood still the whole computer did, which says nothing of the station.
+        let stood_still_ns = bench.emulated.snapshot().left_out_ns - left_out_ns;
+        assert!(stood_still_ns > SLACK_NS, "stopped after {} ms", limp_after_ns / MS);
+        eprintln!("measured again: the computer stood still for {} ms", stood_still_ns / MS);
+    }
+    panic!("the computer stood still each of {MOST_MEASURED} times that it was measured");
+}
+
+/// How long after a stop no servo has torque any more while others ask for what they are refused, on the station's clock.
+fn limp_after_a_stop_in_a_flood_ns(bench: &Bench) -> u64 {
+    let operator = Operator::armed(bench, 1);
+    set_in_motion(bench, &operator);
     let flooding = AtomicBool::new(true);
-    let limp_after_ns = thread::scope(|scope| {
+    thread::scope(|scope| {
         for number in 10..14 {
-            let (flooding, bench) = (&flooding, &bench);
+            let flooding = &flooding;
             scope.spawn(move || {
                 let watcher = Operator::watcher(bench, number);
                 while flooding.load(Ordering::Relaxed) {
@@ -119,8 +137,7 @@ fn a_flood_of_requests_holds_up_no_stop() {
         let limp_ns = bench.wait_until("limp", |now| !now.torque_on.contains(&true));
         flooding.store(false, Ordering::Relaxed);
         limp_ns - asked_ns
-    });
-    assert!(limp_after_ns <= 100 * MS + SLACK_NS, "stopped after {} ms", limp_after_ns / MS);
+    })
 }
 
 #[test]
