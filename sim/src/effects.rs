@@ -43,6 +43,7 @@ pub use chain::{
     Transport,
 };
 pub(crate) use chain::{FrameChain, FrameMemory, FrameScene, moved};
+pub use force::Force;
 pub use frame::{DynFrameEffect, Frame, FrameEffect};
 use palpate_robot_model::{Place, Station, TactileLayout};
 pub use self_contact::FingerTouches;
@@ -231,6 +232,11 @@ pub trait EffectKind: Sync {
 
     /// Whether what it does to a load depends on the load at which the channel switches.
     fn uses_on_loads(&self) -> bool {
+        false
+    }
+
+    /// Whether [`Self::load`] acts on forces ([`Load::forces_mut`]), whatever of loads it finds.
+    fn acts_on_forces(&self) -> bool {
         false
     }
 

@@ -312,7 +312,16 @@ impl<'a> Chain<'a> {
             self.on_loads(nominal),
             scene.frame_times_s.len(),
         );
-        self.each_of(|idx| reaching[idx], |kind, effect| kind.load(effect, scene, &mut load));
+        self.each_of(
+            |idx| reaching[idx],
+            |kind, effect| {
+                if !kind.acts_on_forces() {
+                    load.take_as_loads();
+                }
+                kind.load(effect, scene, &mut load);
+            },
+        );
+        load.take_as_loads();
 
         let device_times_s = |(idx, stream): (usize, &Stream)| {
             if !wanted[stream.channels.clone()].contains(&true) {

@@ -49,6 +49,10 @@ impl EffectKind for Creep {
         places::all_streams(station)
     }
 
+    fn acts_on_forces(&self) -> bool {
+        true
+    }
+
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
         let (fraction, time_constant_s) = (effect.parameter("fraction"), effect.parameter("time_constant_s"));
         if fraction <= 0.0 || time_constant_s <= 0.0 {

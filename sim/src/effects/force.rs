@@ -11,12 +11,15 @@ use super::{
 };
 
 /// How force goes with the load of a channel: as a power.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Force {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Force {
     exponent: f64,
 }
 
 impl Force {
+    /// The load itself.
+    pub(super) const LOAD: Self = Self { exponent: 1.0 };
+
     pub(super) fn with(exponent: f64) -> Self {
         Self { exponent }
     }
@@ -38,9 +41,14 @@ impl Force {
     fn to_load(self, force: f64) -> f64 {
         if self.exponent == 1.0 { force } else { force.max(0.0).powf(self.exponent.recip()) }
     }
+
+    /// What is `force` here, as the force that it is to `other`.
+    pub(super) fn as_other(self, force: f64, other: Self) -> f64 {
+        if self == other { force } else { other.of_load(self.to_load(force)) }
+    }
 }
 
-/// Makes of the loads at `place` those of what is `felt` of their force and of what follows it with `time_constant_s`.
+/// Makes of the forces at `place` what is `felt` of them and of what follows them with `time_constant_s`.
 pub(super) fn lag_forces(
     place: &Place,
     scene: &TakeScene<'_>,
@@ -52,21 +60,16 @@ pub(super) fn lag_forces(
     let layout = &scene.station.layout;
     let lag = Lag::new(scene.frame_times_s, time_constant_s);
     for channel in state.pressed_at(place, layout) {
-        let bears = of_channel(channel);
-        let loads = state.of_channel_mut(channel);
-        loads.iter_mut().for_each(|load| *load = bears.of_load(*load));
-        let late = lag.of(loads);
-        loads
-            .iter_mut()
-            .zip(late.iter())
-            .for_each(|(force, late)| *force = bears.to_load(felt(*force, *late)));
+        let forces = state.forces_mut(channel, of_channel(channel));
+        let late = lag.of(forces);
+        forces.iter_mut().zip(late.iter()).for_each(|(force, late)| *force = felt(*force, *late));
     }
 }
 
 /// [`lag_forces`], frame by frame.
 pub(super) struct LateForce<F> {
     /// Of each channel of `lag`.
-    bears: Vec<Force>,
+    forces: Vec<(usize, Force)>,
     lag: FrameLag,
     felt: F,
 }
@@ -80,8 +83,8 @@ impl<F: Fn(f64, f64) -> f64 + Send + Sync + 'static> LateForce<F> {
         felt: F,
     ) -> DynFrameEffect {
         let channels = places::channels_of(place, &station.layout);
-        let bears = channels.iter().map(|&channel| of_channel(channel)).collect();
-        Box::new(Self { bears, lag: FrameLag { channels, time_constant_s }, felt })
+        let forces = channels.iter().map(|&channel| (channel, of_channel(channel))).collect();
+        Box::new(Self { forces, lag: FrameLag { channels, time_constant_s }, felt })
     }
 }
 
@@ -96,14 +99,11 @@ impl<F: Fn(f64, f64) -> f64 + Send + Sync> FrameEffect for LateForce<F> {
         self.lag.memory_len()
     }
 
-    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], loads: &mut [f64]) {
-        let of_channels = || self.lag.channels.iter().copied().zip(&self.bears);
-        for (channel, bears) in of_channels() {
-            loads[channel] = bears.of_load(loads[channel]);
-        }
-        self.lag.step(frame, memory, loads, |force, late| *force = (self.felt)(*force, late));
-        for (channel, bears) in of_channels() {
-            loads[channel] = bears.to_load(loads[channel]);
-        }
+    fn forces(&self) -> Option<&[(usize, Force)]> {
+        Some(&self.forces)
+    }
+
+    fn step(&self, frame: &Frame<'_>, memory: &mut [f64], forces: &mut [f64]) {
+        self.lag.step(frame, memory, forces, |force, late| *force = (self.felt)(*force, late));
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Debug;
 
 use palpate_robot_model::TactileLayout;
 
-use super::Effect;
+use super::{Effect, force::Force};
 
 /// A frame of a take that goes on, with what effects need to know of the ones before it.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +33,12 @@ pub trait FrameEffect: Debug + Send + Sync {
         0
     }
 
-    /// Changes the `values` of `frame`: joint positions by degree of freedom, or loads by channel.
+    /// Of each channel that it acts on, the force that it is to be given; `None` where it acts on loads.
+    fn forces(&self) -> Option<&[(usize, Force)]> {
+        None
+    }
+
+    /// Changes the `values` of `frame`: joint positions by degree of freedom, or loads (or [`Self::forces`]) by channel.
     fn step(&self, frame: &Frame<'_>, memory: &mut [f64], values: &mut [f64]);
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, Vector3};
-use palpate_robot_model::{ObjectShape, SensorKind, Station};
+use palpate_robot_model::{ObjectShape, Place, SensorKind, Station};
 use palpate_sim::effects::{self, Effect, TACTILE};
 use palpate_sim::geometry::SignedDistance;
 use palpate_sim::live::{LiveScene, LiveTouch};
@@ -83,6 +83,39 @@ fn every_effect_acts_as_in_a_replay_to_the_bit() {
             for (frame, live) in live.iter().enumerate() {
                 assert_same(live, &all, frame, kind.id());
             }
+        }
+    }
+}
+
+#[test]
+fn forces_that_creep_by_turns_do_so_as_in_a_replay_to_the_bit() {
+    let station = station("xarm6_leap.toml");
+    let of = |id: &str, stream: &str, parameters: &[(&str, f64)]| Effect {
+        id: id.to_owned(),
+        place: Place::Stream(stream.to_owned()),
+        parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+        interval: BTreeMap::new(),
+        takes: Vec::new(),
+    };
+    let creep = |stream: &str, time_constant_s: f64, exponent: f64| {
+        let late = [("fraction", 0.08), ("time_constant_s", time_constant_s), ("exponent", exponent)];
+        of("creep", stream, &late)
+    };
+    let mut effects = Vec::new();
+    for stream in ["twintac", "fsr"] {
+        // The first three act on the same force, one after the other; the others each on its own.
+        effects.extend([0.3, 3.0, 30.0].map(|time_constant_s| creep(stream, time_constant_s, 1.7)));
+        effects.push(creep(stream, 1.0, 0.6));
+        effects.push(of("viscoelastic_release", stream, &[("fraction", 0.4), ("time_constant_s", 0.3)]));
+        effects.push(of("low_pass", stream, &[("time_constant_s", 0.05)]));
+    }
+    let model = SensorModel { effects, ..SensorModel::plain("creeps", THETA) };
+    for plan in [&INDEX, &PALM] {
+        let take = take(&station, plan, 1, 7);
+        let all = replayed(&station, &take, &model, take.times_s.len());
+        assert!(all.raw.iter().any(|raw| *raw > 0.0), "the take touches");
+        for (frame, live) in live_readings(&station, &take, &model).iter().enumerate() {
+            assert_same(live, &all, frame, plan.patch);
         }
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::Isometry3;
 use palpate_robot_model::{ObjectModel, ObjectPath, Station, TactileLayout};
 
 use super::{Chain, Contact, Effect, Switching, TakeScene, Transport};
-use crate::effects::{DynFrameEffect, Frame, Stage, TACTILE, places};
+use crate::effects::{DynFrameEffect, Force, Frame, Stage, TACTILE, places};
 use crate::replay::{ContactTrace, Gaps, PatchTrace};
 use crate::tactile::{self, Propagation};
 
@@ -27,6 +27,8 @@ pub(crate) struct FrameChain {
     /// Per patch, with the decay that effects leave it.
     propagation: Vec<Propagation>,
     loads: Vec<DynFrameEffect>,
+    /// What is made of loads before each of those, and at the end.
+    taken_as: Vec<Vec<TakenAs>>,
     /// Effects on which moment a reading shows, as `contact`.
     transport: Vec<(usize, Effect)>,
     /// Per stream, whether any of those acts on it.
@@ -102,6 +104,8 @@ impl FrameChain {
             places::streams_of(&effect.place, layout).for_each(|stream| is_carried[stream] = true);
         }
         let effects = || chain.effects.iter().map(|(kind, effect)| (TACTILE[*kind], *effect));
+        let loads: Vec<DynFrameEffect> =
+            effects().filter_map(|(kind, effect)| kind.load_by_frame(effect, station, &on_loads)).collect();
         Self {
             softness_m: chain.response.pad_softness_m,
             reaches_m: chain.reaches_m(layout),
@@ -109,9 +113,8 @@ impl FrameChain {
             looks_back: contact.iter().any(|(kind, _)| TACTILE[*kind].looks_ahead()),
             contact,
             propagation: propagation.collect(),
-            loads: effects()
-                .filter_map(|(kind, effect)| kind.load_by_frame(effect, station, &on_loads))
-                .collect(),
+            taken_as: TakenAs::before_each(&loads, on_loads.len()),
+            loads,
             transport,
             is_carried,
             switching: chain.switching(&nothing),
@@ -145,7 +148,7 @@ impl FrameChain {
 
     /// Makes true joint positions of measured ones.
     pub(crate) fn move_joints(&self, frame: &Frame<'_>, memory: &mut FrameMemory, positions: &mut [f64]) {
-        step_each(&self.joints, frame, &mut memory.joints, positions);
+        step_each(&self.joints, frame, &mut memory.joints, positions, |_, _| ());
     }
 
     /// What hosts see of a frame in which the skin feels `trace` (of that frame alone) and joints are truly at `positions`:
@@ -177,7 +180,9 @@ impl FrameChain {
                 }
             }
         }
-        step_each(&self.loads, &scene.frame, &mut memory.loads, loads);
+        step_each(&self.loads, &scene.frame, &mut memory.loads, loads, |idx, loads| {
+            self.taken_as[idx].iter().for_each(|taken| taken.make(loads));
+        });
         self.carry(scene, memory, loads);
         self.switch(scene.frame.time_s, memory, loads, active);
         memory.num_frames += 1;
@@ -290,12 +295,49 @@ impl FrameChain {
     }
 }
 
-/// Steps of `effects`, each with its part of the `memory`.
-fn step_each(effects: &[DynFrameEffect], frame: &Frame<'_>, mut memory: &mut [f64], values: &mut [f64]) {
-    for effect in effects {
+/// Steps of `effects`, each with its part of the `memory`, with what is done `before` each and, with their number, at the end.
+fn step_each(
+    effects: &[DynFrameEffect],
+    frame: &Frame<'_>,
+    mut memory: &mut [f64],
+    values: &mut [f64],
+    before: impl Fn(usize, &mut [f64]),
+) {
+    for (idx, effect) in effects.iter().enumerate() {
+        before(idx, values);
         let (own, others) = memory.split_at_mut(effect.memory_len());
         effect.step(frame, own, values);
         memory = others;
+    }
+    before(effects.len(), values);
+}
+
+/// The value of a channel, taken as another force than before.
+#[derive(Clone, Copy, Debug)]
+struct TakenAs {
+    channel: usize,
+    before: Force,
+    after: Force,
+}
+
+impl TakenAs {
+    /// As [`super::Load`] has it: what acts on forces is given them, all else loads, and loads are what is left in the end.
+    fn before_each(effects: &[DynFrameEffect], num_channels: usize) -> Vec<Vec<Self>> {
+        let mut now = vec![Force::LOAD; num_channels];
+        let take = |forces: &[(usize, Force)]| -> Vec<Self> {
+            let changed = forces.iter().filter_map(|&(channel, after)| {
+                let before = std::mem::replace(&mut now[channel], after);
+                (before != after).then_some(Self { channel, before, after })
+            });
+            changed.collect()
+        };
+        let loads: Vec<(usize, Force)> = (0..num_channels).map(|channel| (channel, Force::LOAD)).collect();
+        let wanted = effects.iter().map(|effect| effect.forces().unwrap_or(&loads));
+        wanted.chain([&loads[..]]).map(take).collect()
+    }
+
+    fn make(self, values: &mut [f64]) {
+        values[self.channel] = self.before.as_other(values[self.channel], self.after);
     }
 }
 

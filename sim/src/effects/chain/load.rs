@@ -5,6 +5,7 @@ use std::sync::Arc;
 use palpate_robot_model::{Place, TactileLayout};
 
 use super::{Contact, Geometry, places};
+use crate::effects::Force;
 use crate::parallel::map_chunks;
 use crate::replay::PatchTrace;
 use crate::tactile::propagate_patch;
@@ -21,6 +22,8 @@ pub struct Load {
     pub on_loads: Vec<f64>,
     /// The load that all channels share on which nothing ever presses.
     silence: Arc<[f64]>,
+    /// Per channel, the force that its values are: what several effects do to it in turn needs no load between them.
+    taken_as: Vec<Force>,
 }
 
 impl Load {
@@ -67,7 +70,8 @@ impl Load {
                 }
             }
         });
-        Self { values: by_patch.into_iter().flatten().collect(), needed, on_loads, silence }
+        let values: Vec<Arc<[f64]>> = by_patch.into_iter().flatten().collect();
+        Self { taken_as: vec![Force::LOAD; values.len()], values, needed, on_loads, silence }
     }
 
     /// The channels at `place` that are needed.
@@ -98,6 +102,25 @@ impl Load {
     /// As [`Self::of_channel`], to change them.
     pub fn of_channel_mut(&mut self, channel: usize) -> &mut [f64] {
         Arc::make_mut(&mut self.values[channel])
+    }
+
+    /// The forces that go with the loads of `channel`, to change them.
+    pub(in super::super) fn forces_mut(&mut self, channel: usize, force: Force) -> &mut [f64] {
+        let before = std::mem::replace(&mut self.taken_as[channel], force);
+        let values = self.of_channel_mut(channel);
+        if before != force {
+            values.iter_mut().for_each(|value| *value = before.as_other(*value, force));
+        }
+        values
+    }
+
+    /// Makes loads again of the forces that effects have left.
+    pub(super) fn take_as_loads(&mut self) {
+        for channel in 0..self.values.len() {
+            if self.taken_as[channel] != Force::LOAD {
+                self.forces_mut(channel, Force::LOAD);
+            }
+        }
     }
 
     /// Multiplies the loads of `channel` by `factor`; by 1 they stay the same values, not copies of them.
