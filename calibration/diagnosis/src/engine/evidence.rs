@@ -88,8 +88,8 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less. What lies
-    /// beyond the `bar` by far may be somewhat more than it says.
+    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less. Far beyond
+    /// the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
     /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much larger the
     /// variance of its strongest parameter is than independent rows would have it. Where the loss is a parabola this is the
