@@ -112,8 +112,7 @@ pub(crate) async fn upgrade(
         let gone = Gone { handle: handle.clone(), connection: caller.connection };
         let named = (!principal.is_local()).then(|| principal.name().clone());
         let revoked = no_longer_valid(people, principal);
-        converse(socket, &handle, &caller, named, revoked, ends).await;
-        drop(gone);
+        converse(socket, gone, &caller, named, revoked, ends).await;
     };
     // The task ends with its socket, and all of them with the thread.
     drop(commands.spawn(converse));
@@ -171,7 +170,7 @@ impl Drop for Gone {
 /// Answers requests until the client leaves or the server `ends`.
 async fn converse(
     socket: WebSocketStream<Connection>,
-    handle: &Handle,
+    gone: Gone,
     caller: &Caller,
     named: Option<Arc<str>>,
     revoked: impl Future<Output = ()>,
@@ -188,7 +187,7 @@ async fn converse(
     };
     let receive = async {
         let mut reader = Reader {
-            handle,
+            handle: &gone.handle,
             caller,
             named,
             replies,
@@ -216,12 +215,18 @@ async fn converse(
         () = revoked => Some((CloseCode::Policy, "the login or token has ended")),
         () = ends => Some((CloseCode::Away, "the studio is shutting down")),
     };
+    // Whoever is left has no control, whether they hear of it or not.
+    drop(gone);
     if let Some((code, reason)) = closes {
         let close = CloseFrame { code, reason: reason.into() };
+        // What is read no longer counts; unread it would take the close back.
+        let leave = async {
+            if sink.send(Message::Close(Some(close))).await.is_ok() {
+                while let Some(Ok(_)) = requests.next().await {}
+            }
+        };
         // The client may be gone already, or never read it.
-        let _ =
-            tokio::time::timeout(crate::http::stream::CLOSE_TIMEOUT, sink.send(Message::Close(Some(close))))
-                .await;
+        let _ = tokio::time::timeout(crate::http::stream::CLOSE_TIMEOUT, leave).await;
     }
 }
 

@@ -90,11 +90,17 @@ pub(super) async fn has_to_close(
     }
 }
 
-/// Tells the client why it is left.
+/// Tells the client why it is left, and reads what it still sends until it leaves too: a connection that is dropped with
+/// something unread takes back what was sent last.
 pub(super) async fn close(socket: &mut WebSocket, (code, reason): Closing) {
     let close = CloseFrame { code, reason: reason.into() };
+    let leave = async {
+        if socket.send(Message::Close(Some(close))).await.is_ok() {
+            while let Some(Ok(_)) = socket.recv().await {}
+        }
+    };
     // The client may be gone already, or never read it.
-    let _ = tokio::time::timeout(CLOSE_TIMEOUT, socket.send(Message::Close(Some(close)))).await;
+    let _ = tokio::time::timeout(CLOSE_TIMEOUT, leave).await;
 }
 
 /// Sends until the client leaves. Nothing is expected from it but the close, and the answers to pings that every WebSocket

@@ -77,7 +77,7 @@ fn a_page_that_falls_silent_is_as_good_as_gone() {
 
 #[test]
 fn anybody_stops_and_the_stop_is_confirmed_and_latched() {
-    let bench = Bench::new();
+    let bench = Bench::patient();
     let operator = Operator::armed(&bench, 1);
     let watcher = Operator::watcher(&bench, 2);
     set_in_motion(&bench, &operator);
@@ -102,7 +102,7 @@ fn anybody_stops_and_the_stop_is_confirmed_and_latched() {
 #[test]
 fn a_flood_of_requests_holds_up_no_stop() {
     for _ in 0..MOST_MEASURED {
-        let bench = Bench::new();
+        let bench = Bench::patient();
         let left_out_ns = bench.emulated.snapshot().left_out_ns;
         let limp_after_ns = limp_after_a_stop_in_a_flood_ns(&bench);
         if limp_after_ns <= 100 * MS + SLACK_NS {
