@@ -68,6 +68,20 @@ async function until(what, ask, patience_ms = PATIENCE_MS) {
   }
 }
 
+/**
+ * Presses `control`, and once more if what is to be `seen` then is not. People press again what did nothing; it is told, because
+ * it should not happen.
+ */
+async function press(control, seen, how = () => control.click()) {
+  await how();
+  const isSeen = await seen.waitFor({ timeout: 20_000 }).then(() => true, () => false);
+  if (isSeen) return;
+  console.log(`RETRY ${control}: it did nothing within 20 s`);
+  await how();
+  await seen.waitFor();
+}
+const tab = (name, on) => on.page.getByRole("tab", { name, exact: true });
+
 const document = async (path, on = operator) => JSON.parse((await request(on, "GET", path)).text);
 
 async function logIn(on, name) {
@@ -121,13 +135,13 @@ await step("three people log in", async () => {
 
 await step("the operator plans a campaign", async () => {
   const { page } = operator;
-  const field = (name) => page.getByRole("textbox", { name, exact: true });
   // The page takes a text in with its next frame, and shows what it has then: a field that lost it is written again.
-  const write = (name, text) =>
+  const write = (name, text, role = "textbox") =>
     until(`${name} written`, async () => {
-      if ((await field(name).inputValue()) !== text) await field(name).fill(text);
+      const field = page.getByRole(role, { name, exact: true });
+      if ((await field.inputValue()) !== text) await field.fill(text);
       await page.waitForTimeout(500);
-      return (await field(name).inputValue()) === text;
+      return (await field.inputValue()) === text;
     });
   await button("Trials", operator).click();
   await button("Plan a campaign", operator).click();
@@ -139,7 +153,7 @@ await step("the operator plans a campaign", async () => {
   }
   await page.getByRole("checkbox", { name: "touch silenced" }).nth(1).click();
   for (const object of ["cube", "ball"]) await button(object, operator).click();
-  await page.getByRole("spinbutton", { name: "Starts of each object", exact: true }).fill(starts);
+  await write("Starts of each object", starts, "spinbutton");
   // What does not fit into the window is scrolled to, as people do it.
   await page.mouse.move(640, 500);
   await page.mouse.wheel(0, 2000);
@@ -157,8 +171,7 @@ const campaign = () => document(`/campaigns/${id}`);
 
 await step("the operator takes a break while the first trial runs", async () => {
   await until("a trial runs", async () => (await campaign()).trials.some(({ state }) => state === "running"));
-  await button("Take a break", operator).click();
-  await says("The campaign is paused", operator).waitFor();
+  await press(button("Take a break", operator), says("The campaign is paused", operator));
   await until("control is given back", async () => (await document("/live")).holder === "");
   await shot("break", operator);
   const made = (await campaign()).trials.filter(({ state }) => state !== "waiting").length;
@@ -173,11 +186,9 @@ await step("the viewer sees that it is paused, without a button that moves or sc
   await control.waitFor();
   assert.ok(await isDisabled(control), "a viewer can take control");
   await shot("viewer", viewer);
-  await viewer.page.getByRole("tab", { name: "Score", exact: true }).click();
-  await says("Scorers and operators score trials", viewer).waitFor();
+  await press(tab("Score", viewer), says("Scorers and operators score trials", viewer));
   assert.equal(await viewer.page.getByRole("button", { name: /^Score: / }).count(), 0);
-  await viewer.page.getByRole("tab", { name: "Results", exact: true }).click();
-  await says("This campaign is blind", viewer).waitFor();
+  await press(tab("Results", viewer), says("This campaign is blind", viewer));
 });
 
 await step("what a page of the viewer or the scorer asks for all the same is refused", async () => {
@@ -234,21 +245,29 @@ async function score(number, verdict, how) {
   const [key, label] = VERDICTS[verdict];
   const control = button(`Score: ${label}`, scorer);
   await until("a button that can be pressed", async () => (await control.count()) === 1 && !(await isDisabled(control)));
-  const press = () => {
+  const known = scorer.page.getByText(new RegExp(`^Trial ${number} \\((cube|ball)\\): ${label}$`));
+  await press(control, known, async () => {
+    assert.equal(await trialToScore(), number, "another trial was scored");
     if (how === "key") return scorer.page.keyboard.press(key);
     return how === "touch" ? control.tap() : control.click();
-  };
-  const known = scorer.page.getByText(new RegExp(`^Trial ${number} \\((cube|ball)\\): ${label}$`));
-  await press();
-  // People press again what did nothing. It is told, because it should not happen.
-  const isKnown = await known.waitFor({ timeout: 20_000 }).then(() => true, () => false);
-  if (!isKnown) {
-    assert.equal(await trialToScore(), number, "another trial was scored");
-    console.log(`RETRY trial ${number}: ${how} did nothing within 20 s`);
-    await press();
-    await known.waitFor();
-  }
+  });
   scored.set(number, verdict);
+}
+
+/** Takes a verdict back. On a phone it is below the window where the next trial is there already: people scroll then. */
+async function takeBack(number) {
+  const { page } = scorer;
+  const { width, height } = page.viewportSize();
+  const scroll = async (down_px) => {
+    await page.mouse.move(width / 2, height / 2);
+    await page.mouse.wheel(0, down_px);
+    await page.waitForTimeout(500);
+  };
+  await until(`verdict ${number} taken back`, async () => {
+    await scroll(2000);
+    return button(`Take back ${number}`, scorer).click({ timeout: 2000 }).then(() => true, () => false);
+  });
+  await scroll(-2000);
 }
 
 await step("the scorer's page shows what there is to score, and no policy", async () => {
@@ -257,10 +276,9 @@ await step("the scorer's page shows what there is to score, and no policy", asyn
   const number = await trialToScore();
   await shot("scorer", scorer);
   await shot("operator", operator);
-  await scorer.page.getByRole("tab", { name: "Run", exact: true }).click();
-  await says("The campaign is paused", scorer).waitFor();
+  await press(tab("Run", scorer), says("The campaign is paused", scorer));
   await shot("scorer-run", scorer);
-  await scorer.page.getByRole("tab", { name: "Score", exact: true }).click();
+  await press(tab("Score", scorer), says("You score as ada.", scorer));
   assert.equal(await trialToScore(), number);
 });
 
@@ -275,7 +293,7 @@ await step(`the scorer scores ${NUM_TRIALS} trials as they come in`, async () =>
     const how = ["key", "touch", "pointer"][number % 3];
     if (number === TAKEN_BACK) {
       await score(number, "SL", how);
-      await button(`Take back ${number}`, scorer).click();
+      await takeBack(number);
       scored.delete(number);
       await scorer.page.getByText(new RegExp(`^Trial ${number}: `)).waitFor();
     }
@@ -297,8 +315,7 @@ await step("until here nothing told the scorer which policy moved the hand", asy
 await step("the operator closes the campaign, and everybody sees the results", async () => {
   await says("All trials are made", operator).waitFor();
   await button("Repeat trial 7", operator).waitFor();
-  await button("Close the campaign", operator).click();
-  await says("The campaign is closed", operator).waitFor();
+  await press(button("Close the campaign", operator), says("The campaign is closed", operator));
   for (const [who, on] of Object.entries(everybody)) {
     await on.page.getByRole("tab", { name: "Results", exact: true }).click();
     for (const { id } of POLICIES) {
