@@ -3,9 +3,9 @@
 //!
 //! A station in real time waits most of the time, and needs the processor at once when it wakes. What computes gives way to
 //! it at once where Linux schedules it as idle, in the same session (each session has its share, whatever runs in it). A
-//! test that fails is run a second time when everything else has ended: a station on a busy machine may be late once, and in
-//! an hour so may another. What fails twice is wrong, and so is a run in which more than two fail. A test that needed its
-//! second time is named at the end.
+//! test that fails is run a second time when everything else has ended: a station on a busy machine may be late once,
+//! and in an hour so may another. What fails twice is wrong, and so is a run in which more than two fail. A test that
+//! needed its second time is named at the end.
 
 use std::{
     io::{BufRead as _, BufReader, Read, Write as _},

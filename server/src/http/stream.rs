@@ -90,8 +90,8 @@ pub(super) async fn has_to_close(
     }
 }
 
-/// Tells the client why it is left, and reads what it still sends until it leaves too: a connection that is dropped with
-/// something unread takes back what was sent last.
+/// Tells the client why it is left, and reads what it still sends until it leaves too: a connection that is dropped
+/// with something unread takes back what was sent last.
 pub(super) async fn close(socket: &mut WebSocket, (code, reason): Closing) {
     let close = CloseFrame { code, reason: reason.into() };
     let leave = async {

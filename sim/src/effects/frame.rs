@@ -38,7 +38,8 @@ pub trait FrameEffect: Debug + Send + Sync {
         None
     }
 
-    /// Changes the `values` of `frame`: joint positions by degree of freedom, or loads (or [`Self::forces`]) by channel.
+    /// Changes the `values` of `frame`: joint positions by degree of freedom, or by channel loads ([`Self::forces`],
+    /// where it acts on these).
     fn step(&self, frame: &Frame<'_>, memory: &mut [f64], values: &mut [f64]);
 }
 

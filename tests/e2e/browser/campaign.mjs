@@ -69,8 +69,8 @@ async function until(what, ask, patience_ms = PATIENCE_MS) {
 }
 
 /**
- * Presses `control`, and once more if what is to be `seen` then is not. People press again what did nothing; it is told, because
- * it should not happen.
+ * Presses `control`, and once more if what is to be `seen` then is not. People press again what did nothing; it is told,
+ * because it should not happen.
  */
 async function press(control, seen, how = () => control.click()) {
   await how();
@@ -254,7 +254,7 @@ async function score(number, verdict, how) {
   scored.set(number, verdict);
 }
 
-/** Takes a verdict back. On a phone it is below the window where the next trial is there already: people scroll then. */
+/** Takes a verdict back. On a phone it is below the window where the next trial is there already: people scroll. */
 async function takeBack(number) {
   const { page } = scorer;
   const { width, height } = page.viewportSize();

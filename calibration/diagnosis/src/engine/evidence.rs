@@ -63,8 +63,8 @@ impl<'a, D: Domain> Judged<'a, D> {
         let assess = |columns: &[&Column], blocks| {
             linear.assess_with_errors(columns, &linear.residual, num_errors, blocks)
         };
-        // Beside what is known to be small a parameter is told by what little is left of it: what is known is held while
-        // blocks are counted.
+        // Beside what is known to be small a parameter is told by what little is left of it: what is known is
+        // held while blocks are counted.
         let (known, free): (Vec<&Column>, Vec<&Column>) =
             columns.iter().partition(|column| column.is_known());
         let all: Vec<&Column> = columns.iter().collect();
@@ -88,13 +88,13 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less. Far beyond
-    /// the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
+    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less.
+    /// Far beyond the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
-    /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much larger the
-    /// variance of its strongest parameter is than independent rows would have it. Where the loss is a parabola this is the
-    /// squared Wald statistic that evidence is. Where it is none, a parameter may be told sharply at a place that is hardly
-    /// better than no effect at all.
+    /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much
+    /// larger the variance of its strongest parameter is than independent rows would have it. Where the loss is a
+    /// parabola this is the squared Wald statistic that evidence is. Where it is none, a parameter may be told
+    /// sharply at a place that is hardly better than no effect at all.
     pub(super) fn founded(&self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
         let founded = |idx: usize| {
             let evidence = self.evidence[idx];
@@ -103,7 +103,8 @@ impl<'a, D: Domain> Judged<'a, D> {
         (known..self.evidence.len()).into_par_iter().map(founded).collect()
     }
 
-    /// Of the effect `idx`. Every fit of the others lowers it: it ends with the first that is below the `bar`.
+    /// Of the effect `idx`. The others are fitted better and better until the ratio is below the `bar`: one fit that
+    /// makes up for the effect is enough.
     fn likelihood_ratio(&self, idx: usize, bar: f64) -> Result<f64, DiagnosisError> {
         let Linear { domain, model, takes, .. } = &self.linear;
         let effect = &model.effects[idx];

@@ -309,8 +309,8 @@ pub(crate) fn refit_roughly<D: Domain>(
 
 const ROUGH_STEPS: usize = 2;
 
-/// As [`refit_roughly`] by the `responses` of the model of `from` to the parameters of `model`, which is nearby: for hardly
-/// more than its predictions take.
+/// As [`refit_roughly`] by the `responses` of the model of `from` to the parameters of `model`, which is nearby:
+/// for hardly more than its predictions take.
 pub(super) fn refit_nearby<D: Domain>(
     from: &Linear<'_, D>,
     model: Model,

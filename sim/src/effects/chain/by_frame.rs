@@ -295,7 +295,8 @@ impl FrameChain {
     }
 }
 
-/// Steps of `effects`, each with its part of the `memory`, with what is done `before` each and, with their number, at the end.
+/// Steps of `effects`, each with its part of the `memory`; `before` is called with the index of each, and with their
+/// number at the end.
 fn step_each(
     effects: &[DynFrameEffect],
     frame: &Frame<'_>,
@@ -321,7 +322,8 @@ struct TakenAs {
 }
 
 impl TakenAs {
-    /// As [`super::Load`] has it: what acts on forces is given them, all else loads, and loads are what is left in the end.
+    /// As [`super::Load`] has it: what acts on forces is given them, all else loads, and loads are what is left in
+    /// the end.
     fn before_each(effects: &[DynFrameEffect], num_channels: usize) -> Vec<Vec<Self>> {
         let mut now = vec![Force::LOAD; num_channels];
         let take = |forces: &[(usize, Force)]| -> Vec<Self> {

@@ -116,7 +116,8 @@ fn a_flood_of_requests_holds_up_no_stop() {
     panic!("the computer stood still each of {MOST_MEASURED} times that it was measured");
 }
 
-/// How long after a stop no servo has torque any more while others ask for what they are refused, on the station's clock.
+/// How long after a stop no servo has torque any more while others ask for what they are refused, on the station's
+/// clock.
 fn limp_after_a_stop_in_a_flood_ns(bench: &Bench) -> u64 {
     let operator = Operator::armed(bench, 1);
     set_in_motion(bench, &operator);
