@@ -17,6 +17,7 @@ mod response;
 mod sensor_model;
 pub mod tactile;
 mod theta;
+pub mod vectors;
 
 pub use replay::MOST_SOFTNESS_M;
 pub use response::Response;

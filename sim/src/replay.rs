@@ -10,6 +10,7 @@ use palpate_robot_model::{
 
 use crate::geometry::{self, SignedDistance};
 use crate::parallel::map_chunks;
+use crate::vectors::exponentials;
 
 /// The part of a replay that does not depend on theta, for one take.
 ///
@@ -61,7 +62,7 @@ impl Gaps {
     /// `-s ln sum_i exp(-d_i / s)` over the distances of all nodes, frame by frame, `s` being `softness_m`, where the
     /// nearest is at `min_distance_m`. Frames without gaps keep the distance of the nearest.
     pub(crate) fn soft_distances_m(&self, min_distance_m: &[f64], softness_m: f64) -> Vec<f64> {
-        let mut start = 0;
+        let (mut start, mut shares) = (0, Vec::new());
         let of_frame = |(frame, &smallest_m): (usize, &f64)| {
             let end = self.ends.get(frame).map_or(start, |end| *end as usize);
             let gaps_m = &self.gaps_m[std::mem::replace(&mut start, end)..end];
@@ -69,7 +70,10 @@ impl Gaps {
                 return smallest_m;
             }
             let near = gaps_m.iter().filter(|gap_m| **gap_m < SOFT_TAIL * softness_m);
-            let sum: f64 = near.map(|gap_m| (-gap_m / softness_m).exp()).sum();
+            shares.clear();
+            shares.extend(near.map(|gap_m| -gap_m / softness_m));
+            exponentials(&mut shares);
+            let sum: f64 = shares.iter().sum();
             smallest_m - softness_m * sum.max(1.0).ln()
         };
         min_distance_m.iter().enumerate().map(of_frame).collect()

@@ -9,6 +9,7 @@ use super::{
     low_pass::{FrameLag, Lag},
     places,
 };
+use crate::vectors::powers;
 
 /// How force goes with the load of a channel: as a power.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,17 +35,17 @@ impl Force {
         }
     }
 
-    fn of_load(self, load: f64) -> f64 {
-        if self.exponent == 1.0 { load } else { load.max(0.0).powf(self.exponent) }
-    }
-
-    fn to_load(self, force: f64) -> f64 {
-        if self.exponent == 1.0 { force } else { force.max(0.0).powf(self.exponent.recip()) }
-    }
-
-    /// What is `force` here, as the force that it is to `other`.
-    pub(super) fn as_other(self, force: f64, other: Self) -> f64 {
-        if self == other { force } else { other.of_load(self.to_load(force)) }
+    /// Makes `forces`, which are such here, what they are to `other`.
+    pub(super) fn make_other(self, forces: &mut [f64], other: Self) {
+        if self == other {
+            return;
+        }
+        if self != Self::LOAD {
+            powers(forces, self.exponent.recip());
+        }
+        if other != Self::LOAD {
+            powers(forces, other.exponent);
+        }
     }
 }
 

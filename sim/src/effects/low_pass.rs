@@ -7,6 +7,7 @@ use palpate_robot_model::{Place, Station};
 use super::{
     DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, TakeScene, places,
 };
+use crate::vectors::{exponential, exponentials};
 
 /// Every reading of a stream follows its load with `time_constant_s`.
 pub(super) struct LowPass;
@@ -72,11 +73,11 @@ impl Lag {
     /// For frames at `times_s`.
     pub(super) fn new(times_s: &[f64], time_constant_s: f64) -> Self {
         let before_s = times_s.first().into_iter().chain(times_s);
-        let gaps_s = times_s.iter().zip(before_s).map(|(time_s, before_s)| time_s - before_s);
-        Self {
-            time_constant_s,
-            steps: gaps_s.map(|gap_s| (gap_s, (-gap_s / time_constant_s).exp())).collect(),
-        }
+        let gaps_s: Vec<f64> =
+            times_s.iter().zip(before_s).map(|(time_s, before_s)| time_s - before_s).collect();
+        let mut left: Vec<f64> = gaps_s.iter().map(|gap_s| -gap_s / time_constant_s).collect();
+        exponentials(&mut left);
+        Self { time_constant_s, steps: gaps_s.into_iter().zip(left).collect() }
     }
 
     /// What follows `input`, frame by frame.
@@ -131,7 +132,7 @@ impl FrameLag {
         set: impl Fn(&mut f64, f64),
     ) {
         let gap_s = frame.time_s - frame.before_s;
-        let decay = (-gap_s / self.time_constant_s).exp();
+        let decay = exponential(-gap_s / self.time_constant_s);
         for (&channel, memory) in self.channels.iter().zip(memory.chunks_exact_mut(2)) {
             let load = &mut loads[channel];
             let mut follower = if frame.is_first {

@@ -142,6 +142,8 @@ pub(super) struct Memory {
     channels: Vec<Kept<Arc<ChannelLoad>>>,
     /// The most that `channels` may take, bytes.
     channels_bytes: usize,
+    /// As much as `channels` take, or more, bytes.
+    taken_bytes: usize,
     patches: Vec<Kept<Arc<PatchGeometry>>>,
     /// The most that `patches` may take, bytes.
     patches_bytes: usize,
@@ -172,6 +174,7 @@ impl Memory {
     pub(super) fn new(num_channels: usize, num_patches: usize, num_memories: usize) -> Mutex<Self> {
         Mutex::new(Self {
             channels_bytes: LOADS_BYTES / num_memories.max(1),
+            taken_bytes: 0,
             patches_bytes: MOTIONS_BYTES / num_memories.max(1),
             channels: (0..num_channels).map(|_| Kept::new(LOADS_KEPT)).collect(),
             switched: vec![Recent(Vec::new()); num_channels],
@@ -181,8 +184,18 @@ impl Memory {
         })
     }
 
-    /// Forgets the oldest loads of channels of which most are remembered, as far as they take more than they may.
-    fn forget_loads(&mut self) {
+    /// Remembers the `load` of a channel. Where loads take more than they may, it forgets the oldest ones of channels of which
+    /// most are remembered, until there is room for some more.
+    fn remember_load(&mut self, channel: usize, key: Key, load: Arc<ChannelLoad>) {
+        self.taken_bytes += load.num_bytes();
+        self.channels[channel].put(key, load);
+        if self.taken_bytes > self.channels_bytes {
+            self.taken_bytes = self.forget_loads();
+        }
+    }
+
+    /// What loads take, once the oldest are forgotten.
+    fn forget_loads(&mut self) -> usize {
         // Numbers that make no difference to a channel leave it one load under several keys.
         let of_channel = |kept: &Kept<Arc<ChannelLoad>>| -> usize {
             let is_first = |idx: usize, load: &Arc<ChannelLoad>| {
@@ -192,12 +205,13 @@ impl Memory {
             entries.map(|(_, (_, load))| load.num_bytes()).sum()
         };
         let mut num_bytes: Vec<usize> = self.channels.iter().map(of_channel).collect();
-        while num_bytes.iter().sum::<usize>() > self.channels_bytes {
+        while num_bytes.iter().sum::<usize>() > self.channels_bytes - self.channels_bytes / 8 {
             let longest = (0..num_bytes.len()).max_by_key(|&idx| self.channels[idx].entries.len());
-            let Some(idx) = longest.filter(|&idx| self.channels[idx].entries.len() > 1) else { return };
+            let Some(idx) = longest.filter(|&idx| self.channels[idx].entries.len() > 1) else { break };
             self.channels[idx].entries.remove(0);
             num_bytes[idx] = of_channel(&self.channels[idx]);
         }
+        num_bytes.iter().sum()
     }
 
     /// Forgets the oldest geometries of patches of which most are remembered, as far as they take more than they may.
@@ -372,21 +386,20 @@ impl TactileDomain<'_> {
             vec![None; wanted.len()]
         };
         let reading = |channel: usize, arrived: &Arrived| -> Series {
-            let read = read_by[channel].up_to(observed.ceilings[channel]);
-            // Quiet channels stay where they are, and are most of the work.
-            let mut last = (f64::NAN, f64::NAN);
             let loads = arrived.load();
-            let at = |&frame: &usize| {
-                let load = loads[frame];
-                if load != last.0 {
-                    last = (load, read(load));
-                }
-                last.1
+            let loads: Vec<f64> = observed.frames(limb).iter().map(|&frame| loads[frame]).collect();
+            // Quiet channels stay where they are, and are most of the work.
+            let mut readings = loads.clone();
+            readings.dedup();
+            read_by[channel].read(observed.ceilings[channel], &mut readings);
+            let (mut at, mut last) = (0, loads.first());
+            let read = |load| {
+                at += usize::from(Some(load) != last.replace(load));
+                readings[at]
             };
-            observed.frames(limb).iter().map(at).collect()
+            loads.iter().map(read).collect()
         };
         let mut signals = Vec::with_capacity(keys.len());
-        let mut is_more_remembered = false;
         for ((channel, keys), known) in keys.into_iter().zip(known) {
             let load = known.clone().or_else(|| {
                 let arrived = arrived[channel].take()?;
@@ -407,15 +420,11 @@ impl TactileDomain<'_> {
                     let made = Arc::make_mut(&mut load);
                     made.activations.put(keys.activation, &activation);
                     made.readings.put(keys.reading, &reading);
-                    self.memory(take, limb).channels[channel].put(keys.load, load);
-                    is_more_remembered = true;
+                    self.memory(take, limb).remember_load(channel, keys.load, load);
                     (activation, reading)
                 }
             };
             signals.push((channel, [activation, reading, self.switched(take, limb, channel, &switching)]));
-        }
-        if is_more_remembered {
-            self.memory(take, limb).forget_loads();
         }
         Ok(signals)
     }

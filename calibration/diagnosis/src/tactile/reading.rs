@@ -1,5 +1,7 @@
 //! From the load on a channel to its raw reading.
 
+use palpate_sim::vectors::powers;
+
 /// The curve of a stream: `x^exponent` of a load `x` in units of that at which the channel switches, bent towards
 /// the highest reading that its converter can give.
 ///
@@ -30,29 +32,35 @@ impl Curve {
         reading.powf(self.exponent.recip())
     }
 
-    /// Readings of a channel whose converter ends at `ceiling`, in units of the switching threshold: 1 where the
-    /// channel switches.
+    /// Makes of each of `loads` the reading of a channel whose converter ends at `ceiling`, in units of the switching
+    /// threshold: 1 where the channel switches.
     ///
     /// Negative loads (drift) read as they are.
-    pub(super) fn up_to(self, ceiling: f64) -> impl Fn(f64) -> f64 {
+    pub(super) fn read(self, ceiling: f64, loads: &mut [f64]) {
         let Self { on_load, exponent, knee } = self;
-        let bends = knee > 0.0 && ceiling > 1.0 && ceiling.is_finite();
-        // So that a reading of one stays one.
-        let at_threshold = if bends { (1.0 - ceiling.powf(-knee.recip())).powf(-knee) } else { 1.0 };
-        move |load| {
-            let x = load / on_load;
-            if x <= 0.0 {
-                return x;
+        loads.iter_mut().for_each(|load| *load /= on_load);
+        let mut readings = loads.to_vec();
+        powers(&mut readings, exponent);
+        if knee > 0.0 && ceiling > 1.0 && ceiling.is_finite() {
+            // So that a reading of one stays one.
+            let at_threshold = (1.0 - ceiling.powf(-knee.recip())).powf(-knee);
+            readings.iter_mut().for_each(|reading| *reading *= at_threshold);
+            let mut bends: Vec<f64> = readings.iter().map(|reading| reading / ceiling).collect();
+            powers(&mut bends, knee.recip());
+            for (reading, bend) in readings.iter_mut().zip(&mut bends) {
+                // Far above, it is where it ends.
+                if bend.is_infinite() {
+                    (*reading, *bend) = (ceiling, 0.0);
+                }
+                *bend += 1.0;
             }
-            let reading = x.powf(exponent);
-            if !bends {
-                return reading.min(ceiling);
-            }
-            let reading = reading * at_threshold;
-            let bend = (reading / ceiling).powf(knee.recip());
-            // Far above, it is where it ends.
-            if bend.is_finite() { reading * (1.0 + bend).powf(-knee) } else { ceiling }
+            powers(&mut bends, knee);
+            readings.iter_mut().zip(bends).for_each(|(reading, bend)| *reading /= bend);
+        } else {
+            readings.iter_mut().for_each(|reading| *reading = reading.min(ceiling));
         }
+        let pressed = loads.iter_mut().zip(readings).filter(|(load, _)| **load > 0.0);
+        pressed.for_each(|(load, reading)| *load = reading);
     }
 }
 
@@ -62,9 +70,15 @@ mod tests {
 
     use super::*;
 
+    fn reading(curve: Curve, ceiling: f64, load: f64) -> f64 {
+        let mut readings = [load];
+        curve.read(ceiling, &mut readings);
+        readings[0]
+    }
+
     #[test]
     fn a_divider_reads_as_one_is_computed() {
-        let of = Curve { on_load: 2.0, exponent: 0.5, knee: 1.0 }.up_to(20.0);
+        let of = |load| reading(Curve { on_load: 2.0, exponent: 0.5, knee: 1.0 }, 20.0, load);
         for load in [0.1, 2.0, 30.0, 5e3] {
             let conductance = (load / 2.0_f64).sqrt();
             let expected = 20.0 * conductance / (19.0 + conductance);
@@ -78,7 +92,7 @@ mod tests {
             on_load in 1e-3..1e5_f64, exponent in EXPONENTS[0]..EXPONENTS[1], knee in KNEES[0]..KNEES[1],
             ceiling in 2.0..1e3_f64, load in 1e-3..1e4_f64, more in 1.0..10.0_f64,
         ) {
-            let of = Curve { on_load, exponent, knee }.up_to(ceiling);
+            let of = |load| reading(Curve { on_load, exponent, knee }, ceiling, load);
             prop_assert!((of(on_load) - 1.0).abs() < 1e-9);
             let (less, most) = (of(load * on_load), of(load * on_load * more));
             prop_assert!(less <= most * (1.0 + 1e-12) && most <= ceiling * (1.0 + 1e-9), "{less} {most}");
@@ -86,7 +100,7 @@ mod tests {
 
         #[test]
         fn an_amplifier_is_proportional_up_to_its_ceiling(load in 0.0..1e3_f64) {
-            let of = Curve { on_load: 1.0, exponent: 1.0, knee: KNEES[0] }.up_to(20.0);
+            let of = |load| reading(Curve { on_load: 1.0, exponent: 1.0, knee: KNEES[0] }, 20.0, load);
             let expected = load.min(20.0);
             prop_assert!((of(load) - expected).abs() <= 0.02 * expected, "{load}: {}", of(load));
         }

@@ -339,7 +339,7 @@ impl TakenAs {
     }
 
     fn make(self, values: &mut [f64]) {
-        values[self.channel] = self.before.as_other(values[self.channel], self.after);
+        self.before.make_other(&mut values[self.channel..=self.channel], self.after);
     }
 }
 

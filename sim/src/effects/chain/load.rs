@@ -108,9 +108,7 @@ impl Load {
     pub(in super::super) fn forces_mut(&mut self, channel: usize, force: Force) -> &mut [f64] {
         let before = std::mem::replace(&mut self.taken_as[channel], force);
         let values = self.of_channel_mut(channel);
-        if before != force {
-            values.iter_mut().for_each(|value| *value = before.as_other(*value, force));
-        }
+        before.make_other(values, force);
         values
     }
 
