@@ -37,7 +37,7 @@ mod tests;
 pub(crate) use adequacy::{loss_by_unit, share_left};
 pub(crate) use agreement::Contributions;
 pub(crate) use choose::RIVAL_SHARE;
-pub(crate) use fit::{refit, refit_roughly};
+pub(crate) use fit::{Fit, Nearby, refit};
 pub use name::name;
 pub(crate) use name::strongest;
 pub use naming::{Naming, NamingConfig, Round, Tried};
@@ -159,6 +159,16 @@ pub trait Domain: Sync {
 
     /// One over the standard deviation that each sample of `signal` is allowed around `prediction`.
     fn weights(&self, take: usize, signal: usize, prediction: &[f64]) -> Vec<f64>;
+}
+
+/// Whether two sets have anything in common.
+fn overlap(one: &[bool], other: &[bool]) -> bool {
+    one.iter().zip(other).any(|(one, other)| *one && *other)
+}
+
+/// Adds `other` to `units`.
+fn unite(units: &mut [bool], other: &[bool]) {
+    units.iter_mut().zip(other).for_each(|(unit, other)| *unit |= other);
 }
 
 /// Whether all units of `inner` are in `outer`.

@@ -10,7 +10,7 @@ use palpate_sim::effects::Effect;
 use rayon::prelude::*;
 
 use crate::DiagnosisError;
-use crate::engine::{self, Domain, Model, Naming, Tried};
+use crate::engine::{Domain, Fit, Model, Naming, Nearby, Tried};
 use crate::fired::{self, Fired, InForce, Withheld};
 use crate::tactile::judge::{Judged, flickering, judge, set_thresholds};
 use crate::tactile::{Observed, TactileDomain};
@@ -26,6 +26,8 @@ pub(crate) struct Steps {
     pub(crate) confirm: Vec<usize>,
     /// The calibrated model first.
     pub(crate) models: Vec<SensorModel>,
+    /// Responses of the model with every name.
+    nearby: Nearby,
 }
 
 impl Steps {
@@ -44,12 +46,17 @@ impl Steps {
         let ids: Vec<String> = fitted.iter().map(|&take| takes[take].id.clone()).collect();
         let first = naming.rounds.first().map_or(0, |round| round.before.effects.len());
         let all = naming.model.effects.len();
+        let has_steps = all > first;
+        let nearby = if has_steps { Nearby::to(domain, &naming.model, fitted)? } else { Nearby::default() };
         let step = |count: usize| -> Result<SensorModel, DiagnosisError> {
             // The effects in the order of the final model, each step with the parameters of a fit of its own.
             let partial =
                 Model { base: naming.model.base.clone(), effects: naming.model.effects[..count].to_vec() };
-            let partial =
-                if count == all { partial } else { engine::refit_roughly(domain, &partial, fitted)? };
+            let partial = if count == all {
+                partial
+            } else {
+                Fit::roughly().near(&nearby).of(domain, &partial, fitted)?
+            };
             let effects = described(domain, naming, &partial.effects, &ids, first);
             let mut model = deployed(station, domain, &partial, effects, calibrated, fitted)?;
             model.provenance.push(format!(
@@ -61,7 +68,7 @@ impl Steps {
         };
         let mut models = vec![calibrated.clone()];
         models.extend((first + 1..=all).into_par_iter().map(step).collect::<Result<Vec<_>, _>>()?);
-        Ok(Self { confirm, models })
+        Ok(Self { confirm, models, nearby })
     }
 
     /// The model of the step that adds the effect at `idx`, with `rival` in the place of that effect and everything
@@ -78,7 +85,7 @@ impl Steps {
         let mut effects = naming.model.effects[..=idx].to_vec();
         effects[idx] = rival.effect.clone();
         let model = Model { base: naming.model.base.clone(), effects };
-        let model = engine::refit_roughly(domain, &model, fitted)?;
+        let model = Fit::roughly().near(&self.nearby).of(domain, &model, fitted)?;
         deployed(station, domain, &model, model.effects.clone(), &self.models[0], fitted)
     }
 

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use super::evidence::{SIMILAR_COUNT, founded};
-use super::fit::{REFIT_STEPS, refit};
+use super::fit::Fit;
 use super::linear::Linear;
 use super::naming::{Round, Tried};
-use super::{Domain, Model, NamingConfig, within};
+use super::{Domain, Model, NamingConfig, overlap, unite, within};
 use crate::DiagnosisError;
 
 /// Rivals explain at least this share of what the best does.
@@ -52,7 +52,7 @@ pub(super) fn choose<D: Domain>(
         .into_par_iter()
         .map(|named| {
             let with = beside(domain, model, &tried[named]);
-            let model = refit(domain, &with, takes, REFIT_STEPS)?;
+            let model = Fit::again().of(domain, &with, takes)?;
             let deviance = Linear::without_nuisances(domain, &model, takes)?.deviance();
             let holds = passes(&tried[named]) || founded(domain, &model, takes, config.bar)?;
             Ok(holds.then_some(Chosen { named, model, deviance }))
@@ -79,10 +79,6 @@ pub(super) fn with_base_of<D: Domain>(domain: &D, model: &Model, tried: &Tried) 
         }
     }
     with
-}
-
-fn overlap(one: &[bool], other: &[bool]) -> bool {
-    one.iter().zip(other).any(|(one, other)| *one && *other)
 }
 
 /// What of `tried` explains something that has nothing to do with what was `named`, best first: no parameter of `model`
@@ -115,7 +111,7 @@ fn joined<D: Domain>(domain: &D, model: &Model, mut units: Vec<bool>) -> Vec<boo
     loop {
         let before = units.clone();
         for support in supports.iter().filter(|support| overlap(support, &before)) {
-            units.iter_mut().zip(support).for_each(|(unit, joined)| *unit |= joined);
+            unite(&mut units, support);
         }
         if units == before {
             return units;

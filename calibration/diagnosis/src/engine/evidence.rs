@@ -3,7 +3,7 @@
 use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
-use super::fit::{REFIT_STEPS, refit, refit_nearby};
+use super::fit::{Fit, refit_nearby};
 use super::linear::Linear;
 use super::normal::inverse;
 use super::robust::Blocks;
@@ -13,7 +13,8 @@ use crate::DiagnosisError;
 
 /// Numbers of parameters up to this many apart count as equally simple.
 pub(super) const SIMILAR_COUNT: usize = 7;
-/// Below so many times the bar, what comes back without an effect is not left to a rough fit.
+/// Below so many times the bar, what comes back without an effect is not left to a rough fit. Where evidence is beyond
+/// the square of it, over the bar, nothing is fitted.
 const NEAR_BAR: f64 = 10.0;
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
@@ -45,7 +46,7 @@ pub(super) fn joint_evidence<D: Domain>(
 pub(super) struct Judged<'a, D: Domain> {
     linear: Linear<'a, D>,
     /// Responses to every parameter.
-    columns: Vec<Column>,
+    pub(super) columns: Vec<Column>,
     /// Variances that independent rows of standard weight would give the parameters of each effect.
     variances: Vec<Vec<f64>>,
     /// Standard errors of the parameters of each effect, where few blocks count as few.
@@ -88,7 +89,8 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less.
+    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less and all
+    /// have more evidence than the `bar`: else one of them goes first.
     /// Far beyond the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
     /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much
@@ -96,11 +98,13 @@ impl<'a, D: Domain> Judged<'a, D> {
     /// parabola this is the squared Wald statistic that evidence is. Where it is none, a parameter may be told
     /// sharply at a place that is hardly better than no effect at all.
     pub(super) fn founded(&self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
-        let founded = |idx: usize| {
-            let evidence = self.evidence[idx];
-            if evidence < bar { Ok(evidence) } else { Ok(evidence.min(self.likelihood_ratio(idx, bar)?)) }
-        };
-        (known..self.evidence.len()).into_par_iter().map(founded).collect()
+        let evidence = &self.evidence[known..];
+        if evidence.iter().any(|evidence| *evidence < bar) {
+            return Ok(evidence.to_vec());
+        }
+        let founded =
+            |(idx, evidence): (usize, &f64)| Ok(evidence.min(self.likelihood_ratio(known + idx, bar)?));
+        evidence.par_iter().enumerate().map(founded).collect()
     }
 
     /// Of the effect `idx`. The others are fitted better and better until the ratio is below the `bar`: one fit that
@@ -118,7 +122,7 @@ impl<'a, D: Domain> Judged<'a, D> {
         let mut without = model.clone();
         without.effects.remove(idx);
         let unfitted = ratio(&without)?;
-        if unfitted < bar {
+        if unfitted < bar || self.evidence[idx] > NEAR_BAR * NEAR_BAR * bar {
             return Ok(unfitted);
         }
         let first = self.columns.len() - self.variances[idx..].iter().map(Vec::len).sum::<usize>();
@@ -128,7 +132,7 @@ impl<'a, D: Domain> Judged<'a, D> {
         if !(bar..NEAR_BAR * bar).contains(&nearby) {
             return Ok(nearby);
         }
-        ratio(&refit(*domain, &without, takes, REFIT_STEPS)?)
+        ratio(&Fit::again().beside(&self.columns).of(*domain, &without, takes)?)
     }
 }
 

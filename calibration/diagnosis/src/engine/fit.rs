@@ -294,60 +294,114 @@ pub(crate) fn refit<D: Domain>(
     takes: &[usize],
     steps: usize,
 ) -> Result<Model, DiagnosisError> {
-    gauss_newton(domain, model, takes, steps, 1)
+    Fit::within(steps).of(domain, model, takes)
 }
 
-/// As [`refit`] with [`ROUGH_STEPS`] that go by the responses of the `model` it starts from, for half of the time:
-/// to see what becomes of a model that was fitted with an effect more, or less.
-pub(crate) fn refit_roughly<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
-) -> Result<Model, DiagnosisError> {
-    gauss_newton(domain, model, takes, ROUGH_STEPS, ROUGH_STEPS)
+/// How a whole model is fitted, as [`refit`] does it.
+#[derive(Clone, Copy)]
+pub(crate) struct Fit<'f> {
+    /// Most steps.
+    steps: usize,
+    /// How many of them go by the same responses.
+    steps_each: usize,
+    /// See [`Self::beside`].
+    nearby: &'f [Column],
+}
+
+impl<'f> Fit<'f> {
+    /// In so many steps at most.
+    pub(super) fn within(steps: usize) -> Self {
+        Self { steps, steps_each: 1, nearby: &[] }
+    }
+
+    /// After an addition.
+    pub(super) fn again() -> Self {
+        Self::within(REFIT_STEPS)
+    }
+
+    /// By the responses of the model that it starts from, for half of the time: to see what becomes of a model that was
+    /// fitted with an effect more, or less.
+    pub(crate) fn roughly() -> Self {
+        Self { steps: ROUGH_STEPS, steps_each: ROUGH_STEPS, ..Self::again() }
+    }
+
+    /// With these responses of a model nearby to its own parameters, for those that are known to move little.
+    pub(super) fn beside(self, nearby: &'f [Column]) -> Self {
+        Self { nearby, ..self }
+    }
+
+    /// [`Self::beside`] the responses of another model.
+    pub(crate) fn near(self, Nearby(nearby): &'f Nearby) -> Self {
+        self.beside(nearby)
+    }
+
+    /// Fits `model` to `takes`. Its loss never rises.
+    pub(crate) fn of<D: Domain>(
+        self,
+        domain: &D,
+        model: &Model,
+        takes: &[usize],
+    ) -> Result<Model, DiagnosisError> {
+        let mut linear = Linear::without_nuisances(domain, model, takes)?;
+        let mut columns = Vec::new();
+        for first in (0..self.steps).step_by(self.steps_each) {
+            let before = if first == 0 { self.nearby } else { &columns };
+            columns = linear.columns_near(before)?;
+            let is_done;
+            let responses: Vec<&Column> = columns.iter().collect();
+            (linear, is_done) = follow(linear, self.steps_each.min(self.steps - first), &responses)?;
+            if is_done {
+                break;
+            }
+        }
+        Ok(linear.model)
+    }
+}
+
+/// Responses of a model to those of its own parameters that are known to move little; none where it is not asked.
+#[derive(Default)]
+pub(crate) struct Nearby(Vec<Column>);
+
+impl Nearby {
+    pub(crate) fn to<D: Domain>(domain: &D, model: &Model, takes: &[usize]) -> Result<Self, DiagnosisError> {
+        let linear = Linear::without_nuisances(domain, model, takes)?;
+        let known = (0..model.base.len()).filter(|&idx| domain.prior_standard_deviation(idx).is_some());
+        let known: Vec<usize> = known.collect();
+        let mut columns = vec![Column::default(); model.base.len()];
+        for (idx, column) in known.iter().zip(linear.base_columns(&known)?) {
+            columns[*idx] = column;
+        }
+        Ok(Self(columns))
+    }
 }
 
 const ROUGH_STEPS: usize = 2;
 
-/// As [`refit_roughly`] by the `responses` of the model of `from` to the parameters of `model`, which is nearby:
+/// As [`Fit::roughly`] by the `responses` of the model of `from` to the parameters of `model`, which is nearby:
 /// for hardly more than its predictions take.
 pub(super) fn refit_nearby<D: Domain>(
     from: &Linear<'_, D>,
     model: Model,
     responses: &[&Column],
 ) -> Result<Model, DiagnosisError> {
-    let mut linear = from.moved_to(model)?;
-    for _ in 0..ROUGH_STEPS {
-        let Some(lower) = lower(&linear, responses)? else { break };
-        linear = lower.linear;
-        if lower.is_done {
-            break;
-        }
-    }
+    let (linear, _) = follow(from.moved_to(model)?, ROUGH_STEPS, responses)?;
     Ok(linear.model)
 }
 
-/// Takes up to so many `steps`, with responses that serve `steps_each`.
-fn gauss_newton<D: Domain>(
-    domain: &D,
-    model: &Model,
-    takes: &[usize],
+/// Takes up to so many `steps` from `linear` by `responses`. Says whether more would gain nothing worth while.
+fn follow<'a, D: Domain>(
+    mut linear: Linear<'a, D>,
     steps: usize,
-    steps_each: usize,
-) -> Result<Model, DiagnosisError> {
-    let mut linear = Linear::without_nuisances(domain, model, takes)?;
-    let mut columns = Vec::new();
-    for idx in 0..steps {
-        if idx % steps_each == 0 {
-            columns = linear.columns_near(&columns)?;
-        }
-        let Some(lower) = lower(&linear, &columns.iter().collect::<Vec<_>>())? else { break };
+    responses: &[&Column],
+) -> Result<(Linear<'a, D>, bool), DiagnosisError> {
+    for _ in 0..steps {
+        let Some(lower) = lower(&linear, responses)? else { return Ok((linear, true)) };
         linear = lower.linear;
         if lower.is_done {
-            break;
+            return Ok((linear, true));
         }
     }
-    Ok(linear.model)
+    Ok((linear, false))
 }
 
 /// What a step of all parameters of the model of `linear`, which responds to them with `columns`, lowers the loss to.

@@ -6,11 +6,11 @@ use std::collections::BTreeMap;
 use palpate_sim::effects::Effect;
 
 use super::evidence::founded;
-use super::fit::{REFIT_STEPS, fit, refit, refit_roughly};
+use super::fit::{Fit, fit};
 use super::linear::Linear;
 use super::naming::stands_in;
 use super::screen::{Hopeless, screen};
-use super::{Domain, Model, NamingConfig, within};
+use super::{Domain, Model, NamingConfig, unite, within};
 use crate::DiagnosisError;
 
 /// Candidates that are fitted in the place of one set of names.
@@ -51,7 +51,7 @@ pub(super) fn merge<D: Domain>(
         let effects = model.effects.iter().enumerate().filter(|(idx, _)| !replaced.contains(idx));
         let without =
             Model { base: model.base.clone(), effects: effects.map(|(_, effect)| effect.clone()).collect() };
-        let without = refit_roughly(domain, &without, takes)?;
+        let without = Fit::roughly().of(domain, &without, takes)?;
         let linear = Linear::new(domain, &without, takes)?;
         let mut screened = screen(&linear, &candidates, &mut Hopeless::default(), &|_| Ok(()))?;
         screened.sort_by(|a, b| b.promise.total_cmp(&a.promise));
@@ -62,7 +62,7 @@ pub(super) fn merge<D: Domain>(
             }
             let mut with = without.clone();
             with.effects.push(fitted.effect);
-            let with = refit(domain, &with, takes, REFIT_STEPS)?;
+            let with = Fit::again().of(domain, &with, takes)?;
             let deviance = Linear::without_nuisances(domain, &with, takes)?.deviance();
             if deviance < least && founded(domain, &with, takes, config.bar)? {
                 least = deviance;
@@ -127,7 +127,7 @@ impl Nested {
         (0..reaches.len()).find_map(|widest| {
             let mut others = vec![false; reaches[widest].len()];
             for (_, reach) in reaches.iter().enumerate().filter(|(idx, _)| *idx != widest) {
-                others.iter_mut().zip(reach).for_each(|(reached, own)| *reached |= own);
+                unite(&mut others, reach);
             }
             let is_widest = within(&others, &reaches[widest]);
             is_widest.then(|| Self { count: reaches.len(), widest: reaches[widest].clone(), others })
@@ -187,7 +187,8 @@ mod tests {
 
         /// What becomes of `named`.
         fn merged(&self, named: Vec<Effect>) -> (bool, Vec<String>) {
-            let mut model = refit(self, &Model { base: vec![0.0], effects: named }, &[0], 3).unwrap();
+            let model = Model { base: vec![0.0], effects: named };
+            let mut model = Fit::again().of(self, &model, &[0]).unwrap();
             let merged = merge(self, &mut model, 0, &[0], &config(), &[]).unwrap();
             (merged, model.effects.into_iter().map(|effect| effect.id).collect())
         }

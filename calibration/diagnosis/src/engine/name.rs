@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::choose::{apart, choose};
 use super::evidence::{Judged, evidence, joint_evidence};
-use super::fit::{Profile, REFIT_STEPS, fit, refit, refit_roughly};
+use super::fit::{Fit, Profile, fit};
 use super::linear::{Linear, predict};
 use super::merge::merge;
 use super::naming::{FEW, Naming, NamingConfig, Round, Tried, key, stands_in};
@@ -300,7 +300,7 @@ fn carried_by<D: Domain>(after: &Linear<'_, D>, idx: usize) -> Result<Carried, D
     let mut without = after.model.clone();
     without.effects.remove(idx);
     let kinds = after.kinds_changed(&predict(domain, &without, takes)?);
-    let without = refit_roughly(domain, &without, takes)?;
+    let without = Fit::roughly().of(domain, &without, takes)?;
     let back = after.losses_of(&predict(domain, &without, takes)?);
     let sum = |losses: &[Vec<f64>], of: &[bool]| -> f64 {
         let of_take = |losses: &Vec<f64>| -> f64 {
@@ -330,8 +330,7 @@ fn finish<D: Domain>(
         let after = Linear::without_nuisances(domain, model, takes)?;
         let evidence = joint_evidence(domain, model, takes)?;
         if let Some(unfounded) = (known..evidence.len()).find(|&idx| evidence[idx] < bar) {
-            dropped.push(model.effects.remove(unfounded));
-            *model = refit(domain, model, takes, REFIT_STEPS)?;
+            drop_effect(domain, model, unfounded, takes, dropped)?;
             continue;
         }
         let carried: Vec<Carried> = (known..model.effects.len())
@@ -341,8 +340,7 @@ fn finish<D: Domain>(
         let weakest = (0..carried.len()).min_by(|&a, &b| carried[a].share.total_cmp(&carried[b].share));
         let Some(weakest) = weakest else { break };
         if carried[weakest].share < LEAST_CARRIED {
-            dropped.push(model.effects.remove(known + weakest));
-            *model = refit(domain, model, takes, REFIT_STEPS)?;
+            drop_effect(domain, model, known + weakest, takes, dropped)?;
             continue;
         }
         let mut order: Vec<usize> = (0..carried.len()).collect();
@@ -368,8 +366,20 @@ fn drop_one<D: Domain>(
         let evidence = joint_evidence(domain, model, takes)?;
         let weakest = (known..evidence.len()).min_by(|&a, &b| evidence[a].total_cmp(&evidence[b]));
         let Some(weakest) = weakest.filter(|&idx| evidence[idx] < 0.5 * bar) else { break };
-        dropped.push(model.effects.remove(weakest));
-        *model = refit(domain, model, takes, REFIT_STEPS)?;
+        drop_effect(domain, model, weakest, takes, dropped)?;
     }
+    Ok(())
+}
+
+/// Takes the effect `idx` out of `model`, and fits the others anew.
+fn drop_effect<D: Domain>(
+    domain: &D,
+    model: &mut Model,
+    idx: usize,
+    takes: &[usize],
+    dropped: &mut Vec<Effect>,
+) -> Result<(), DiagnosisError> {
+    dropped.push(model.effects.remove(idx));
+    *model = Fit::again().of(domain, model, takes)?;
     Ok(())
 }

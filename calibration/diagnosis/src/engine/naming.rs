@@ -4,7 +4,8 @@ use palpate_robot_model::Place;
 use palpate_sim::effects::Effect;
 
 use super::evidence::{Judged, SIMILAR_COUNT, num_seen};
-use super::fit::{Fitted, REFIT_STEPS, refit};
+use super::fit::{Fit, Fitted, REFIT_STEPS, refit};
+use super::rows::Column;
 use super::{Domain, Model, share};
 use crate::DiagnosisError;
 use crate::fired::{Fired, Withheld};
@@ -135,8 +136,10 @@ impl Naming {
         Ok(())
     }
 
-    fn assess<D: Domain>(&mut self, judged: Judged<'_, D>) {
+    /// Gives the responses to all parameters.
+    fn assess<D: Domain>(&mut self, judged: Judged<'_, D>) -> Vec<Column> {
         (self.evidence, self.standard_errors) = (judged.evidence, judged.standard_errors);
+        judged.columns
     }
 
     /// [`Self::settle`] without the effects beyond the first `known` that have no more evidence than `bar` then, or
@@ -148,11 +151,12 @@ impl Naming {
         takes: &[usize],
         bar: f64,
     ) -> Result<(), DiagnosisError> {
+        let mut nearby = Vec::new();
         loop {
-            self.model = refit(domain, &self.model, takes, SETTLE_STEPS)?;
+            self.model = Fit::within(SETTLE_STEPS).beside(&nearby).of(domain, &self.model, takes)?;
             let judged = Judged::new(domain, &self.model, takes)?;
             let founded = judged.founded(known, bar)?;
-            self.assess(judged);
+            nearby = self.assess(judged);
             let weakest = (known..).zip(founded).min_by(|(_, one), (_, other)| one.total_cmp(other));
             let Some((idx, _)) = weakest.filter(|(_, founded)| *founded < bar) else { return Ok(()) };
             self.dropped.push(self.model.effects.remove(idx));

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::choose::with_base_of;
 use super::evidence::joint_evidence;
-use super::fit::{BETWEEN_DOSES, REFIT_STEPS, refit, scaled};
+use super::fit::{BETWEEN_DOSES, Fit, scaled};
 use super::linear::Linear;
 use super::naming::{FEW, Round, Tried};
 use super::{Domain, Model};
@@ -38,10 +38,10 @@ pub(super) fn reconsider<D: Domain>(
             let tried = &round.tried[of_trial];
             let mut with = with_base_of(domain, model, tried);
             with.effects[idx] = scaled(&tried.effect, &domain.parameters(&tried.effect)[..1], scale);
-            let with = refit(domain, &with, takes, REFIT_STEPS)?;
-            let evidence = joint_evidence(domain, &with, takes)?;
-            let deviance = Linear::without_nuisances(domain, &with, takes)?.deviance();
-            Ok((evidence[idx] > bar).then_some(Rival { deviance, model: with, of_trial }))
+            let with = Fit::again().of(domain, &with, takes)?;
+            let after = Linear::without_nuisances(domain, &with, takes)?.deviance();
+            let is_founded = after < deviance && joint_evidence(domain, &with, takes)?[idx] > bar;
+            Ok(is_founded.then_some(Rival { deviance: after, model: with, of_trial }))
         };
         let rivals = rivals(model, round, named).into_par_iter().map(|rival| refitted(rival, 1.0));
         let best = least(rivals.collect::<Result<_, DiagnosisError>>()?);
@@ -197,7 +197,7 @@ mod tests {
             class: vec![0],
         }];
         let with = Model { effects: vec![effect(named, 0.5)], ..before };
-        let mut model = refit(&waves, &with, &[0], REFIT_STEPS).unwrap();
+        let mut model = Fit::again().of(&waves, &with, &[0]).unwrap();
         reconsider(&waves, &mut model, 0, &mut rounds, &[0], bar).unwrap();
         let [round] = rounds;
         let of_round = &round.tried[round.named.unwrap()].effect.id;

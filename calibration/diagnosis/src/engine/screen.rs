@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::linear::{Linear, inside, predict};
 use super::rows::Column;
-use super::{Domain, Series, each, neutral, share};
+use super::{Domain, Series, each, neutral, overlap, share, unite};
 use crate::DiagnosisError;
 
 /// A candidate, to first order.
@@ -270,7 +270,7 @@ pub(crate) fn responses<D: Domain>(
         let value = effect.parameter(&parameter.name);
         let step = inside(value, 0.25 * parameter.dose, parameter.lower, parameter.upper);
         let reach = linear.domain.support(effect, &parameter.name);
-        let free = passes.iter_mut().find(|(_, taken, _)| disjoint(taken, &reach));
+        let free = passes.iter_mut().find(|(_, taken, _)| !overlap(taken, &reach));
         let pass = match free {
             Some(pass) => pass,
             None => {
@@ -279,7 +279,7 @@ pub(crate) fn responses<D: Domain>(
             }
         };
         pass.0.parameters.insert(parameter.name.clone(), value + step);
-        pass.1.iter_mut().zip(&reach).for_each(|(taken, reach)| *taken |= reach);
+        unite(&mut pass.1, &reach);
         pass.2.push((idx, step, reach));
     }
     for (stepped, _, parts) in passes {
@@ -340,17 +340,13 @@ fn pack<D: Domain>(domain: &D, items: Vec<Item>) -> Vec<Vec<(Item, Vec<bool>)>> 
     for item in items {
         let reach = domain.support(&item.effect, &item.name);
         let passes = by_id.entry(item.effect.id.clone()).or_default();
-        match passes.iter_mut().find(|(taken, _)| disjoint(taken, &reach)) {
+        match passes.iter_mut().find(|(taken, _)| !overlap(taken, &reach)) {
             Some((taken, pass)) => {
-                taken.iter_mut().zip(&reach).for_each(|(taken, reach)| *taken |= reach);
+                unite(taken, &reach);
                 pass.push((item, reach));
             }
             None => passes.push((reach.clone(), vec![(item, reach)])),
         }
     }
     by_id.into_values().flatten().map(|(_, pass)| pass).collect()
-}
-
-fn disjoint(a: &[bool], b: &[bool]) -> bool {
-    a.iter().zip(b).all(|(a, b)| !(a & b))
 }
