@@ -89,8 +89,8 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less and all
-    /// have more evidence than the `bar`: else one of them goes first.
+    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less and
+    /// all have more evidence than the `bar`: else one of them goes first.
     /// Far beyond the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
     /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much

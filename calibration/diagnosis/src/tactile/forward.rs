@@ -184,8 +184,8 @@ impl Memory {
         })
     }
 
-    /// Remembers the `load` of a channel. Where loads take more than they may, it forgets the oldest ones of channels of which
-    /// most are remembered, until there is room for some more.
+    /// Remembers the `load` of a channel. Where loads take more than they may, it forgets the oldest ones of channels
+    /// of which most are remembered, until there is room for some more.
     fn remember_load(&mut self, channel: usize, key: Key, load: Arc<ChannelLoad>) {
         self.taken_bytes += load.num_bytes();
         self.channels[channel].put(key, load);
