@@ -222,6 +222,12 @@ pub trait EffectKind: Sync {
     /// Its parameters at `place`.
     fn parameters(&self, place: &Place, station: &Station) -> Vec<Parameter>;
 
+    /// Parameters that it has got since files with it were first written, each with the value that it has in files
+    /// without it.
+    fn parameters_since(&self) -> &'static [(&'static str, f64)] {
+        &[]
+    }
+
     /// Everywhere it could act on `station` (objects: those of the station).
     fn places(&self, station: &Station) -> Vec<Place>;
 

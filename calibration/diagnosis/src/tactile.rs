@@ -24,6 +24,7 @@ mod observe;
 mod own;
 pub(crate) mod posture;
 mod reading;
+mod seen;
 mod switched;
 mod theta;
 mod wander;
@@ -46,6 +47,7 @@ use crate::engine::{BaseParameter, Domain, Model, Series};
 use forward::Memory;
 pub(crate) use observe::Observed;
 use reading::KNEES;
+use seen::Seen;
 use theta::{Of, holders, shared};
 use wander::Wander;
 
@@ -89,8 +91,8 @@ pub struct TactileDomain<'a> {
     alike: Vec<Vec<usize>>,
     /// Per joint, by its degree of freedom: which channels it moves.
     moves: Vec<Vec<bool>>,
-    /// Per stream, how its readings were repeated to the bit.
-    frozen: Vec<Option<Frozen>>,
+    /// What recordings show of effects by themselves.
+    seen: Seen,
     /// Per stream, how far its readings wander.
     wander: Vec<Wander>,
     /// Per channel, its gain's name among the parameters of a stream.
@@ -134,9 +136,6 @@ const LONGEST_LAG_S: f64 = 0.0075;
 const PRESSURES_PA: [f64; 2] = [1.0, 1e7];
 /// Softness of pads to begin with, m.
 const SOFTNESS_M: f64 = 2e-4;
-/// A stream that stands still now and then shows in the noise of its readings, which events do not have: of events alone
-/// it stands in for whatever comes late.
-const FREEZE: &str = "sample_hold";
 /// Standard deviation of a joint's zero, rad. Hands and arms are zeroed to about a milliradian; neighbouring rows
 /// of a touch are wrong together, so that their loss counts about ten times what as many independent rows would,
 /// and what is known beforehand must count as much to hold its own.
@@ -224,7 +223,7 @@ impl<'a> TactileDomain<'a> {
         let touched: Vec<&str> = fitted.iter().map(|&take| takes[take].object.id.as_str()).collect();
         let candidates = effects::TACTILE
             .iter()
-            .filter(|kind| kind.id() != own::CREEP && (raw || kind.id() != FREEZE))
+            .filter(|kind| kind.id() != own::CREEP && (raw || kind.id() != seen::SAMPLE_HOLD))
             .flat_map(|kind| kind.places(station).into_iter().map(move |place| (kind, place)))
             .filter(|(_, place)| !matches!(place, Place::Object(id) if !touched.contains(&id.as_str())))
             .map(|(kind, place)| Effect {
@@ -244,11 +243,11 @@ impl<'a> TactileDomain<'a> {
         let memories = memories(station, takes.len());
         let gain_names =
             station.layout.channels.iter().map(|channel| format!("gain_{}", channel.id)).collect();
-        let seen: Vec<&Observed<'_>> = fitted.iter().map(|&take| &takes[take]).collect();
-        let frozen = (0..station.layout.streams.len()).map(|stream| Frozen::of(&seen, stream)).collect();
+        let fitted: Vec<&Observed<'_>> = fitted.iter().map(|&take| &takes[take]).collect();
         let wander = (0..station.layout.streams.len())
-            .map(|stream| Wander::of(&seen, &station.layout, stream))
+            .map(|stream| Wander::of(&fitted, &station.layout, stream))
             .collect();
+        let seen = Seen::of(&fitted, &station.layout);
         let moves = moves(station);
         let domain = Self {
             station,
@@ -260,7 +259,7 @@ impl<'a> TactileDomain<'a> {
             candidates,
             alike,
             moves,
-            frozen,
+            seen,
             wander,
             gain_names,
             limb_of,
@@ -291,7 +290,7 @@ impl<'a> TactileDomain<'a> {
             candidates: self.candidates.clone(),
             alike: self.alike.clone(),
             moves: self.moves.clone(),
-            frozen: self.frozen.clone(),
+            seen: self.seen.clone(),
             wander: self.wander.clone(),
             limb_of: self.limb_of.clone(),
         })
@@ -461,17 +460,7 @@ impl Domain for TactileDomain<'_> {
     fn parameters(&self, effect: &Effect) -> Vec<Parameter> {
         let mut parameters = effects::tactile(&effect.id)
             .map_or_else(Vec::new, |kind| kind.parameters(&effect.place, self.station));
-        // How long a stream stands still is seen, not fitted, where it is seen at all.
-        if let (SAMPLE_HOLD, Place::Stream(id)) = (effect.id.as_str(), &effect.place)
-            && let Some(frozen) = self.station.layout.stream_index(id).and_then(|idx| self.frozen[idx])
-        {
-            for parameter in &mut parameters {
-                match parameter.name.as_str() {
-                    "span_s" => parameter.neutral = frozen.span_s.clamp(parameter.lower, parameter.upper),
-                    _ => parameter.dose = frozen.fraction.clamp(0.01, parameter.upper),
-                }
-            }
-        }
+        self.seen.begin(effect, &self.station.layout, &mut parameters);
         parameters
     }
 
@@ -591,29 +580,6 @@ impl Domain for TactileDomain<'_> {
     }
 }
 
-/// Spans in which a stream stood still, over some takes.
-#[derive(Clone, Copy, Debug)]
-struct Frozen {
-    /// Mean length, s.
-    span_s: f64,
-    /// Share of the time.
-    fraction: f64,
-}
-
-impl Frozen {
-    fn of(takes: &[&Observed<'_>], stream: usize) -> Option<Self> {
-        let spans: Vec<f64> = takes.iter().flat_map(|take| take.frozen_spans_s(stream)).collect();
-        let frozen_s: f64 = spans.iter().sum();
-        let duration_s: f64 = takes.iter().map(|take| take.take.duration_s()).sum();
-        (frozen_s > 0.0).then(|| Self {
-            span_s: frozen_s / spans.len() as f64,
-            fraction: frozen_s / duration_s.max(f64::MIN_POSITIVE),
-        })
-    }
-}
-
-/// The effect that recordings show by themselves.
-const SAMPLE_HOLD: &str = "sample_hold";
 /// Share of a frame's samples that may be on or off by chance: readings are rounded, and the moments of samples are
 /// a little uncertain.
 const SWITCHED_DOUBT: f64 = 0.05;
@@ -653,10 +619,8 @@ mod tests {
             bits(&alone) == bits(&beside),
             "what is expected of the firmware depends on the confirm take"
         );
-        let frozen =
-            |domain: &TactileDomain<'_>| -> Vec<bool> { domain.frozen.iter().map(Option::is_some).collect() };
-        assert_eq!(frozen(&alone), frozen(&beside));
-        assert!(frozen(&TactileDomain::new(station, &takes, &[0, 1], &nominal).unwrap().0).contains(&true));
+        assert_eq!(alone.seen, beside.seen);
+        assert_ne!(TactileDomain::new(station, &takes, &[0, 1], &nominal).unwrap().0.seen, alone.seen);
         assert_eq!(alone.candidates(), beside.candidates());
     }
 }

@@ -77,7 +77,7 @@ EFFECTS = {
     "electrical_crosstalk": ["where = { stream = 'twintac' }\nparameters = { leak = 0.1 }"],
     "swapped_channels": ["where = { channels = ['middle_tip.2', 'middle_tip.5'] }\nparameters = { presence = 0.9 }"],
     "dead_channel": ["where = { channel = 'ring_tip.4' }\nparameters = { presence = 1.0 }"],
-    "stuck_channel": ["where = { channel = 'ring_tip.0' }\nparameters = { presence = 1.0 }"],
+    "stuck_channel": ["where = { channel = 'ring_tip.0' }\nparameters = { presence = 1.0, level = 3.0 }"],
     "latency": [
         "where = { stream = 'fsr' }\nparameters = { delay_s = 0.17 }",
         "where = { stream = 'fsr' }\nparameters = { delay_s = 0.06 }",

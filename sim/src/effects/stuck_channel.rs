@@ -3,11 +3,12 @@
 use palpate_robot_model::{Place, Station};
 
 use super::{
-    DynFrameEffect, Effect, EffectKind, Load, Parameter, Stage, Switching, TakeScene, frame::Factors, places,
+    DynFrameEffect, Effect, EffectKind, Frame, FrameEffect, Load, Parameter, Stage, Switching, TakeScene,
+    places,
 };
 
-/// The channel is active all the time. Its reading stands still, and the reference that a recording takes at rest with it:
-/// above the reference there is nothing.
+/// The channel is active all the time, and its reading stands still: at `level` times the load that switches it on, above the
+/// reference that was taken at rest. Where it was stuck by then, the reference stands with it, and the level is 0.
 pub(super) struct StuckChannel;
 
 impl EffectKind for StuckChannel {
@@ -28,8 +29,19 @@ impl EffectKind for StuckChannel {
         "one channel is on without any touch and through every touch, and its reading never moves"
     }
 
+    fn uses_on_loads(&self) -> bool {
+        true
+    }
+
     fn parameters(&self, _place: &Place, _station: &Station) -> Vec<Parameter> {
-        Parameter::presence()
+        let mut parameters = Parameter::presence();
+        // Unless it is stuck it stands nowhere.
+        parameters.push(Parameter::new(LEVEL, LOWEST..=HIGHEST, 0.0, 2.0 * HIGHEST, 0.5));
+        parameters
+    }
+
+    fn parameters_since(&self) -> &'static [(&'static str, f64)] {
+        &[(LEVEL, 0.0)]
     }
 
     fn places(&self, station: &Station) -> Vec<Place> {
@@ -37,8 +49,16 @@ impl EffectKind for StuckChannel {
     }
 
     fn load(&self, effect: &Effect, scene: &TakeScene<'_>, state: &mut Load) {
+        let presence = effect.parameter("presence");
+        let level = presence * effect.parameter(LEVEL);
         for channel in state.pressed_at(&effect.place, &scene.station.layout) {
-            state.scale(channel, 1.0 - effect.parameter("presence"));
+            state.scale(channel, 1.0 - presence);
+        }
+        if level != 0.0 {
+            for channel in state.needed_at(&effect.place, &scene.station.layout) {
+                let added = level * state.on_loads[channel];
+                state.of_channel_mut(channel).iter_mut().for_each(|load| *load += added);
+            }
         }
     }
 
@@ -49,7 +69,37 @@ impl EffectKind for StuckChannel {
         }
     }
 
-    fn load_by_frame(&self, effect: &Effect, station: &Station, _on_loads: &[f64]) -> Option<DynFrameEffect> {
-        Some(Box::new(Factors::left_by_presence(effect, &station.layout)))
+    fn load_by_frame(&self, effect: &Effect, station: &Station, on_loads: &[f64]) -> Option<DynFrameEffect> {
+        let presence = effect.parameter("presence");
+        let level = presence * effect.parameter(LEVEL);
+        let channels = places::channels_of(&effect.place, &station.layout).into_iter();
+        let channels = channels.map(|channel| (channel, level * on_loads[channel])).collect();
+        Some(Box::new(Stuck { left: 1.0 - presence, channels }))
+    }
+}
+
+/// The parameter that says where it stands.
+const LEVEL: &str = "level";
+/// Lowest level: a reference that is a little too high.
+const LOWEST: f64 = -1.0;
+/// Highest level: a converter ends some tens of thresholds above its reference.
+const HIGHEST: f64 = 50.0;
+
+#[derive(Debug)]
+struct Stuck {
+    /// Share of the load that gets through.
+    left: f64,
+    /// Channels, each with the load that it has besides.
+    channels: Vec<(usize, f64)>,
+}
+
+impl FrameEffect for Stuck {
+    fn step(&self, _frame: &Frame<'_>, _memory: &mut [f64], loads: &mut [f64]) {
+        for &(channel, added) in &self.channels {
+            loads[channel] *= self.left;
+            if added != 0.0 {
+                loads[channel] += added;
+            }
+        }
     }
 }

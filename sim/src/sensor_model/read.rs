@@ -180,10 +180,11 @@ impl Source<'_> {
 
     fn effect(&self, text: EffectText) -> Result<Effect, SensorModelError> {
         let id = text.id.get_ref();
-        if effects::tactile(id).is_none() {
+        let Some(kind) = effects::tactile(id) else {
             return Err(self.at(text.id.span(), unknown_effect(id)));
-        }
-        let mut parameters = BTreeMap::new();
+        };
+        let since = kind.parameters_since().iter().map(|(name, value)| ((*name).to_owned(), *value));
+        let mut parameters: BTreeMap<String, f64> = since.collect();
         for (name, value) in &text.parameters {
             let key = format!("parameter {name} of effect {id}");
             parameters.insert(name.clone(), self.number(&key, value, |_| true, "a finite number")?);

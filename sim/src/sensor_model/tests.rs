@@ -100,6 +100,20 @@ fn the_manual_shows_a_model_that_is_read() {
 }
 
 #[test]
+fn a_stuck_channel_of_a_file_from_before_it_had_a_level_stands_at_its_reference() {
+    let of = |parameters: &str| {
+        let effect = format!(
+            "{OF_STREAMS}\n[[effect]]\nid = \"stuck_channel\"\nwhere = {{ channel = \"palm_ring\" }}\nparameters = {{ {parameters} }}\n"
+        );
+        let model = SensorModel::from_toml("model.toml", &effect).unwrap();
+        model.effects.last().unwrap().parameters.clone()
+    };
+    let at = |level: f64| [("level".to_owned(), level), ("presence".to_owned(), 1.0)].into();
+    assert_eq!(of("presence = 1"), at(0.0));
+    assert_eq!(of("presence = 1, level = 2.5"), at(2.5));
+}
+
+#[test]
 fn bad_parameters_of_streams_name_the_line_or_the_stream() {
     let read = |from: &str, to: &str| {
         assert!(OF_STREAMS.contains(from), "{from:?} is not in the fixture");

@@ -4,9 +4,9 @@ use palpate_sim::effects::{Effect, Parameter};
 use rayon::prelude::*;
 
 use super::fit::{Fit, refit_nearby};
-use super::linear::Linear;
+use super::linear::{Linear, predict};
 use super::normal::inverse;
-use super::robust::Blocks;
+use super::robust::{Blocks, missed_by};
 use super::rows::Column;
 use super::{Domain, Model};
 use crate::DiagnosisError;
@@ -16,6 +16,8 @@ pub(super) const SIMILAR_COUNT: usize = 7;
 /// Below so many times the bar, what comes back without an effect is not left to a rough fit. Where evidence is beyond
 /// the square of it, over the bar, nothing is fitted.
 const NEAR_BAR: f64 = 10.0;
+/// What an effect must be missed by: as rare as what passes the shipped bar of evidence.
+const NEEDED: f64 = 12.0;
 
 /// Whether the last effect of `model`, which is fitted as a whole, reaches the bar.
 pub(super) fn founded<D: Domain>(
@@ -89,22 +91,46 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// What founds each effect beyond the first `known`: its evidence, or its likelihood ratio where that is less and
-    /// all have more evidence than the `bar`: else one of them goes first.
+    /// How well each effect beyond the first `known` is founded, over what it needs: its evidence over the `bar`, or its
+    /// likelihood ratio where that is less and all have enough: else one of them goes first. What has not enough is founded all the
+    /// same where it is [missed](Self::missed); that is its evidence then.
     /// Far beyond the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
     /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much
     /// larger the variance of its strongest parameter is than independent rows would have it. Where the loss is a
     /// parabola this is the squared Wald statistic that evidence is. Where it is none, a parameter may be told
     /// sharply at a place that is hardly better than no effect at all.
-    pub(super) fn founded(&self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
-        let evidence = &self.evidence[known..];
-        if evidence.iter().any(|evidence| *evidence < bar) {
-            return Ok(evidence.to_vec());
+    pub(super) fn founded(&mut self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
+        let missed = |idx: usize| if self.evidence[idx] < bar { self.missed(idx) } else { Ok(0.0) };
+        let missed: Vec<f64> =
+            (known..self.evidence.len()).into_par_iter().map(missed).collect::<Result<_, _>>()?;
+        for (evidence, missed) in self.evidence[known..].iter_mut().zip(&missed) {
+            if *missed >= NEEDED {
+                *evidence = evidence.max(*missed);
+            }
         }
-        let founded =
-            |(idx, evidence): (usize, &f64)| Ok(evidence.min(self.likelihood_ratio(known + idx, bar)?));
-        evidence.par_iter().enumerate().map(founded).collect()
+        let of_evidence = self.evidence[known..].iter().zip(&missed);
+        let mut founded: Vec<f64> =
+            of_evidence.map(|(evidence, missed)| (evidence / bar).max(missed / NEEDED)).collect();
+        if founded.iter().all(|founded| *founded >= 1.0) {
+            let ratios = (known..self.evidence.len()).into_par_iter().zip(&missed).map(|(idx, missed)| {
+                if *missed >= NEEDED { Ok(f64::INFINITY) } else { Ok(self.likelihood_ratio(idx, bar)? / bar) }
+            });
+            let ratios = ratios.collect::<Result<Vec<f64>, DiagnosisError>>()?;
+            founded.iter_mut().zip(ratios).for_each(|(founded, ratio)| *founded = founded.min(ratio));
+        }
+        Ok(founded)
+    }
+
+    /// [`missed_by`] of the effect `idx`, where the others are fitted anew. Unlike a standard error this asks nothing of how
+    /// the loss runs near the fit: of events alone a few frames in which a channel is about to switch seem to tell all there.
+    fn missed(&self, idx: usize) -> Result<f64, DiagnosisError> {
+        let Linear { domain, model, takes, .. } = &self.linear;
+        let mut without = model.clone();
+        without.effects.remove(idx);
+        let without = Fit::again().beside(&self.columns).of(*domain, &without, takes)?;
+        let predicted = predict(*domain, &without, takes)?;
+        Ok(missed_by(&self.linear.losses_beyond(&predicted), self.linear.loss))
     }
 
     /// Of the effect `idx`. The others are fitted better and better until the ratio is below the `bar`: one fit that

@@ -261,15 +261,43 @@ impl<'a, D: Domain> Linear<'a, D> {
             losses[take][self.rows.kind(idx)] += if Arc::ptr_eq(&segment.predicted, after) {
                 segment.loss
             } else {
-                let allowed = || self.domain.weights(self.takes[take], signal, &segment.predicted);
-                let weights = segment.allowed.get_or_init(allowed);
-                let observed = self.domain.observed(self.takes[take], signal);
-                let rows = observed.iter().zip(after.iter()).zip(weights);
-                let measured = rows.filter(|((observed, _), _)| !observed.is_nan());
-                measured.map(|((observed, predicted), weight)| huber((observed - predicted) * weight)).sum()
+                self.losses_of_rows(idx, after).map(|(_, loss)| loss).sum()
             };
         }
         losses
+    }
+
+    /// Huber's losses of a `predicted` series of the segment `idx`, with the weights of this model's predictions: of each frame
+    /// that was measured.
+    fn losses_of_rows<'s>(
+        &'s self,
+        idx: usize,
+        predicted: &'s [f64],
+    ) -> impl Iterator<Item = (usize, f64)> + 's {
+        let (take, signal) = (self.takes[self.rows.take(idx)], self.rows.signal(idx));
+        let segment = &self.segments[idx];
+        let allowed = || self.domain.weights(take, signal, &segment.predicted);
+        let weights = segment.allowed.get_or_init(allowed);
+        let rows = self.domain.observed(take, signal).iter().zip(predicted).zip(weights).enumerate();
+        let measured = rows.filter(|(_, ((observed, _), _))| !observed.is_nan());
+        measured
+            .map(|(frame, ((observed, predicted), weight))| (frame, huber((observed - predicted) * weight)))
+    }
+
+    /// Loss that `predicted` (by take) has beyond this model, by block, with the weights of [`Self::losses_of`].
+    pub(crate) fn losses_beyond(&self, predicted: &[Vec<Series>]) -> Vec<f64> {
+        let blocks = |take: usize| self.domain.blocks(self.takes[take]);
+        let mut beyond: Vec<Vec<f64>> =
+            (0..self.takes.len()).map(|take| vec![0.0; blocks(take).len()]).collect();
+        for (idx, before, after) in self.changed(&self.predicted, predicted) {
+            let take = self.rows.take(idx);
+            let block_of = |frame: usize| blocks(take).partition_point(|block| block.end <= frame);
+            let pairs = self.losses_of_rows(idx, after).zip(self.losses_of_rows(idx, before));
+            for ((frame, after), (_, before)) in pairs {
+                beyond[take][block_of(frame)] += after - before;
+            }
+        }
+        beyond.into_iter().flatten().collect()
     }
 
     /// Loss of `model`, with the weights of this model's predictions.

@@ -154,11 +154,11 @@ impl Naming {
         let mut nearby = Vec::new();
         loop {
             self.model = Fit::within(SETTLE_STEPS).beside(&nearby).of(domain, &self.model, takes)?;
-            let judged = Judged::new(domain, &self.model, takes)?;
+            let mut judged = Judged::new(domain, &self.model, takes)?;
             let founded = judged.founded(known, bar)?;
             nearby = self.assess(judged);
             let weakest = (known..).zip(founded).min_by(|(_, one), (_, other)| one.total_cmp(other));
-            let Some((idx, _)) = weakest.filter(|(_, founded)| *founded < bar) else { return Ok(()) };
+            let Some((idx, _)) = weakest.filter(|(_, founded)| *founded < 1.0) else { return Ok(()) };
             self.dropped.push(self.model.effects.remove(idx));
         }
     }

@@ -98,6 +98,26 @@ fn few_blocks(num_blocks: f64) -> f64 {
     heavier_tail(degrees) * (degrees + 1.0) / degrees
 }
 
+/// What speaks for an effect without which blocks lose `beyond` more than all of them lose with it: the square of the
+/// normal deviate that is as rare as Student's t is for so much, where each block counts as one observation.
+///
+/// As many blocks count as would have it in common if they had equally much; the `loss` with the effect stands for their
+/// variance.
+pub(crate) fn missed_by(beyond: &[f64], loss: f64) -> f64 {
+    let sum: f64 = beyond.iter().sum();
+    let squares: f64 = beyond.iter().map(|of_block| of_block * of_block).sum();
+    if sum <= 0.0 || squares <= 0.0 {
+        return 0.0;
+    }
+    let degrees = sum * sum / squares - 1.0;
+    let deviate = (sum / loss.max(f64::MIN_POSITIVE) * degrees).sqrt();
+    let rarity = StudentsT::new(0.0, 1.0, degrees).map_or(1.0, |t| t.sf(deviate));
+    Normal::standard().inverse_cdf(rarity.max(RAREST)).min(0.0).powi(2)
+}
+
+/// What is rarer counts as this rare.
+const RAREST: f64 = 1e-300;
+
 /// Square of how much farther from the middle [`BEYOND_BAR`] begins in Student's t with `degrees` than in a normal
 /// distribution.
 fn heavier_tail(degrees: f64) -> f64 {
@@ -155,6 +175,18 @@ mod tests {
             step.abs() / error(&inverse, step, &scores, shares) > bar
         });
         passed.count() as f64 / f64::from(draws)
+    }
+
+    #[test]
+    fn an_effect_is_missed_where_blocks_agree_on_it() {
+        let alike = |count: usize, each: f64| missed_by(&vec![each; count], 10.0);
+        assert!(alike(12, 10.0) > 20.0, "{}", alike(12, 10.0));
+        assert!(alike(12, 10.0) < alike(12, 100.0) && alike(12, 10.0) < alike(24, 10.0));
+        // One block, or two that do not agree, say nothing; neither does what is not lost.
+        assert!(alike(1, 1e6) < 1e-9 && missed_by(&[1e6, -9e5, 10.0], 10.0) < 1e-9);
+        assert!(alike(12, 0.05) < 2.0, "{}", alike(12, 0.05));
+        assert_eq!([alike(12, -1.0), missed_by(&[], 10.0), missed_by(&[0.0; 4], 10.0)], [0.0; 3]);
+        assert!(missed_by(&[1.0; 400], 0.0).is_finite());
     }
 
     #[test]

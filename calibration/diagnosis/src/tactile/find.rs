@@ -7,7 +7,7 @@ use palpate_robot_model::Station;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::judge::{Judged, frame_lengths_s, real_active};
+use super::judge::{Judged, frame_lengths_s};
 use super::{Observed, moves};
 
 /// Frames this near to the start or end of a contact belong to its onset or release, s.
@@ -45,8 +45,8 @@ pub(crate) fn cells(station: &Station, takes: &[&Observed<'_>], judged: &[Judged
     let mut sums: BTreeMap<Key, Sum> = BTreeMap::new();
     let mut total_s = 0.0;
     for (observed, judged) in takes.iter().zip(judged) {
-        let real = real_active(observed);
-        let phases = phases(&real, num_channels, &observed.take.joints.times_s);
+        let real = &observed.active;
+        let phases = phases(real, num_channels, &observed.take.joints.times_s);
         let lengths_s = frame_lengths_s(&observed.take.joints.times_s);
         let speeds = speeds(observed, num_dofs);
         for (frames, _) in &observed.repetitions {
@@ -183,9 +183,9 @@ pub(crate) fn residual_map(
     let mut map = vec![[[0.0; 4]; 2]; num_channels];
     let mut duration_s = 0.0;
     for (idx, observed) in takes.iter().enumerate() {
-        let real = real_active(observed);
+        let real = &observed.active;
         let times_s = &observed.take.joints.times_s;
-        let phases = phases(&real, num_channels, times_s);
+        let phases = phases(real, num_channels, times_s);
         let lengths_s = frame_lengths_s(times_s);
         duration_s += lengths_s.iter().sum::<f64>();
         for (model, judged) in [&calibrated[idx], &diagnosed[idx]].into_iter().enumerate() {

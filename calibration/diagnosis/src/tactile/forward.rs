@@ -413,8 +413,12 @@ impl TactileDomain<'_> {
                 (Some(activation), Some(reading)) if known.is_some() => (activation, reading),
                 (activation, known_reading) => {
                     let activation = activation.unwrap_or_else(|| {
-                        let frames = Some(observed.frames(limb));
-                        by_load.activation(channel, &load.arrived, scene.frame_times_s, frames).into()
+                        let (times_s, frames) = (scene.frame_times_s, observed.frames(limb));
+                        if observed.has_raw {
+                            by_load.activation(channel, &load.arrived, times_s, Some(frames)).into()
+                        } else {
+                            by_load.mean_activation(channel, &load.arrived, times_s, frames).into()
+                        }
                     });
                     let reading = known_reading.unwrap_or_else(|| reading(channel, &load.arrived));
                     let made = Arc::make_mut(&mut load);

@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{Observed, Signal};
+use super::Observed;
 use crate::DiagnosisError;
 
 /// Events of one model on one take beside the real ones.
@@ -26,14 +26,6 @@ pub(crate) struct Judged {
     pub(crate) mismatch_s: Vec<f64>,
     /// Channel-seconds in the whole take.
     pub(crate) total_s: f64,
-}
-
-/// Real activations of a take, `[frame * num_channels + channel]`.
-pub(crate) fn real_active(observed: &Observed<'_>) -> Vec<bool> {
-    let num_frames = observed.take.num_frames();
-    let of_frame =
-        |frame| observed.signals.iter().step_by(Signal::COUNT).map(move |events| events[frame] > 0.5);
-    (0..num_frames).flat_map(of_frame).collect()
 }
 
 fn chain(model: &SensorModel) -> Chain<'_> {
@@ -76,7 +68,7 @@ fn judge_at(
         .map(|(observed, geometry)| {
             let sensed = chain(model).sense_contact(&observed.scene_at_frames(station), geometry);
             let active: Vec<bool> = sensed.activation.iter().map(|activation| *activation > 0.5).collect();
-            let real = real_active(observed);
+            let real = &observed.active;
             let num_channels = station.layout.num_channels();
             let times_s = &observed.take.joints.times_s;
             let lengths_s = frame_lengths_s(times_s);
@@ -92,7 +84,7 @@ fn judge_at(
                     .sum()
             };
             Judged {
-                sums: compare_take(times_s, num_channels, &real, &active),
+                sums: compare_take(times_s, num_channels, real, &active),
                 mismatch_s: observed.repetitions.iter().map(|(frames, _)| mismatch(frames)).collect(),
                 total_s: lengths_s.iter().sum::<f64>() * num_channels as f64,
                 active,
@@ -157,7 +149,7 @@ pub(crate) fn noise_floor(station: &Station, takes: &[&Observed<'_>]) -> Option<
     let num_channels = station.layout.num_channels();
     let (mut differing, mut compared) = (0.0, 0.0);
     for observed in takes {
-        let real = real_active(observed);
+        let real = &observed.active;
         for (first, second) in repeated(observed) {
             for offset in 0..first.len().min(second.len()) {
                 let (a, b) = ((first.start + offset) * num_channels, (second.start + offset) * num_channels);

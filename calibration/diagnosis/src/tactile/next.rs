@@ -7,8 +7,8 @@ use palpate_reports::{NextExperiment, Purpose, Verdict};
 use palpate_robot_model::Station;
 use palpate_sim::effects::Effect;
 
+use super::TactileDomain;
 use super::adequacy::{adequacy, left_over};
-use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model, Naming, Round, Series, inverse};
 
@@ -135,9 +135,9 @@ fn separate(
 fn repeat(station: &Station, domain: &TactileDomain<'_>, takes: &[usize]) -> Option<NextExperiment> {
     let mut touched: BTreeMap<OfMotion, BTreeSet<usize>> = BTreeMap::new();
     for &take in takes {
-        let events = domain.take(take).signals.iter().step_by(Signal::COUNT);
-        let active = events.enumerate().filter(|(_, events)| events.iter().any(|&event| event > 0.5));
-        touched.entry(motion_of(domain, take)).or_default().extend(active.map(|(channel, _)| channel));
+        let active = domain.take(take).active.iter().enumerate().filter(|(_, active)| **active);
+        let channels = active.map(|(at, _)| at % station.layout.num_channels());
+        touched.entry(motion_of(domain, take)).or_default().extend(channels);
     }
     // The first of several that touch as many.
     let most = touched.into_iter().rev().max_by_key(|(_, channels)| channels.len());

@@ -45,6 +45,8 @@ pub(crate) struct Observed<'a> {
     frozen_at_frames_s: Vec<Vec<f64>>,
     /// Frame by frame, as [`super::TactileDomain`] numbers them.
     pub(crate) signals: Vec<Vec<f64>>,
+    /// Which channels are on in the joint frames, `[frame * num_channels + channel]`.
+    pub(crate) active: Vec<bool>,
     /// Ranges of frames that belong together.
     pub(crate) blocks: Vec<Range<usize>>,
     /// The same as ranges of frames, with the label of the repetition (empty between repetitions).
@@ -130,6 +132,7 @@ impl<'a> Observed<'a> {
         let layout = &station.layout;
         let (num_frames, num_channels) = (take.num_frames(), layout.num_channels());
         let frame_times_s = &take.joints.times_s;
+        let has_raw = take.has_raw();
         let mut signals = vec![vec![f64::NAN; num_frames]; num_channels * Signal::COUNT];
         let mut noise = vec![0.0; num_channels];
         let mut ceilings = vec![f64::INFINITY; num_channels];
@@ -150,6 +153,9 @@ impl<'a> Observed<'a> {
                 }
             }
             for (idx, channel) in stream.channels.clone().enumerate() {
+                if !has_raw {
+                    signals[Signal::Event.of(channel)] = share_on(log, idx, width, frame_times_s);
+                }
                 let references = || log.references().filter_map(|reference| reference.get(idx));
                 // Where several count in turn, the highest reading that any of them allows.
                 if let Some(lowest) = references().copied().reduce(f32::min) {
@@ -164,7 +170,6 @@ impl<'a> Observed<'a> {
         }
         let repetitions = repetitions(take);
         let blocks = repetitions.iter().map(|(frames, _)| frames.clone()).collect();
-        let has_raw = take.has_raw();
         let streams = layout.streams.iter().zip(&take.streams);
         let repeated_for_s: Vec<Vec<f64>> =
             streams.map(|(stream, log)| repeated_for_s(log, stream.channels.len())).collect();
@@ -185,6 +190,7 @@ impl<'a> Observed<'a> {
             tares: take.tares(),
             frozen_at_frames_s,
             signals,
+            active: take.active_at_frames(),
             blocks,
             repetitions,
             noise,
@@ -271,7 +277,7 @@ impl<'a> Observed<'a> {
             .iter()
             .map(|channel| station.streams[channel.stream].off_fraction())
             .collect();
-        let mut on = vec![false; num_channels];
+        let mut before = vec![(false, 0.0); num_channels];
         for block in &self.blocks {
             // No two touches press a channel quite alike.
             let shares: Vec<f64> = (0..num_channels).map(|_| 1.0 + TOUCH_SPREAD * gaussian(rng)).collect();
@@ -281,9 +287,18 @@ impl<'a> Observed<'a> {
                     let (event, raw) = (Signal::Event.of(channel), Signal::Reading.of(channel));
                     let noise = self.noise[channel] * gaussian(rng);
                     let reading = predicted[raw][frame] * shares[channel] + levels[channel] + noise;
-                    on[channel] = reading > if on[channel] { off_fractions[channel] } else { 1.0 };
+                    let (was_on, last) = before[channel];
+                    let threshold = if was_on { off_fractions[channel] } else { 1.0 };
+                    let is_on = reading > threshold;
+                    before[channel] = (is_on, reading);
+                    simulated.active[frame * num_channels + channel] = is_on;
                     if !self.signals[event][frame].is_nan() {
-                        simulated.signals[event][frame] = f64::from(u8::from(on[channel]));
+                        let since_crossed = (reading - threshold) / (reading - last);
+                        simulated.signals[event][frame] = match (was_on, is_on) {
+                            (false, true) if !self.has_raw => since_crossed.clamp(0.0, 1.0),
+                            (true, false) if !self.has_raw => 1.0 - since_crossed.clamp(0.0, 1.0),
+                            _ => f64::from(u8::from(is_on)),
+                        };
                     }
                     if !self.signals[raw][frame].is_nan() {
                         simulated.signals[raw][frame] = reading;
@@ -390,6 +405,31 @@ fn sample_in_effect(log: &StreamLog, time_s: f64) -> Option<usize> {
     log.times_s.partition_point(|&arrival_s| arrival_s <= time_s).checked_sub(1)
 }
 
+/// Per joint frame, the share of the time since the frame before for which the channel `idx` of `width` in `log` was on: what is
+/// reported holds until the next sample. At the first frame, whether it is on; NaN before the first sample.
+fn share_on(log: &StreamLog, idx: usize, width: usize, frame_times_s: &[f64]) -> Vec<f64> {
+    let is_on = |sample: usize| f64::from(u8::from(log.active[sample * width + idx]));
+    // Per sample, for how long the channel had been on when it arrived.
+    let mut been_on_s = Vec::with_capacity(log.times_s.len());
+    let mut on_s = 0.0;
+    for (sample, &time_s) in log.times_s.iter().enumerate() {
+        if let Some(before) = sample.checked_sub(1) {
+            on_s += is_on(before) * (time_s - log.times_s[before]);
+        }
+        been_on_s.push(on_s);
+    }
+    let mut before = None;
+    let of_frame = |&frame_s: &f64| {
+        let Some(sample) = sample_in_effect(log, frame_s) else { return f64::NAN };
+        let on_s = been_on_s[sample] + is_on(sample) * (frame_s - log.times_s[sample]);
+        match before.replace((frame_s, on_s)) {
+            Some((last_s, last_on_s)) => ((on_s - last_on_s) / (frame_s - last_s)).clamp(0.0, 1.0),
+            None => is_on(sample),
+        }
+    };
+    frame_times_s.iter().map(of_frame).collect()
+}
+
 /// Samples that are all the same before a device counts as frozen: two alike may be chance.
 const LEAST_REPEATED: usize = 4;
 
@@ -456,4 +496,25 @@ fn repetitions(take: &Take) -> Vec<(Range<usize>, String)> {
     }
     between(next, times_s.len(), &mut parts);
     parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_has_the_share_of_its_time_for_which_a_channel_was_on() {
+        // Every 30 ms, the first column on from 60 to 150 ms.
+        let times_s: Vec<f64> = (0..10).map(|sample| f64::from(sample) * 0.03).collect();
+        let active = (0..10).flat_map(|sample| [(2..5).contains(&sample), true]).collect();
+        let log = StreamLog { times_s, active, ..StreamLog::default() };
+        let shares = share_on(&log, 0, 2, &[-0.1, 0.0, 0.1, 0.2, 0.3, 0.4]);
+        assert!(shares[0].is_nan());
+        let expected = [0.0, 0.4, 0.5, 0.0, 0.0];
+        for (share, expected) in shares[1..].iter().zip(expected) {
+            assert!((share - expected).abs() < 1e-9, "{shares:?}");
+        }
+        let always = share_on(&log, 1, 2, &[0.05, 0.1, 0.4]);
+        assert!(always.iter().all(|share| (share - 1.0).abs() < 1e-9), "{always:?}");
+    }
 }

@@ -122,7 +122,7 @@ fn within_bounds(variance: f64) -> f64 {
 }
 
 /// The median of those of `values` that are numbers; NaN of none.
-fn median(values: Vec<f64>) -> f64 {
+pub(super) fn median(values: Vec<f64>) -> f64 {
     Data::new(values.into_iter().filter(|value| value.is_finite()).collect::<Vec<_>>()).median()
 }
 

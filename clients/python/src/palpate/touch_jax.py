@@ -327,8 +327,12 @@ class TouchModel:
             elif effect.id == "swapped_channels":
                 share = parameters["presence"]
                 loads = loads.at[channels].set((1.0 - share) * own + share * own[::-1])
-            elif effect.id in ("dead_channel", "stuck_channel"):
+            elif effect.id == "dead_channel":
                 loads = loads.at[channels].set(own * (1.0 - parameters["presence"]))
+            elif effect.id == "stuck_channel":
+                share = parameters["presence"]
+                level = share * parameters["level"] * self._on_loads[channels]
+                loads = loads.at[channels].set(own * (1.0 - share) + level)
         return loads, tuple(kept)
 
     def _carry(self, first: Array, state: State, loads: Array, time_s: Array) -> tuple[Array, Array, Array]:

@@ -75,6 +75,30 @@ impl Switching {
         activation
     }
 
+    /// [`Self::activation`] at each of the `frames` of `times_s`, on average since the frame before: linear between moments.
+    /// The first frame has that of its moment.
+    pub fn mean_activation(
+        &self,
+        channel: usize,
+        arrived: &Arrived,
+        times_s: &[f64],
+        frames: &[usize],
+    ) -> Vec<f64> {
+        let activation = self.activation(channel, arrived, times_s, None);
+        let mut last = None;
+        let since_last = |&frame: &usize| {
+            let first = last.replace(frame).unwrap_or(frame);
+            if activation[first..=frame].iter().all(|one| *one == activation[frame]) {
+                return activation[frame];
+            }
+            let area = |next: usize| {
+                0.5 * (activation[next - 1] + activation[next]) * (times_s[next] - times_s[next - 1])
+            };
+            (first + 1..=frame).map(area).sum::<f64>() / (times_s[frame] - times_s[first])
+        };
+        frames.iter().map(since_last).collect()
+    }
+
     /// Whether `channel` is on in frames that are drawn.
     fn flickers(&self, channel: usize) -> bool {
         let idle = self.idle_activation[channel];
@@ -230,6 +254,32 @@ mod tests {
             let all = switching.activation(0, &arrived, &times_s, None);
             let some = switching.activation(0, &arrived, &times_s, Some(&frames));
             prop_assert_eq!(frames.iter().map(|&frame| all[frame]).collect::<Vec<_>>(), some);
+        }
+
+        #[test]
+        fn means_over_frames_add_up(
+            switching in switching(),
+            loads in prop::collection::vec(prop_oneof![Just(0.0), 0.0..4.0_f64], 1..40),
+            gaps_s in prop::collection::vec(0.005..0.1_f64, 40),
+            wanted in prop::collection::vec(any::<bool>(), 40),
+        ) {
+            let mut time_s = 0.0;
+            let times_s: Vec<f64> = gaps_s[..loads.len()].iter().map(|gap_s| { time_s += gap_s; time_s }).collect();
+            let arrived = arrived(&loads, &[], false);
+            let activation = switching.activation(0, &arrived, &times_s, None);
+            let of = |frames: &[usize]| switching.mean_activation(0, &arrived, &times_s, frames);
+            let each = of(&(0..loads.len()).collect::<Vec<_>>());
+            for (mean, ends) in each.iter().skip(1).zip(activation.windows(2)) {
+                prop_assert!((mean - 0.5 * (ends[0] + ends[1])).abs() < 1e-12);
+            }
+            let frames: Vec<usize> = (0..loads.len()).filter(|&frame| wanted[frame]).collect();
+            let means = of(&frames);
+            prop_assert_eq!(means.first(), frames.first().map(|&first| &activation[first]));
+            for (pair, mean) in frames.windows(2).zip(means.iter().skip(1)) {
+                let parts = (pair[0] + 1..=pair[1]).map(|next| each[next] * (times_s[next] - times_s[next - 1]));
+                let sum: f64 = parts.sum();
+                prop_assert!((mean * (times_s[pair[1]] - times_s[pair[0]]) - sum).abs() < 1e-12, "{mean}, {sum}");
+            }
         }
 
         #[test]

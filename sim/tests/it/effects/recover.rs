@@ -479,7 +479,13 @@ fn dead_channel() {
 #[test]
 fn stuck_channel() {
     let rivals = [("baseline_drift", channel("palm_ring")), ("integer_wrap", channel("palm_ring"))];
-    recovers("stuck_channel", &channel("palm_ring"), &PRESENCES, &[("presence", 0.1)], &rivals);
+    let strengths: [&[_]; 3] = [
+        &[("presence", 0.7), ("level", 0.0)],
+        &[("presence", 0.9), ("level", 4.0)],
+        &[("presence", 1.0), ("level", 2.0)],
+    ];
+    let tolerances = [("presence", 0.1), ("level", 0.2)];
+    recovers("stuck_channel", &channel("palm_ring"), &strengths, &tolerances, &rivals);
 }
 
 #[test]
