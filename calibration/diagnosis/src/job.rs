@@ -44,8 +44,8 @@ pub struct DiagnosisOutcome {
 }
 
 /// Evidence and share that a name needs where takes hold events only. What the model gets wrong on its own is then all in
-/// the moments at which channels switch, with no reading to tell it by: of twelve sessions that hide nothing (a tuning station and
-/// world d of the blind bench) one had 30 with more than the share, right names there 66 and more.
+/// the moments at which channels switch, with no reading to tell it by: of twelve sessions that hide nothing (a tuning
+/// station, and world d of the blind bench) one had 30 with more than the share, right names there 66 and more.
 const EVENTS_EVIDENCE: f64 = 60.0;
 const EVENTS_SHARE: f64 = 0.035;
 

@@ -7,8 +7,9 @@ use super::{
     places,
 };
 
-/// The channel is active all the time, and its reading stands still: at `level` times the load that switches it on, above the
-/// reference that was taken at rest. Where it was stuck by then, the reference stands with it, and the level is 0.
+/// The channel is active all the time, and its reading stands still: at `level` times the load that switches it on,
+/// above the reference that was taken at rest. Where it was stuck by then, the reference stands with it, and the level
+/// is 0.
 pub(super) struct StuckChannel;
 
 impl EffectKind for StuckChannel {

@@ -102,9 +102,8 @@ fn the_manual_shows_a_model_that_is_read() {
 #[test]
 fn a_stuck_channel_of_a_file_from_before_it_had_a_level_stands_at_its_reference() {
     let of = |parameters: &str| {
-        let effect = format!(
-            "{OF_STREAMS}\n[[effect]]\nid = \"stuck_channel\"\nwhere = {{ channel = \"palm_ring\" }}\nparameters = {{ {parameters} }}\n"
-        );
+        let stuck = "id = \"stuck_channel\"\nwhere = { channel = \"palm_ring\" }";
+        let effect = format!("{OF_STREAMS}\n[[effect]]\n{stuck}\nparameters = {{ {parameters} }}\n");
         let model = SensorModel::from_toml("model.toml", &effect).unwrap();
         model.effects.last().unwrap().parameters.clone()
     };

@@ -91,9 +91,9 @@ impl<'a, D: Domain> Judged<'a, D> {
         })
     }
 
-    /// How well each effect beyond the first `known` is founded, over what it needs: its evidence over the `bar`, or its
-    /// likelihood ratio where that is less and all have enough: else one of them goes first. What has not enough is founded all the
-    /// same where it is [missed](Self::missed); that is its evidence then.
+    /// How well each effect beyond the first `known` is founded, over what it needs: its evidence over the `bar`, or
+    /// its likelihood ratio where that is less and all have enough: else one of them goes first. What has not enough
+    /// is founded all the same where it is [missed](Self::missed); that is its evidence then.
     /// Far beyond the `bar` a rough fit of the others is enough, so that the ratio may be too high there.
     ///
     /// The ratio is the loss that comes back without the effect, where the others are fitted anew, over how much
@@ -122,8 +122,9 @@ impl<'a, D: Domain> Judged<'a, D> {
         Ok(founded)
     }
 
-    /// [`missed_by`] of the effect `idx`, where the others are fitted anew. Unlike a standard error this asks nothing of how
-    /// the loss runs near the fit: of events alone a few frames in which a channel is about to switch seem to tell all there.
+    /// [`missed_by`] of the effect `idx`, where the others are fitted anew. Unlike a standard error this asks nothing
+    /// of how the loss runs near the fit: of events alone a few frames in which a channel is about to switch seem to
+    /// tell all there.
     fn missed(&self, idx: usize) -> Result<f64, DiagnosisError> {
         let Linear { domain, model, takes, .. } = &self.linear;
         let mut without = model.clone();

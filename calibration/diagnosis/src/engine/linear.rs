@@ -267,8 +267,8 @@ impl<'a, D: Domain> Linear<'a, D> {
         losses
     }
 
-    /// Huber's losses of a `predicted` series of the segment `idx`, with the weights of this model's predictions: of each frame
-    /// that was measured.
+    /// Huber's losses of a `predicted` series of the segment `idx`, with the weights of this model's predictions: of
+    /// each frame that was measured.
     fn losses_of_rows<'s>(
         &'s self,
         idx: usize,

@@ -101,7 +101,7 @@ fn few_blocks(num_blocks: f64) -> f64 {
 /// What speaks for an effect without which blocks lose `beyond` more than all of them lose with it: the square of the
 /// normal deviate that is as rare as Student's t is for so much, where each block counts as one observation.
 ///
-/// As many blocks count as would have it in common if they had equally much; the `loss` with the effect stands for their
+/// As many blocks count as would lose as much if they lost equally; the `loss` with the effect stands for their
 /// variance.
 pub(crate) fn missed_by(beyond: &[f64], loss: f64) -> f64 {
     let sum: f64 = beyond.iter().sum();

@@ -58,8 +58,8 @@ fn strength(effect: &Effect) -> f64 {
     if effect.id == "wound" { 0.3 * (TURNS * size).sin() } else { size }
 }
 
-/// What an effect adds to its shape at the size that it has in [`MISSED`]: a few rows of one take change there as steeply as
-/// nothing else does.
+/// What an effect adds to its shape: near the size [`MISSED`] a few rows of one take change as steeply as nothing else
+/// does.
 fn steep(effect: &Effect, take: usize, row: usize) -> f64 {
     if effect.id != "steep" || take > 0 || row > 2 {
         return 0.0;

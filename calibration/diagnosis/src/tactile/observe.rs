@@ -405,8 +405,8 @@ fn sample_in_effect(log: &StreamLog, time_s: f64) -> Option<usize> {
     log.times_s.partition_point(|&arrival_s| arrival_s <= time_s).checked_sub(1)
 }
 
-/// Per joint frame, the share of the time since the frame before for which the channel `idx` of `width` in `log` was on: what is
-/// reported holds until the next sample. At the first frame, whether it is on; NaN before the first sample.
+/// Per joint frame, the share of the time since the frame before for which the channel `idx` of `width` in `log` was
+/// on: what is reported holds until the next sample. At the first frame, whether it is on; NaN before the first sample.
 fn share_on(log: &StreamLog, idx: usize, width: usize, frame_times_s: &[f64]) -> Vec<f64> {
     let is_on = |sample: usize| f64::from(u8::from(log.active[sample * width + idx]));
     // Per sample, for how long the channel had been on when it arrived.

@@ -6,8 +6,8 @@ use palpate_sim::effects::{Effect, Parameter};
 use super::wander::median;
 use super::{Observed, Signal};
 
-/// A stream that stands still now and then shows in the noise of its readings, which events do not have: of events alone
-/// it stands in for whatever comes late.
+/// A stream that stands still now and then shows in the noise of its readings, which events do not have: of events
+/// alone it stands in for whatever comes late.
 pub(super) const SAMPLE_HOLD: &str = "sample_hold";
 const STUCK_CHANNEL: &str = "stuck_channel";
 

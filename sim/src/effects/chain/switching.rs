@@ -75,8 +75,8 @@ impl Switching {
         activation
     }
 
-    /// [`Self::activation`] at each of the `frames` of `times_s`, on average since the frame before: linear between moments.
-    /// The first frame has that of its moment.
+    /// [`Self::activation`] at each of the `frames` of `times_s`, on average since the frame before: linear between
+    /// moments. The first frame has that of its moment.
     pub fn mean_activation(
         &self,
         channel: usize,
