@@ -81,3 +81,36 @@ impl Frozen {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use palpate_sim::effects;
+
+    use super::*;
+    use crate::engine::Domain as _;
+    use crate::tactile::TactileDomain;
+    use crate::testing::{Session, session};
+
+    #[test]
+    fn a_stuck_channel_is_looked_for_where_its_readings_mostly_are() {
+        let Session { stage, mut takes, nominal } = session("small");
+        let station = stage.station();
+        takes.truncate(1);
+        let (stream, channels) = (0, station.layout.streams[0].channels.clone());
+        let threshold = station.streams[stream].on_threshold;
+        let log = &mut takes[0].streams[stream];
+        let stuck = log.reference[0] + 2.0 * threshold as f32;
+        log.raw.chunks_exact_mut(channels.len()).for_each(|sample| sample[0] = stuck);
+        let (domain, _) = TactileDomain::new(station, &takes, &[0], &nominal).unwrap();
+        let kind = effects::tactile(STUCK_CHANNEL).unwrap();
+        let level = |channel: usize| {
+            let id = station.layout.channels[channel].id.clone();
+            let candidates = domain.candidates();
+            let is_it = |one: &&Effect| one.id == kind.id() && one.place == Place::Channel(id.clone());
+            let parameters = domain.parameters(candidates.iter().find(is_it).unwrap());
+            parameters.iter().find(|parameter| parameter.name == "level").unwrap().neutral
+        };
+        assert!((level(channels.start) - 2.0).abs() < 0.05, "{}", level(channels.start));
+        assert!(level(channels.start + 1).abs() < 0.2, "{}", level(channels.start + 1));
+    }
+}
