@@ -7,11 +7,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use palpate_blind::{BlindConfig, BlindError, BlindReport, World, actuator, tactile};
-use palpate_diagnosis::{DiagnosisConfig, Reference, diagnose, reference};
+use palpate_diagnosis::{DiagnosisConfig, diagnose, reference};
 use palpate_recording::{SpanKind, Take};
 use palpate_reports::{Purpose, Verdict};
 use palpate_sim::{
     SensorModel,
+    effects::Effect,
     job::{Cancel, NoProgress},
 };
 use palpate_truth::{Stage, cases};
@@ -66,20 +67,32 @@ fn a_session_is_judged_by_what_reference_sessions_leave() {
     let too_few = measured(&healthy[..2]).unwrap_err().to_string();
     assert!(too_few.contains("at least 3"), "{too_few}");
     let reference = measured(&healthy).unwrap();
-    let judged = |takes: &[Take], reference: Option<Reference>| {
-        let config = DiagnosisConfig { reference, ..config.clone() };
-        diagnose(&config, takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap().report
+    let judged = |takes: &[Take], config: &DiagnosisConfig| {
+        diagnose(config, takes, &nominal, None, &NoProgress, &Cancel::default(), &|| 0.0).unwrap()
     };
+    let without = |rule: &str| BTreeMap::from([(rule.to_owned(), f64::INFINITY)]);
+    let by_reference = DiagnosisConfig { reference: Some(reference), ..config.clone() };
+    let ablated =
+        DiagnosisConfig { ablation: ["usual", "alike"].map(without).into(), ..by_reference.clone() };
     let (late, _) = session(SMALL, "latency strong", 1);
-    let (alone, beside) = (judged(&late, None), judged(&late, Some(reference.clone())));
+    let (alone, changed) = (judged(&late, &config).report, judged(&late, &ablated));
+    let beside = &changed.report;
     assert_eq!((alone.reference_sessions, beside.reference_sessions), (None, Some(3)));
     assert!(beside.notes.iter().any(|note| note.contains("3 reference sessions")), "{:?}", beside.notes);
     // Few and short takes: the healthy ones are explained by delays of their own, nearly as strong as what is hidden here.
     assert_eq!(beside.effects, []);
     assert!(beside.in_doubt.iter().any(|effect| effect.doubt[0].check == "usual"), "{:?}", beside.in_doubt);
+    // An ablation says of a rule what a diagnosis without it says: of the one that withheld, and of one that did not.
+    let unusual = judged(&late, &DiagnosisConfig { rule_scales: without("usual"), ..by_reference.clone() });
+    let names = |effects: &[Effect]| -> Vec<_> {
+        effects.iter().map(|effect| (effect.id.clone(), effect.place.clone())).collect()
+    };
+    let of_each: Vec<_> = changed.ablation.iter().map(|effects| names(effects)).collect();
+    assert_eq!(of_each, [names(&unusual.model.effects), Vec::new()]);
+    assert!(!of_each[0].is_empty());
     // A session is no stranger among those that it is judged by.
     for takes in &healthy {
-        let report = judged(takes, Some(reference.clone()));
+        let report = judged(takes, &by_reference).report;
         assert_eq!(report.effects, [], "{:?}", report.sentence);
         assert_eq!(report.unexplained.because, []);
     }

@@ -116,12 +116,19 @@ pub fn diagnose(
         is_cut_short,
         before,
     };
-    let named = |rule_scales: &BTreeMap<String, f64>| {
-        let judged = found.judged(InForce::scaled(rule_scales))?;
-        Ok(judged.naming.model.effects[known..].to_vec())
-    };
-    let ablation = config.ablation.iter().map(named).collect::<Result<_, DiagnosisError>>()?;
     let Judged { naming, steps, left } = found.judged(InForce::scaled(&config.rule_scales))?;
+    let names = |naming: &Naming| naming.model.effects[known..].to_vec();
+    let changed = |rule_scales: &BTreeMap<String, f64>| {
+        // A rule that withheld nothing withholds nothing with a higher limit either.
+        let is_idle = |(rule, scale): (&String, &f64)| {
+            *scale >= 1.0 && naming.withheld.iter().all(|withheld| withheld.why.rule != rule)
+        };
+        if config.rule_scales.is_empty() && rule_scales.iter().all(is_idle) {
+            return Ok(names(&naming));
+        }
+        Ok(names(&found.judged(InForce::scaled(rule_scales))?.naming))
+    };
+    let ablation = config.ablation.iter().map(changed).collect::<Result<_, DiagnosisError>>()?;
 
     watch(0.95, "writing the report")?;
     let streams = station.layout.streams.iter().zip(touch_to_touch(station, &left.by_signal));

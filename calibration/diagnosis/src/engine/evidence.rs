@@ -101,14 +101,7 @@ impl<'a, D: Domain> Judged<'a, D> {
     /// parabola this is the squared Wald statistic that evidence is. Where it is none, a parameter may be told
     /// sharply at a place that is hardly better than no effect at all.
     pub(super) fn founded(&mut self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
-        let missed = |idx: usize| if self.evidence[idx] < bar { self.missed(idx) } else { Ok(0.0) };
-        let missed: Vec<f64> =
-            (known..self.evidence.len()).into_par_iter().map(missed).collect::<Result<_, _>>()?;
-        for (evidence, missed) in self.evidence[known..].iter_mut().zip(&missed) {
-            if *missed >= NEEDED {
-                *evidence = evidence.max(*missed);
-            }
-        }
+        let missed = self.count_missed(known, bar)?;
         let of_evidence = self.evidence[known..].iter().zip(&missed);
         let mut founded: Vec<f64> =
             of_evidence.map(|(evidence, missed)| (evidence / bar).max(missed / NEEDED)).collect();
@@ -120,6 +113,20 @@ impl<'a, D: Domain> Judged<'a, D> {
             founded.iter_mut().zip(ratios).for_each(|(founded, ratio)| *founded = founded.min(ratio));
         }
         Ok(founded)
+    }
+
+    /// By how much each effect beyond the first `known` is [missed](Self::missed) that has less evidence than `bar`;
+    /// where that is enough, it is the effect's evidence from now on.
+    pub(super) fn count_missed(&mut self, known: usize, bar: f64) -> Result<Vec<f64>, DiagnosisError> {
+        let missed = |idx: usize| if self.evidence[idx] < bar { self.missed(idx) } else { Ok(0.0) };
+        let missed: Vec<f64> =
+            (known..self.evidence.len()).into_par_iter().map(missed).collect::<Result<_, _>>()?;
+        for (evidence, missed) in self.evidence[known..].iter_mut().zip(&missed) {
+            if *missed >= NEEDED {
+                *evidence = evidence.max(*missed);
+            }
+        }
+        Ok(missed)
     }
 
     /// [`missed_by`] of the effect `idx`, where the others are fitted anew. Unlike a standard error this asks nothing

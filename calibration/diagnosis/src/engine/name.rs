@@ -133,7 +133,7 @@ pub fn name<D: Domain>(
     reconsider(domain, &mut model, known, &mut rounds, takes, config.bar)?;
     finish(domain, &mut model, known, takes, config.kept_bar, &mut dropped)?;
     let Judged { evidence, standard_errors, .. } = Judged::new(domain, &model, takes)?;
-    Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new() })
+    Ok(Naming { model, standard_errors, evidence, rounds, dropped, withheld: Vec::new(), needs: None })
 }
 
 /// Highest evidence of any effect beside `model`, among those that remove more than the least share: what the first round

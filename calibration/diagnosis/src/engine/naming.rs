@@ -99,6 +99,16 @@ pub struct Naming {
     pub dropped: Vec<Effect>,
     /// Effects that were named and taken back, because together they do not account for what is there.
     pub withheld: Vec<Withheld>,
+    /// What [`Self::weigh_again`] asked of names, and whoever assesses them later asks too.
+    pub(super) needs: Option<Needs>,
+}
+
+/// What a name needs in the end.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Needs {
+    /// Effects at the beginning of the model of which nothing is asked.
+    known: usize,
+    bar: f64,
 }
 
 impl Naming {
@@ -151,6 +161,7 @@ impl Naming {
         takes: &[usize],
         bar: f64,
     ) -> Result<(), DiagnosisError> {
+        self.needs = Some(Needs { known, bar });
         let mut nearby = Vec::new();
         loop {
             self.model = Fit::within(SETTLE_STEPS).beside(&nearby).of(domain, &self.model, takes)?;
@@ -188,7 +199,11 @@ impl Naming {
     ) -> Result<(), DiagnosisError> {
         self.withheld.push(Withheld { effect: self.model.effects.remove(idx), why });
         self.model = refit(domain, &self.model, takes, REFIT_STEPS)?;
-        self.assess(Judged::new(domain, &self.model, takes)?);
+        let mut judged = Judged::new(domain, &self.model, takes)?;
+        if let Some(Needs { known, bar }) = self.needs {
+            judged.count_missed(known, bar)?;
+        }
+        self.assess(judged);
         Ok(())
     }
 }

@@ -15,6 +15,7 @@ use super::linear::{Linear, predict};
 use super::naming::Tried;
 use super::{BaseParameter, Contributions, Domain, Model, Naming, NamingConfig, Series, each, name, refit};
 use crate::DiagnosisError;
+use crate::fired::Fired;
 
 const ROWS: usize = 400;
 const TAKES: usize = 4;
@@ -220,6 +221,7 @@ fn found(effects: Vec<Effect>) -> Naming {
         rounds: Vec::new(),
         dropped: Vec::new(),
         withheld: Vec::new(),
+        needs: None,
     }
 }
 
@@ -251,6 +253,20 @@ fn what_every_repetition_misses_is_a_name_though_a_few_rows_seem_to_tell_it() {
     assert!(by_error < 12.0, "{by_error}");
     assert!(evidence.len() == 1 && evidence[0] > 25.0, "{evidence:?}");
     assert!(weighed(&[]).1.is_empty(), "nothing is hidden");
+}
+
+#[test]
+fn what_every_repetition_misses_keeps_its_evidence_when_another_name_is_withheld() {
+    let takes = [0, 1, 2, 3];
+    let domain = Sines::new(&[("slow", MISSED), ("square", 0.05)], 11);
+    let mut naming = found(vec![effect("steep", MISSED), effect("square", 0.05)]);
+    naming.settle(&domain, &takes).unwrap();
+    let by_error = naming.evidence[0];
+    naming.weigh_again(&domain, 0, &takes, 25.0).unwrap();
+    assert_eq!(ids(&naming), ["steep", "square"]);
+    let why = Fired { rule: "alike", measured: 1.0, limit: 0.3 };
+    naming.withhold_one(&domain, 1, &takes, why).unwrap();
+    assert!(by_error < 12.0 && naming.evidence[0] > 25.0, "{by_error}, {:?}", naming.evidence);
 }
 
 #[test]
