@@ -172,7 +172,7 @@ fn unite(units: &mut [bool], other: &[bool]) {
 }
 
 /// Whether all units of `inner` are in `outer`.
-pub(crate) fn within(inner: &[bool], outer: &[bool]) -> bool {
+fn within(inner: &[bool], outer: &[bool]) -> bool {
     inner.iter().zip(outer).all(|(inner, outer)| !inner || *outer)
 }
 

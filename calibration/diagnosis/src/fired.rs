@@ -56,13 +56,8 @@ impl<'a> InForce<'a> {
 
 pub(crate) const USUAL: &str = "usual";
 pub(crate) const BY_TAKE: &str = "size_by_take";
-pub(crate) const REMAINDER: &str = "remainder";
-pub(crate) const ALIKE: &str = "alike";
-pub(crate) const ONE_PLACE: &str = "one_place";
 pub(crate) const WEAK_BESIDE_REST: &str = "weak_beside_rest";
 pub(crate) const REPEATS_MORE: &str = "repeats_more";
-pub(crate) const LEFT_AT_PATCH: &str = "left_at_patch";
-pub(crate) const POSTURE: &str = "posture";
 pub(crate) const GAP_GROWS: &str = "gap_grows";
 
 #[cfg(test)]
@@ -71,12 +66,12 @@ mod tests {
 
     #[test]
     fn a_rule_that_is_scaled_allows_more_and_one_that_is_off_all() {
-        let scales = BTreeMap::from([(ALIKE.to_owned(), 1.4), (BY_TAKE.to_owned(), f64::INFINITY)]);
+        let scales = BTreeMap::from([(REPEATS_MORE.to_owned(), 1.4), (BY_TAKE.to_owned(), f64::INFINITY)]);
         let rules = InForce::scaled(&scales);
-        assert_eq!(rules.above(ALIKE, 0.4, 0.3), None);
-        assert_eq!(rules.above(ALIKE, 0.5, 0.3).map(|fired| fired.limit), Some(1.4 * 0.3));
+        assert_eq!(rules.above(REPEATS_MORE, 0.4, 0.3), None);
+        assert_eq!(rules.above(REPEATS_MORE, 0.5, 0.3).map(|fired| fired.limit), Some(1.4 * 0.3));
         assert_eq!(rules.above(BY_TAKE, 1e9, 0.8), None);
-        assert_eq!(rules.above(POSTURE, 1.1, 1.0).map(|fired| fired.limit), Some(1.0));
-        assert!(!rules.has(BY_TAKE) && rules.has(POSTURE));
+        assert_eq!(rules.above(GAP_GROWS, 1.1, 1.0).map(|fired| fired.limit), Some(1.0));
+        assert!(!rules.has(BY_TAKE) && rules.has(GAP_GROWS));
     }
 }

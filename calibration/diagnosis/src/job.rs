@@ -18,9 +18,7 @@ use crate::reference::Reference;
 use crate::search::search;
 use crate::steps::Steps;
 use crate::tactile::TactileDomain;
-use crate::tactile::adequacy::{
-    Adequacy, Left, adequacy, leave_most_at_a_patch, repeating_by_patch, touch_to_touch,
-};
+use crate::tactile::adequacy::{Adequacy, Left, adequacy, touch_to_touch};
 use crate::tactile::posture::{WithPosture, with_posture};
 use crate::withhold::{withhold, withhold_weak};
 use crate::{DiagnosisError, show};
@@ -205,7 +203,7 @@ impl Found<'_> {
         let known = start.effects.len();
         let has_readings = domain.num_raw_takes() > 0;
         let mut naming = self.naming.clone();
-        withhold(domain, start, &mut naming, fitted, self.is_cut_short, reference, rules)?;
+        withhold(domain, known, &mut naming, fitted, self.is_cut_short, reference, rules)?;
         naming.begin_again_without_names(start);
         let mut left = measured(station, domain, &naming.model, fitted, reference)?;
         if has_readings && !self.is_cut_short && rules.has(fired::WEAK_BESIDE_REST) {
@@ -216,7 +214,7 @@ impl Found<'_> {
             }
         }
         let mut steps = Steps::new(station, domain, &naming, fitted, self.calibrated, self.takes)?;
-        let fired = match self.all_wrong(&naming, &left, rules) {
+        let fired = match self.repeat_more(&naming, &left, rules) {
             None if has_readings => steps.widen_the_gap(station, domain, fitted, rules)?,
             fired => fired.filter(|_| has_readings),
         };
@@ -228,29 +226,16 @@ impl Found<'_> {
         Ok(Judged { naming, steps, left })
     }
 
-    /// Fires if what is `left` with the names shows that they are all of something else.
-    fn all_wrong(&self, naming: &Naming, left: &Measured, rules: InForce<'_>) -> Option<Fired> {
-        let known = self.start.effects.len();
-        let names = &naming.model.effects[known..];
+    /// Fires if the names are of channels alone, and more of what is `left` repeats with them than without.
+    fn repeat_more(&self, naming: &Naming, left: &Measured, rules: InForce<'_>) -> Option<Fired> {
+        let names = &naming.model.effects[self.start.effects.len()..];
         let is_of_channels = |effect: &Effect| matches!(effect.place, Place::Channel(_) | Place::Channels(_));
         // What reference sessions leave as well speaks against no name.
         let is_usual =
             self.reference.sessions().is_some() && left.adequacy.repeating <= self.reference.left.repeating;
-        if names.iter().all(is_of_channels)
-            && !is_usual
-            && let Some(fired) = left.adequacy.repeats_more(&self.before.adequacy, rules)
-        {
-            return Some(fired);
-        }
-        if self.is_cut_short {
+        if is_usual || !names.iter().all(is_of_channels) {
             return None;
         }
-        let of_limb = self.domain.limb_of(names);
-        let by_patch =
-            [&self.before, left].map(|measured| repeating_by_patch(self.station, &measured.by_signal));
-        let evidence = naming.evidence[known..].iter().sum();
-        leave_most_at_a_patch(&by_patch, &of_limb, self.reference.much_at_patch(), rules).or_else(|| {
-            left.with_posture.iter().find_map(|change| change.outweighs(evidence, &of_limb, rules))
-        })
+        left.adequacy.repeats_more(&self.before.adequacy, rules)
     }
 }

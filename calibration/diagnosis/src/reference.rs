@@ -11,7 +11,7 @@ use palpate_sim::effects::Effect;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::DiagnosisError;
-use crate::tactile::adequacy::{Adequacy, MUCH_AT_PATCH};
+use crate::tactile::adequacy::Adequacy;
 use crate::tactile::posture::Least;
 
 /// Probability with which one more session in which nothing is wrong stays below a limit.
@@ -86,11 +86,6 @@ impl Reference {
     /// Highest evidence that an effect like this one has in reference sessions; none where none is found there.
     pub(crate) fn evidence_of(&self, effect: &Effect) -> Option<f64> {
         self.evidence.get(&Reach::of(effect)).copied()
-    }
-
-    /// What repeats in a patch, in variances, that is more than the model's own misfit.
-    pub(crate) fn much_at_patch(&self) -> f64 {
-        self.left.at_patch * (MUCH_AT_PATCH / Adequacy::SHIPPED.at_patch)
     }
 }
 

@@ -5,11 +5,8 @@
 //!
 //! [`DiagnosisConfig::rule_scales`]: crate::DiagnosisConfig::rule_scales
 
-use crate::fired::{
-    ALIKE, BY_TAKE, GAP_GROWS, LEFT_AT_PATCH, ONE_PLACE, POSTURE, REMAINDER, REPEATS_MORE, USUAL,
-    WEAK_BESIDE_REST,
-};
-use crate::tactile::{adequacy, posture};
+use crate::fired::{BY_TAKE, GAP_GROWS, REPEATS_MORE, USUAL, WEAK_BESIDE_REST};
+use crate::tactile::adequacy;
 use crate::{steps, withhold};
 
 /// A rule that withholds names.
@@ -36,21 +33,6 @@ pub static RULES: &[Rule] = &[
         limit: withhold::MOST_BY_TAKE,
     },
     Rule {
-        id: REMAINDER,
-        measures: "Wald statistic of a stronger effect at the same patch, joint or object, over the effect's own",
-        limit: withhold::MOST_BESIDE,
-    },
-    Rule {
-        id: ALIKE,
-        measures: "cosine between what two effects add to the predictions; both are withheld",
-        limit: withhold::ALIKE,
-    },
-    Rule {
-        id: ONE_PLACE,
-        measures: "number of effects confined to one patch or finger, beyond those that may stand there",
-        limit: 0.0,
-    },
-    Rule {
         id: WEAK_BESIDE_REST,
         measures: "Wald statistic that a name needs where more is left than may be (80 for each time as much as that), over the \
                    effect's own",
@@ -60,17 +42,6 @@ pub static RULES: &[Rule] = &[
         id: REPEATS_MORE,
         measures: "repeatable residual with the effects, over that without, where all are of channels",
         limit: adequacy::MOST_RAISED,
-    },
-    Rule {
-        id: LEFT_AT_PATCH,
-        measures: "share of the repeatable residual that is left in one patch of the effects' finger",
-        limit: adequacy::MOST_LEFT_AT_PATCH,
-    },
-    Rule {
-        id: POSTURE,
-        measures: "squares that a gain which bends with a joint removes, over the effects' Wald statistics, where the gain \
-                   changes by more than 0.036 (root mean square)",
-        limit: posture::MOST_OF_EVIDENCE,
     },
     Rule {
         id: GAP_GROWS,

@@ -100,7 +100,8 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let mut notes = Vec::new();
     if domain.num_raw_takes() == 0 {
         notes.push(
-            "these takes hold events only: only plain effects can be named; raw readings would tell more"
+            "these takes hold events only, in which a skin that creeps looks like a stream that is late, filtered \
+             or debounced: do not believe such a name before raw readings or reference sessions confirm it"
                 .to_owned(),
         );
     }

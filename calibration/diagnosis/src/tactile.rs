@@ -29,7 +29,7 @@ mod switched;
 mod theta;
 mod wander;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Mutex;
 
@@ -337,34 +337,6 @@ impl<'a> TactileDomain<'a> {
     fn wander(&self) -> &[Wander] {
         &self.wander
     }
-
-    /// Indices of the patches that `effect` can reach.
-    pub(crate) fn patches(&self, effect: &Effect) -> BTreeSet<usize> {
-        let channels = self.station.layout.channels.iter().zip(self.reach(effect));
-        channels.filter(|(_, reached)| *reached).map(|(channel, _)| channel.patch).collect()
-    }
-
-    /// Per patch, the limb that it is on.
-    pub(crate) fn limbs(&self) -> Vec<usize> {
-        observe::limbs(&self.station.layout)
-    }
-
-    /// The patches of the one limb that `effects` are about; none if they are about several, or about objects or
-    /// streams.
-    pub(crate) fn limb_of(&self, effects: &[Effect]) -> Vec<usize> {
-        let limbs = self.limbs();
-        let reached: BTreeSet<usize> =
-            effects.iter().flat_map(|effect| self.patches(effect)).map(|patch| limbs[patch]).collect();
-        if reached.len() != 1 || !effects.iter().all(is_local) {
-            return Vec::new();
-        }
-        (0..limbs.len()).filter(|patch| reached.contains(&limbs[*patch])).collect()
-    }
-}
-
-/// Whether an effect is of a joint, a patch or channels, not of a whole stream or an object.
-pub(crate) fn is_local(effect: &Effect) -> bool {
-    !matches!(effect.place, Place::Stream(_) | Place::Object(_))
 }
 
 fn memories(station: &Station, num_takes: usize) -> Vec<Vec<Mutex<Memory>>> {

@@ -126,7 +126,7 @@ pub(super) fn run(args: &BlindArgs) -> Outcome {
 
 /// `ID=FACTOR`, a factor above 0.
 fn scaled_rule(text: &str) -> Result<(String, f64), String> {
-    let (id, factor) = text.split_once('=').ok_or("expected ID=FACTOR, as in alike=1.4")?;
+    let (id, factor) = text.split_once('=').ok_or("expected ID=FACTOR, as in size_by_take=1.4")?;
     let factor: f64 = factor.parse().map_err(|_| format!("{factor:?} is no number"))?;
     if factor > 0.0 { Ok((id.to_owned(), factor)) } else { Err("the factor must be above 0".to_owned()) }
 }

@@ -1,4 +1,4 @@
-//! Whether what names add to a model is of one size wherever it is measured, and whether they are names of different things.
+//! Whether what names add to a model is of one size wherever it is measured.
 //!
 //! What a name adds to a prediction is `c`, with all that the rest of the model can do projected out of it and of the residual
 //! `r`. In some of the rows it would have to be `1 + (c.r)/(c.c)` times as large to explain them best. A right name is as large
@@ -31,17 +31,6 @@ impl<'a, D: Domain> Contributions<'a, D> {
         });
         let added = added.collect::<Result<_, DiagnosisError>>()?;
         Ok(Self { linear, added })
-    }
-
-    /// Cosine between what the effects `one` and `other` add: 1 if they add the same.
-    pub(crate) fn likeness(&self, one: usize, other: usize) -> f64 {
-        let product = |one: usize, other: usize| {
-            let mut sum = 0.0;
-            self.added[one].each_common(&self.added[other], |_, product| sum += product);
-            sum
-        };
-        let squares = product(one, one) * product(other, other);
-        if squares > 0.0 { product(one, other) / squares.sqrt() } else { 0.0 }
     }
 
     /// How far the takes disagree on the size of each effect: root mean square of how far each is from the size

@@ -232,7 +232,7 @@ pub(crate) fn left_over(left: &[Left]) -> LeftOver {
 
 /// What repeats in the readings of each patch of pressure sensors, as in [`Adequacy::at_patch`]; 0 for other patches and
 /// those with too few rows near contact to tell.
-pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
+fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
     let layout = &station.layout;
     let of_patch = layout.patches.iter().map(|patch| {
         let readings = patch.channels.clone().map(|channel| &left[Signal::Reading.of(channel)]);
@@ -242,27 +242,6 @@ pub(crate) fn repeating_by_patch(station: &Station, left: &[Left]) -> Vec<f64> {
     });
     of_patch.collect()
 }
-
-/// Fires if names that all act on one limb leave most of what repeats in one of its `patches`: then what is wrong with
-/// that limb is not what they say. `by_patch` is what repeats without and with them, of every patch.
-/// From `much` on it is more than the model's own misfit.
-pub(crate) fn leave_most_at_a_patch(
-    [before, after]: &[Vec<f64>; 2],
-    patches: &[usize],
-    much: f64,
-    rules: InForce<'_>,
-) -> Option<Fired> {
-    patches.iter().find_map(|&patch| {
-        let before = before[patch].max(TINY);
-        rules.above(fired::LEFT_AT_PATCH, after[patch] / before, MOST_LEFT_AT_PATCH.max(much / before))
-    })
-}
-
-/// What repeats in a patch, in variances, that is more than the model's own misfit makes it: where nothing is missing, at
-/// most 0.8 on the tuning stations.
-pub(crate) const MUCH_AT_PATCH: f64 = 1.3;
-/// Share of what repeats in a patch that right names of its limb leave at most.
-pub(crate) const MOST_LEFT_AT_PATCH: f64 = 0.7;
 
 /// Rows near contact from which what repeats by chance is a small part of a variance.
 const ENOUGH_ROWS: f64 = 300.0;
@@ -316,24 +295,6 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-
-    #[test]
-    fn names_of_a_limb_leave_little_in_its_worst_patch() {
-        let shipped = BTreeMap::new();
-        let rules = InForce::scaled(&shipped);
-        let leaves = |before: f64, after: f64| {
-            leave_most_at_a_patch(&[vec![9.0, before], vec![9.0, after]], &[1], MUCH_AT_PATCH, rules)
-                .is_some()
-        };
-        assert!(leaves(2.4, 2.3), "another pad of that finger was named");
-        assert!(!leaves(2.4, 1.4), "nearly half of it is gone");
-        assert!(!leaves(0.9, 0.9), "hardly more than where nothing is missing");
-        assert!(leaves(0.9, 1.4), "it is worse than before");
-        assert!(
-            leave_most_at_a_patch(&[vec![9.0], vec![9.0]], &[], MUCH_AT_PATCH, rules).is_none(),
-            "names of several limbs"
-        );
-    }
 
     #[test]
     fn a_gain_that_is_wrong_and_always_the_same_is_no_difference_from_touch_to_touch() {

@@ -15,7 +15,6 @@ use super::adequacy::{CLIP, QUIET};
 use super::{Signal, TactileDomain};
 use crate::DiagnosisError;
 use crate::engine::{Domain, Model};
-use crate::fired::{self, Fired, InForce};
 
 /// How the size of a patch's response changes with a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,18 +30,12 @@ pub(crate) struct WithPosture {
 }
 
 impl WithPosture {
-    /// Fires if it is of one of these `patches` and explains more than do names with so much evidence.
-    pub(crate) fn outweighs(&self, evidence: f64, patches: &[usize], rules: InForce<'_>) -> Option<Fired> {
-        let measured = self.evidence / evidence.max(1e-9);
-        rules.above(fired::POSTURE, measured, MOST_OF_EVIDENCE).filter(|_| patches.contains(&self.patch))
-    }
-
     /// As a report has it.
     pub(crate) fn too_much_left(&self, station: &Station, limit: f64) -> TooMuchLeft {
         let joint = station.robot.dofs().nth(self.dof).map_or("a joint", |joint| joint.name.as_str());
         let (patch, percent) = (&station.layout.patches[self.patch], 100.0 * self.per_rad);
         TooMuchLeft {
-            check: fired::POSTURE.to_owned(),
+            check: "posture".to_owned(),
             measured: self.evidence,
             limit,
             place: Some(Place::Patch(patch.id.clone())),
@@ -53,9 +46,6 @@ impl WithPosture {
         }
     }
 }
-
-/// What a gain that bends may explain, over what the names do.
-pub(crate) const MOST_OF_EVIDENCE: f64 = 1.0;
 
 /// What the regression is made of, for one patch and one object.
 #[derive(Default)]
@@ -193,16 +183,6 @@ mod tests {
         assert!(evidence > 100.0, "{evidence}");
         let [per_rad, share, evidence] = change(two(0.0).iter(), 0).unwrap();
         assert!(per_rad.abs() < 0.02 && share < 0.005 && evidence < 4.0, "{per_rad} {share} {evidence}");
-    }
-
-    #[test]
-    fn a_change_outweighs_little_evidence_on_its_own_finger() {
-        let change = WithPosture { patch: 3, dof: 7, per_rad: -0.2, evidence: 490.0 };
-        let shipped = BTreeMap::new();
-        let rules = InForce::scaled(&shipped);
-        assert!(change.outweighs(39.0, &[2, 3], rules).is_some());
-        assert!(change.outweighs(39.0, &[0, 1], rules).is_none(), "of another finger");
-        assert!(change.outweighs(601.0, &[2, 3], rules).is_none(), "the names explain as much");
     }
 
     #[test]
