@@ -100,8 +100,8 @@ pub(crate) fn report(evidence: &Evidence<'_>) -> Result<DiagnosisReport, Diagnos
     let mut notes = Vec::new();
     if domain.num_raw_takes() == 0 {
         notes.push(
-            "these takes hold events only, in which a skin that creeps looks like a stream that is late, filtered \
-             or debounced: do not believe such a name before raw readings or reference sessions confirm it"
+            "these takes hold events only, in which a skin that creeps looks like a late or filtered stream, and a \
+             hand that is a little off like a bent joint: raw readings or reference sessions should confirm a name"
                 .to_owned(),
         );
     }
