@@ -21,8 +21,8 @@ pub(crate) const EVIDENCE_BESIDE_REST: f64 = 80.0;
 
 /// Takes back names of `naming`, beyond the first `known`, that are usual or not of one size.
 ///
-/// Sizes are not asked where the names are a part of what was found (`is_part`), because what is missing beside them differs
-/// from take to take, nor of events alone, which are few.
+/// Sizes are not asked where the names are a part of what was found (`is_part`), because what is missing beside them
+/// differs from take to take, nor of events alone, which are few.
 pub(crate) fn withhold(
     domain: &TactileDomain<'_>,
     known: usize,
